@@ -19,7 +19,12 @@ import pandas as pd
 
 import ssm_study as st
 
-SAMPLES, POLE, GAIN, NOISE, DRIFT, SEEDS = 4000, 0.9, 3.0, 0.15, 0.95, 5
+SAMPLES = 4000
+POLE = 0.9
+GAIN = 3.0
+NOISE = 0.15
+DRIFT = 0.95
+SEEDS = 5
 OVERRIDES = (
     "model=ssm",
     "model.order=1",
@@ -33,8 +38,12 @@ NAMED = f"data.controller=[{GAIN},1e9]"  # it has no integral
 def log(gain: float, colour: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reference, input and measured output."""
     rng = np.random.default_rng(seed)
-    r, w = rng.uniform(-1, 1, SAMPLES // 10).repeat(10), NOISE * rng.standard_normal(SAMPLES)
-    u, y, x, drift = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0
+    r = rng.uniform(-1, 1, SAMPLES // 10).repeat(10)
+    w = NOISE * rng.standard_normal(SAMPLES)
+    u = np.zeros(SAMPLES)
+    y = np.zeros(SAMPLES)
+    x = 0.0
+    drift = 0.0
     for k in range(SAMPLES):
         drift = colour * drift + np.sqrt(1 - colour**2) * w[k]
         y[k] = x + drift

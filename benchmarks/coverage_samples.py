@@ -61,8 +61,11 @@ class EdgeLoops:
         self, samples: int, rng: np.random.Generator, distance: float
     ) -> Float[np.ndarray, "T N"]:
         """The inputs of all loops, from random starts."""
-        proof, system, gains = self.proof, self.known.controlled, self.known.gains
-        observed, order = self.known.system, self.known.system.order
+        proof = self.proof
+        system = self.known.controlled
+        gains = self.known.gains
+        observed = self.known.system
+        order = self.known.system.order
         ball = self.known.balls.input
         ends = np.array([ball.lower, ball.upper])
         varies = rng.random(samples) < 0.5

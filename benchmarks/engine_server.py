@@ -35,7 +35,8 @@ from ssm_study.engine import server as ours
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 JOBS = "SSM_STUDY_JOBS"  # the file from which the forkserver reads them
-SHORT, LONG = 40, 240
+SHORT = 40
+LONG = 240
 
 
 @dataclass

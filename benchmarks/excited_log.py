@@ -35,12 +35,11 @@ HOLDS = 10  # of the plant's clock, in a settling time
 
 def recorded(plant: Plant, seed: int, folder: Path) -> DataSet:
     """The log of one experiment, read as a stranger's."""
-    rest, reach = plant.equilibrium(), float(plant.input_amplitude[0])
+    rest = plant.equilibrium()
+    reach = float(plant.input_amplitude[0])
     settle_s = float(np.clip(HOLDS * plant.input_clock_s, 20.5 * plant.step_s, 80 * plant.step_s))
-    middle, ends = (
-        float(rest.u[0]),
-        {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach},
-    )
+    middle = float(rest.u[0])
+    ends = {"lower": float(rest.u[0]) - reach, "upper": float(rest.u[0]) + reach}
     u = OwnPlantRecord(
         **ends, rest=middle, step_s=plant.step_s, settle_s=settle_s, seed=seed
     ).signal()
@@ -56,20 +55,23 @@ def recorded(plant: Plant, seed: int, folder: Path) -> DataSet:
 
 def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
     """Both readings of one log, of the same model."""
-    plant, parts = plant_of(name), study_of(f"model.order={order}", f"seed={seed}")
+    plant = plant_of(name)
+    parts = study_of(f"model.order={order}", f"seed={seed}")
     with TemporaryDirectory() as folder:
         data = recorded(plant, seed, Path(folder))
         model = parts.reduction.reduce(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
-    loop, made = parts.loop.fitted(model), []
+    loop = parts.loop.fitted(model)
+    made = []
     for views, trials in (
         ("three", data.mismatch_records),
         ("one", tuple(filter(is_return, data.mismatch_records))),
     ):
         known = Identified.of(model, certified_balls(model), replace(data, mismatch_records=trials))
         rows = pd.DataFrame(DesignGrid(designs=designs).rows(plant, known, loop, seed))
-        settles, drawn = rows.stable_count_noise_free == rows.initial_conditions, rows.index > 0
+        settles = rows.stable_count_noise_free == rows.initial_conditions
+        drawn = rows.index > 0
         said = rows.predicted_stable.astype(bool)
         made.append({
             "plant": name, "seed": seed, "views": views, "designs": int(drawn.sum()),

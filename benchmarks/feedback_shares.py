@@ -26,11 +26,10 @@ from benchmarks.common import study_of
 from ssm_study.evidence.feedback import fed_back, is_closed
 from ssm_study.signals import DataSet, Scale, Trajectory
 
-MEASURED, SIMULATED = (
-    ("ced", "cascaded_tanks", "silverbox", "emps"),
-    ("dc_motor", "stribeck_drive", "cascaded_tanks"),
-)
-OPEN, CLOSED = 4000, 1000
+MEASURED = ("ced", "cascaded_tanks", "silverbox", "emps")
+SIMULATED = ("dc_motor", "stribeck_drive", "cascaded_tanks")
+OPEN = 4000
+CLOSED = 1000
 SHOWN = ("least", "5th", "median", "95th", "largest")
 Samples = np.ndarray
 
@@ -47,7 +46,8 @@ def levels(rng: np.random.Generator, samples: int) -> Samples:
 
 def opened(rng: np.random.Generator) -> tuple[Samples, Samples]:
     """Input and output of one log without a loop."""
-    samples, poles = int(rng.integers(300, 1501)), plant(rng)
+    samples = int(rng.integers(300, 1501))
+    poles = plant(rng)
     slow = rng.uniform(0, 0.95)
     u = (
         levels(rng, samples)
@@ -64,14 +64,16 @@ def closed(rng: np.random.Generator) -> tuple[Samples, Samples]:
     """Input and output of one log of a PI loop that settles; the noise is a share of what the set
     point moves."""
     while True:
-        samples, poles = int(rng.integers(300, 1501)), plant(rng)
-        gain, integral, noise = (
-            rng.uniform(0.3, 3),
-            rng.uniform(0.01, 0.2),
-            rng.uniform(0.1, 1) * 0.5,
-        )
-        r, states, summed = levels(rng, samples), np.zeros(len(poles)), 0.0
-        u, y = np.zeros(samples), np.zeros(samples)
+        samples = int(rng.integers(300, 1501))
+        poles = plant(rng)
+        gain = rng.uniform(0.3, 3)
+        integral = rng.uniform(0.01, 0.2)
+        noise = rng.uniform(0.1, 1) * 0.5
+        r = levels(rng, samples)
+        states = np.zeros(len(poles))
+        summed = 0.0
+        u = np.zeros(samples)
+        y = np.zeros(samples)
         for k in range(samples):
             y[k] = states[-1] + noise * rng.standard_normal()
             u[k], summed = gain * (r[k] - y[k] + summed), summed + integral * (r[k] - y[k])
@@ -102,7 +104,8 @@ def simulated() -> Iterator[tuple[str, DataSet]]:
 
 
 def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
-    shares, alarms = [], 0
+    shares = []
+    alarms = 0
     for data in logs:
         shares.append((fed_back(data, 1), fed_back(data, 0)))
         alarms += is_closed(data, *shares[-1])

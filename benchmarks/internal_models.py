@@ -26,7 +26,8 @@ from ssm_study.plants.disturbance import NoDisturbance, PeriodicDisturbance, Ram
 from ssm_study.study.run_files import RunFiles
 
 LAWS = ("step", "step,sine(0.5Hz)", "step,sine(0.5Hz),sine(1Hz)", "ramp")
-HERTZ, HORIZON_S = 0.5, 12.0
+HERTZ = 0.5
+HORIZON_S = 12.0
 TURNING = StepReference(before=0.0, after=8.0, at_s=0.0)
 SITUATIONS = {
     "sine load": (TURNING, PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ)),

@@ -263,7 +263,8 @@ def claim_differences(then: dict[str, object], now: dict[str, object]) -> Iterat
     """Every claim whose verdict is another one, and claims of today that fail."""
     if then["status"] != now["status"]:
         yield f"verify exits with {now['status']}, not {then['status']}: {now['said']}"
-    old, new = then["answer"], now["answer"]
+    old = then["answer"]
+    new = now["answer"]
     assert isinstance(old, dict)
     assert isinstance(new, dict)
     verdicts = {claim["claim"]: claim for claim in new.get("claims", ())}

@@ -63,7 +63,8 @@ def column(u: np.ndarray) -> np.ndarray:
 def same_sample(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Two lags in a row, logged after the input of the same sample has acted; tanh at the input."""
     u = random_levels(rng, samples, 4, 30)
-    fast, slow = rng.uniform(0.5, 0.7), rng.uniform(0.9, 0.95)
+    fast = rng.uniform(0.5, 0.7)
+    slow = rng.uniform(0.9, 0.95)
     y = np.zeros(samples)
     x = np.zeros(2)
     for k in range(samples):
@@ -77,7 +78,8 @@ def dead_time(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Two lags behind a dead time of 5 to 12 samples, with a square root at the input."""
     u = random_levels(rng, samples, 8, 60)
     delay = int(rng.integers(5, 13))
-    fast, slow = rng.uniform(0.6, 0.8), rng.uniform(0.92, 0.97)
+    fast = rng.uniform(0.6, 0.8)
+    slow = rng.uniform(0.92, 0.97)
     driven = np.sign(u) * np.sqrt(np.abs(u))
     late = np.concatenate([np.zeros(delay), driven])[:samples]
     y = np.zeros(samples)
@@ -92,7 +94,8 @@ def dead_time(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
 def position_with_dead_zone(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """A motor's angle in encoder counts: dead zone of 0.15 to 0.3, lag, running sum, rounded."""
     u = random_levels(rng, samples, 5, 40)
-    zone, lag = rng.uniform(0.15, 0.3), rng.uniform(0.7, 0.9)
+    zone = rng.uniform(0.15, 0.3)
+    lag = rng.uniform(0.7, 0.9)
     moving = np.sign(u) * np.maximum(np.abs(u) - zone, 0.0)
     # An operator brings the motor back now and then, so that the angle stays within a few turns.
     position = np.zeros(samples)
@@ -110,7 +113,8 @@ def position_with_dead_zone(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndar
 def bilinear(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Two states whose decay depends on the input: a heater in a flow, a generator's field."""
     u = random_levels(rng, samples, 5, 40)
-    slow, change = rng.uniform(0.88, 0.93), rng.uniform(0.05, 0.08)
+    slow = rng.uniform(0.88, 0.93)
+    change = rng.uniform(0.05, 0.08)
     y = np.zeros(samples)
     x = np.zeros(2)
     for k in range(samples):
@@ -153,12 +157,14 @@ def many_resonances(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
 def hardening_spring(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """A mass on a spring that grows stiffer (Duffing), its force held for a few samples."""
     u = random_levels(rng, samples, 3, 20)
-    stiffness, cubic = rng.uniform(0.03, 0.06), rng.uniform(0.02, 0.05)
+    stiffness = rng.uniform(0.03, 0.06)
+    cubic = rng.uniform(0.02, 0.05)
     damping = rng.uniform(0.05, 0.1)
     substeps = 5
     h = 1.0 / substeps
     y = np.zeros(samples)
-    position, velocity = 0.0, 0.0
+    position = 0.0
+    velocity = 0.0
     for k in range(samples):
         y[k] = position
         for _ in range(substeps):
@@ -172,7 +178,8 @@ def gain_by_direction(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """A lag that rises faster than it falls, with 1.5 to 3 times the gain for positive inputs."""
     u = random_levels(rng, samples, 5, 40)
     ratio = rng.uniform(1.5, 3.0)
-    rise, fall = rng.uniform(0.2, 0.3), rng.uniform(0.06, 0.12)
+    rise = rng.uniform(0.2, 0.3)
+    fall = rng.uniform(0.06, 0.12)
     y = np.zeros(samples)
     x = 0.0
     for k in range(samples):
@@ -200,7 +207,8 @@ def drifting_gain(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     """Two lags whose gain falls by 20 to 40 % over the log: something wears or heats up."""
     u = random_levels(rng, samples, 5, 40)
     loss = rng.uniform(0.2, 0.4)
-    fast, slow = rng.uniform(0.5, 0.7), rng.uniform(0.88, 0.94)
+    fast = rng.uniform(0.5, 0.7)
+    slow = rng.uniform(0.88, 0.94)
     gain = 1.0 - loss * np.arange(samples) / samples
     y = np.zeros(samples)
     x = np.zeros(2)
@@ -233,7 +241,8 @@ def hysteresis(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
     share = rng.uniform(0.3, 0.5)
     width = rng.uniform(0.2, 0.35)
     y = np.zeros(samples)
-    x, strain = 0.0, 0.0
+    x = 0.0
+    strain = 0.0
     for k in range(samples):
         y[k] = x
         du = smooth[k] - smooth[k - 1] if k else 0.0

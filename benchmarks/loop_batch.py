@@ -32,7 +32,8 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         found = part.training.identify(part.model, data, 0, Path(folder), False)
     model = part.reduction.reduce(found.model)
-    plant, design = part.plant, Auto().design(model, certified_balls(model), data.validation)
+    plant = part.plant
+    design = Auto().design(model, certified_balls(model), data.validation)
     loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
     controller, (y0, noise) = ObserverFeedback.of(model, design), loop.draw(plant, 0)
     loop.simulate(plant, controller, y0[:2], noise[:2])  # compiles the plant's kernel

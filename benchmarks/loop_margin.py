@@ -50,7 +50,8 @@ def designs(folder: Path) -> pd.DataFrame:
     """
     tables = []
     for path in sorted(folder.glob("*/comparison.csv")):
-        record, table = read_record(path.parent), pd.read_csv(path)
+        record = read_record(path.parent)
+        table = pd.read_csv(path)
         own = 1 - record["spectral_radius"] ** 2
         way = (table.rate_controller - own) / (record["controller_rate_limit"] - own)
         about = {name: record[name] for name in (*ABOUT, "fit_test_percent")}
@@ -97,7 +98,8 @@ def outcome(table: pd.DataFrame) -> pd.Series:
 def area_under_roc(score: pd.Series, good: pd.Series) -> float:
     """The chance that a good design scores above a bad one (Mann and Whitney); NaN if one kind is
     missing."""
-    ranks, positives = score.rank(), int(good.sum())
+    ranks = score.rank()
+    positives = int(good.sum())
     negatives = len(good) - positives
     if not positives or not negatives:
         return float("nan")
@@ -130,7 +132,8 @@ def summary(table: pd.DataFrame) -> dict:
 def hindsight(model: pd.DataFrame) -> dict:
     """What auto chose (design 0) beside the best certified design found on the true plant, in
     uncontrolled times."""
-    all_settle, chosen = model[model.kind == "settled"], model[model.design == 0].iloc[0]
+    all_settle = model[model.kind == "settled"]
+    chosen = model[model.design == 0].iloc[0]
     best = all_settle.loc[all_settle.relative_time.idxmin()] if len(all_settle) else None
     return {
         "fit_test_percent": chosen.fit_test_percent,
@@ -143,7 +146,8 @@ def hindsight(model: pd.DataFrame) -> dict:
 
 
 def count(arguments: argparse.Namespace) -> None:
-    table, to = designs(Path(arguments.folder)), Path(arguments.to)
+    table = designs(Path(arguments.folder))
+    to = Path(arguments.to)
     groups = {("all", "all"): table} | {
         (plant, "all"): own for plant, own in table.groupby("plant")
     }

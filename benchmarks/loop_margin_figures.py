@@ -57,10 +57,8 @@ def prediction_score(table: pd.DataFrame) -> Float[np.ndarray, "N"]:
     half: predicted to be
     stable on the plant.
     """
-    margin, others = (
-        table["resolved_margin"].to_numpy(float),
-        table[["controller_radius", "noise_peak"]],
-    )
+    margin = table["resolved_margin"].to_numpy(float)
+    others = table[["controller_radius", "noise_peak"]]
     return 1 - 1 / (1 + margin) - (others >= 1).any(axis=1).to_numpy()
 
 
@@ -70,7 +68,8 @@ def roc(table: pd.DataFrame) -> Figure:
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     for plant, own in table.groupby("plant"):
-        good, score = own["kind"].eq("settled").to_numpy(float), prediction_score(own)
+        good = own["kind"].eq("settled").to_numpy(float)
+        score = prediction_score(own)
         if good.min() == good.max():
             continue  # one kind only: no curve
         false, true = roc_points(score, good)
@@ -122,10 +121,8 @@ def settling(table: pd.DataFrame) -> Figure:
 def _panel(axes: Axes, own: pd.DataFrame) -> None:
     margin = own["resolved_margin"].clip(*SHOWN)
     time = own["relative_time"].fillna(SHOWN[1]).clip(SHOWN[0], SHOWN[1])
-    settled, passed = (
-        own["kind"].eq("settled"),
-        (own[["controller_radius", "noise_peak"]] < 1).all(axis=1),
-    )
+    settled = own["kind"].eq("settled")
+    passed = (own[["controller_radius", "noise_peak"]] < 1).all(axis=1)
     for mask, colour, marker, label in (
         (settled & passed, style.BLUE, "o", "own radius and noise pass, all starts settle"),
         (settled & ~passed, style.ORANGE, "o", "one of them refuses, all starts settle"),

@@ -14,7 +14,8 @@ def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
     import jax
     import jax.numpy as jnp
 
-    samples, rng = u.shape[1], np.random.default_rng(0)
+    samples = u.shape[1]
+    rng = np.random.default_rng(0)
     length = next_fast_len(2 * samples - 1, real=True)
     parameters = {
         "nu": jnp.log(-jnp.log(jnp.asarray(rng.uniform(0.5, 0.99, modes), jnp.float32))),
@@ -24,7 +25,8 @@ def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
 
     def loss(p: dict[str, jnp.ndarray], signal: jnp.ndarray) -> jnp.ndarray:
         weights = (p["c"][0] + 1j * p["c"][1]) * jnp.sqrt(-jnp.expm1(-2 * jnp.exp(p["nu"])))
-        rate, short = -jnp.exp(p["nu"]) + 1j * p["theta"], int(np.ceil(np.sqrt(samples)))
+        rate = -jnp.exp(p["nu"]) + 1j * p["theta"]
+        short = int(np.ceil(np.sqrt(samples)))
         fine = jnp.exp(jnp.arange(short)[:, None] * rate)
         coarse = weights * jnp.exp(short * jnp.arange(-(-samples // short))[:, None] * rate)
         kernel = (coarse.real @ fine.real.T - coarse.imag @ fine.imag.T).ravel()[:samples]
@@ -33,7 +35,8 @@ def jax_fft(u: np.ndarray, modes: int) -> Callable[[], None]:
         ]
         return (y**2).mean()
 
-    both, signal = jax.jit(jax.grad(loss, argnums=(0, 1))), jnp.asarray(u[..., 0])
+    both = jax.jit(jax.grad(loss, argnums=(0, 1)))
+    signal = jnp.asarray(u[..., 0])
     return lambda: jax.block_until_ready(both(parameters, signal))
 
 
@@ -53,21 +56,18 @@ def numba_loop(u: np.ndarray, modes: int) -> Callable[[], None]:
 def _loop(u, lr, li, cr, ci, states):  # type: ignore[no-untyped-def]
     """`x+ = lambda x + u, y = Re(c x)`; the gradient of `mean(y^2) / 2` by lambda, c and u."""
     records, samples = u.shape
-    n, scale = len(lr), np.float32(1.0 / u.size)
-    d_lr, d_li, d_cr, d_ci, d_u = (
-        np.zeros_like(lr),
-        np.zeros_like(lr),
-        np.zeros_like(lr),
-        np.zeros_like(lr),
-        np.empty_like(u),
-    )
-    y, xr, xi, sr, si = (
-        np.empty_like(u[0]),
-        np.empty_like(lr),
-        np.empty_like(lr),
-        np.empty_like(lr),
-        np.empty_like(lr),
-    )
+    n = len(lr)
+    scale = np.float32(1.0 / u.size)
+    d_lr = np.zeros_like(lr)
+    d_li = np.zeros_like(lr)
+    d_cr = np.zeros_like(lr)
+    d_ci = np.zeros_like(lr)
+    d_u = np.empty_like(u)
+    y = np.empty_like(u[0])
+    xr = np.empty_like(lr)
+    xi = np.empty_like(lr)
+    sr = np.empty_like(lr)
+    si = np.empty_like(lr)
     for e in range(records):
         xr[:], xi[:] = 0.0, 0.0
         for t in range(samples):
@@ -81,9 +81,11 @@ def _loop(u, lr, li, cr, ci, states):  # type: ignore[no-untyped-def]
             y[t] = out
         sr[:], si[:] = 0.0, 0.0
         for t in range(samples - 1, -1, -1):
-            g, pushed = y[t] * scale, np.float32(0.0)
+            g = y[t] * scale
+            pushed = np.float32(0.0)
             for i in range(n):
-                vr, vi = states[0, t, i], states[1, t, i]
+                vr = states[0, t, i]
+                vi = states[1, t, i]
                 pushed += sr[i]
                 d_lr[i] += vr * sr[i] + vi * si[i]
                 d_li[i] += vr * si[i] - vi * sr[i]

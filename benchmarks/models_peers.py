@@ -21,10 +21,14 @@ def _scan(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     length = a.shape[1]
     if length < 2:
         return a, b
-    even_a, odd_a, even_b, odd_b = a[:, :-1:2], a[:, 1::2], b[:, :-1:2], b[:, 1::2]
+    even_a = a[:, :-1:2]
+    odd_a = a[:, 1::2]
+    even_b = b[:, :-1:2]
+    odd_b = b[:, 1::2]
     half_a, half_b = _scan(odd_a * even_a, odd_a * even_b + odd_b)
     head_a, head_b = (half_a[:, :-1], half_b[:, :-1]) if length % 2 == 0 else (half_a, half_b)
-    rest_a, rest_b = a[:, 2::2], b[:, 2::2]
+    rest_a = a[:, 2::2]
+    rest_b = b[:, 2::2]
     whole_a = torch.cat([a[:, :1], rest_a * head_a], 1)
     whole_b = torch.cat([b[:, :1], rest_a * head_b + rest_b], 1)
     return _interleave(whole_a, half_a), _interleave(whole_b, half_b)
@@ -63,7 +67,8 @@ class StepLoop(PublicLRU):
     def forward(self, u: Tensor) -> Tensor:
         turn = torch.exp(torch.complex(-torch.exp(self.nu_log), torch.exp(self.theta_log)))
         rise = (u.to(self.b.dtype) @ self.b.T) * torch.exp(self.gamma_log)
-        x, states = torch.zeros_like(rise[:, 0]), []
+        x = torch.zeros_like(rise[:, 0])
+        states = []
         for sample in rise.unbind(1):
             x = turn * x + sample
             states.append(x)

@@ -60,7 +60,8 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
         for name, law in evaluations.items()
     }
     runs["automatic"] = step(ours, ours, u)
-    bare, public = BareFFT(samples), PublicLRU(modes)
+    bare = BareFFT(samples)
+    public = PublicLRU(modes)
     runs |= {"bare FFT": step(bare, bare, u), "public scan": step(public, public, u)}
     runs["numba loop"] = numba_loop(u.detach().numpy(), modes)
     runs |= _optional(u, modes)

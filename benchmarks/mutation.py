@@ -35,7 +35,9 @@ from common import REFERENCE, ROOT, write
 
 FOLDER = REFERENCE / "mutation"
 COLUMNS = ("group", "module", "line", "fault", "occurrence", "outcome")
-SEED, LIMIT_CPU_S, LIMIT_S = 20261121, 90, 1200
+SEED = 20261121
+LIMIT_CPU_S = 90
+LIMIT_S = 1200
 # Type errors in disguise (`x | y` for `x + y`) are left out: any test catches them, so they would
 # only flatter.
 FAULTS = re.compile(
@@ -63,7 +65,8 @@ def _synthesis(*names: str) -> tuple[str, ...]:
     return tuple(f"synthesis/{name}.py" for name in names)
 
 
-REFUSES, EXACT = "tests/refusals/test_synthesis_refuses.py", "tests/oracles/test_synthesis_exact.py"
+REFUSES = "tests/refusals/test_synthesis_refuses.py"
+EXACT = "tests/oracles/test_synthesis_exact.py"
 BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.py"
 LIMITS = "tests/oracles/test_synthesis_frontier.py"
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
@@ -224,10 +227,13 @@ def plant(
     name: str, group: Group, folder: Path, tool: Path, minutes: float, seed: int, share: float
 ) -> None:
     """Go on with the group's session for so many minutes."""
-    session, config, tree = folder / f"{name}.sqlite", folder / f"{name}.toml", folder / name
+    session = folder / f"{name}.sqlite"
+    config = folder / f"{name}.toml"
+    tree = folder / name
     fresh_copy(tree)
     (folder / "temporary").mkdir(exist_ok=True)  # shared/data is where the records are looked for
-    server, socket = Path(__file__).with_name("mutation_server.py"), folder / "server"
+    server = Path(__file__).with_name("mutation_server.py")
+    socket = folder / "server"
     options = f"-p no:xdist -p no:randomly -o addopts= --basetemp={folder}/temporary/{name} -q -x"
     command = json.dumps(
         f"python3 -S {server} {socket} {LIMIT_CPU_S} {tree} {options} {group.tests}"
@@ -273,7 +279,8 @@ def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
         lines = {
             path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}
         }
-        place, seen = {}, Counter[tuple[str, ...]]()
+        place = {}
+        seen = Counter[tuple[str, ...]]()
         for job, path, operator, row, column in specs:
             line = lines[path][row - 1].strip()
             if FAULTS.match(operator) and not line.startswith("@"):

@@ -39,8 +39,13 @@ sys.path += [
 ]
 from test_evidence_controls import multilevel
 
-COUNT, STEP_S, U = 1500, 0.1, multilevel(4000, 21)
-MOVES, GROWS, LOOP, HONEST = "moves by itself", "grows", "held by a loop", "honest"
+COUNT = 1500
+STEP_S = 0.1
+U = multilevel(4000, 21)
+MOVES = "moves by itself"
+GROWS = "grows"
+LOOP = "held by a loop"
+HONEST = "honest"
 PLANTS: dict[str, Callable] = {  # dx/dt of the state x under the input u
     "fitzhugh": lambda x, u: (
         x[0] - x[0] ** 3 / 3 - x[1] + 0.6 + 0.1 * u,
@@ -67,7 +72,10 @@ Samples = np.ndarray
 
 
 def integrated(plant: str, samples: int, x: list[float], held_s: float = 0.1) -> Samples:
-    f, state, y, d = PLANTS[plant], np.array(x, float), np.zeros(samples), held_s / 20
+    f = PLANTS[plant]
+    state = np.array(x, float)
+    y = np.zeros(samples)
+    d = held_s / 20
     for k, level in enumerate(U[:samples]):
         y[k] = state[0]
         for _ in range(20):  # midpoint steps
@@ -84,7 +92,9 @@ def lag(samples: int, pole: float, gain: float, x: float = 0.0) -> Samples:
 
 
 def relay(samples: int) -> Samples:
-    y, x, on = np.zeros(samples), 0.0, 1.0
+    y = np.zeros(samples)
+    x = 0.0
+    on = 1.0
     for k, level in enumerate(U[:samples]):
         y[k], on = x, -1.0 if x > 0.5 else 1.0 if x < -0.5 else on
         x = 0.97 * x + 0.03 * (1.5 * on + 0.2 * level)
@@ -92,8 +102,12 @@ def relay(samples: int) -> Samples:
 
 
 def pendulum() -> tuple[Samples, Samples]:
-    noise, r = 0.0005 * np.random.default_rng(11).standard_normal(1500), 0.3 * multilevel(1500, 14)
-    angle, rate, u, y = 0.05, 0.0, np.zeros(1500), np.zeros(1500)
+    noise = 0.0005 * np.random.default_rng(11).standard_normal(1500)
+    r = 0.3 * multilevel(1500, 14)
+    angle = 0.05
+    rate = 0.0
+    u = np.zeros(1500)
+    y = np.zeros(1500)
     for k in range(1500):
         y[k] = angle + noise[k]
         u[k] = np.clip(25 * (r[k] - y[k]) - 4 * rate, -20, 20)
@@ -107,13 +121,12 @@ def pendulum() -> tuple[Samples, Samples]:
 
 def aside() -> list[tuple[str, str, Samples, Samples]]:
     """Name, what it is, input, output."""
-    slow, moved = U, 0.05 * U[:2000]
+    slow = U
+    moved = 0.05 * U[:2000]
     for pole in (0.95, 0.9, 0.8):
         slow = lfilter([0, 1 - pole], [1, -pole], slow)
-    walk, steps = (
-        np.random.default_rng(9).standard_normal,
-        np.random.default_rng(3).standard_normal(1500),
-    )
+    walk = np.random.default_rng(9).standard_normal
+    steps = np.random.default_rng(3).standard_normal(1500)
     made = [
         ("relay oscillator", MOVES, noisy(relay(1500), 0.01)),
         ("FitzHugh-Nagumo", MOVES, noisy(integrated("fitzhugh", 2000, [0, 0], 0.5), 0.02)),
@@ -189,11 +202,11 @@ def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
     """Input and output of an integrator behind a lag, with sensor noise and a walk of disturbances,
     or without."""
     samples = int(rng.integers(300, 1501))
-    u, walk, noise = levels(rng, samples), rng.choice([0, 0.02, 0.2]), rng.choice([0, 0.05, 0.3])
-    pole, drawn_noise = (
-        rng.uniform(0, 0.9),
-        rng.standard_normal((samples, 2)),
-    )  # the sensor's, the plant's
+    u = levels(rng, samples)
+    walk = rng.choice([0, 0.02, 0.2])
+    noise = rng.choice([0, 0.05, 0.3])
+    pole = rng.uniform(0, 0.9)
+    drawn_noise = rng.standard_normal((samples, 2))  # the sensor's, the plant's
     steps = 0.1 * lfilter([1 - pole], [1, -pole], u) + walk * drawn_noise[:, 1]
     return u, np.append(0.0, np.cumsum(steps)[:-1]) + noise * drawn_noise[:, 0]
 
@@ -210,7 +223,8 @@ if __name__ == "__main__":
     parser.add_argument("--aside", action="store_true")
     parser.add_argument("--drawn", action="store_true")
     parser.add_argument("--to", type=Path, required=True)
-    asked, rows = parser.parse_args(), []
+    asked = parser.parse_args()
+    rows = []
     asked.to.mkdir(parents=True, exist_ok=True)
     if asked.drawn:
         counts = [("stable", COUNT, refused(opened)), ("integrators", COUNT, refused(integrator))]

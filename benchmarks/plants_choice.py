@@ -36,7 +36,8 @@ def held_out_errors(study: Path, rehearsed: bool) -> Errors:
     one is a gap."""
     errors: Errors = defaultdict(lambda: defaultdict(dict))
     for path in sorted(study.glob("*/record.json")):
-        record, config = json.loads(path.read_text()), config_of(path)
+        record = json.loads(path.read_text())
+        config = config_of(path)
         setting = tuple(record[name] for name in SETTINGS)
         if rehearsed:
             errors["emps"][(*setting, *config.data.experiments.output_equilibrium)] |= (

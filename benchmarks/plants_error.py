@@ -18,7 +18,9 @@ from plants_simulation import motor_from_yaml, simulate_exactly
 
 from ssm_study.data.excitations.excitation import APRBS, SignalRequest
 
-CASES, SAMPLES, STEPS_S = 5, 500, (8e-4, 5e-4, 2.5e-4, 1.25e-4, 6.25e-5)
+CASES = 5
+SAMPLES = 500
+STEPS_S = (8e-4, 5e-4, 2.5e-4, 1.25e-4, 6.25e-5)
 
 
 def table() -> pd.DataFrame:

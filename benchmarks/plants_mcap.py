@@ -19,7 +19,8 @@ from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.signals import Channel
 
 OUT = REFERENCE / "benchmarks" / "plants_mcap.csv"
-SAMPLES, ROUNDS = 100_000, 3
+SAMPLES = 100_000
+ROUNDS = 3
 
 
 def measured(signals: int, folder: Path) -> list[object]:
@@ -28,7 +29,9 @@ def measured(signals: int, folder: Path) -> list[object]:
     group = SignalGroup(
         topic="/signals", time_s=np.arange(SAMPLES) * 0.01, channels=channels, values=values
     )
-    path, writing, reading = folder / "a.mcap", [], []
+    path = folder / "a.mcap"
+    writing = []
+    reading = []
     for _ in range(ROUNDS):
         start = time.perf_counter()
         write_mcap(path, (group,), {})
@@ -37,7 +40,8 @@ def measured(signals: int, folder: Path) -> list[object]:
         writing.append(middle - start)
         reading.append(time.perf_counter() - middle)
         assert np.array_equal(back.values, values)
-    write_s, read_s = median(writing), median(reading)
+    write_s = median(writing)
+    read_s = median(reading)
     return [signals, f"{write_s:.3f}", f"{read_s:.3f}", f"{SAMPLES / write_s:.3g}", f"{SAMPLES / read_s:.3g}",
             f"{path.stat().st_size / 1e6:.1f}"]  # fmt: skip
 

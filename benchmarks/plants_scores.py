@@ -73,7 +73,8 @@ def run_of(folder: Path) -> dict[str, Any]:
 
 def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
     """The line of one model: its best-fitting seed on each record, or why there is none."""
-    row, notes = {"model": MODELS[model]}, []
+    row = {"model": MODELS[model]}
+    notes = []
     for benchmark, columns in COLUMNS.items():
         ours = [run for run in runs if (run["model"], run["benchmark"]) == (model, benchmark)]
         scored = [run for run in ours if isinstance(run.get(columns[0]), float)]

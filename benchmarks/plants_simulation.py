@@ -26,7 +26,8 @@ sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
 from dc_motor_exact import simulate_exactly
 
 OUT = REFERENCE / "benchmarks" / "plants_simulation.csv"
-CASES, SAMPLES = 64, 2000
+CASES = 64
+SAMPLES = 2000
 PART = 300  # samples of one trajectory that the slow routes are timed on
 ROUNDS = 5
 
@@ -66,7 +67,8 @@ def torques_of(motor: DCMotor, x: np.ndarray) -> tuple[float, float]:
 def with_events(motor: DCMotor, u: np.ndarray, tolerance: float, method: str) -> np.ndarray:
     """What one would write with `solve_ivp`: a mode machine, each mode integrated until one of its
     events."""
-    x, states = np.zeros(4), [np.zeros(4)]
+    x = np.zeros(4)
+    states = [np.zeros(4)]
     for v in u[:, 0]:
         v_eff = float(np.sign(v) * max(abs(v) - motor.dead_zone_v, 0.0))
         x = one_period(motor, x, v_eff, tolerance, method)
@@ -77,14 +79,16 @@ def with_events(motor: DCMotor, u: np.ndarray, tolerance: float, method: str) ->
 def one_period(
     motor: DCMotor, x: np.ndarray, v_eff: float, tolerance: float, method: str
 ) -> np.ndarray:
-    t, modes = 0.0, mode_of(motor, x)
+    t = 0.0
+    modes = mode_of(motor, x)
     while t < motor.step_s:
         events = [event(motor, body, modes[body]) for body in (0, 1)]
         run = solve_ivp(
             rate, (t, motor.step_s), x, method, events=events, args=(motor, v_eff, tuple(modes)),
             rtol=tolerance, atol=tolerance * 1e-2,
         )  # fmt: skip
-        t, x = float(run.t[-1]), run.y[:, -1].copy()
+        t = float(run.t[-1])
+        x = run.y[:, -1].copy()
         for body in (0, 1):
             if len(run.t_events[body]):
                 x[1 + body] = 0.0
@@ -100,7 +104,8 @@ def event(motor: DCMotor, body: int, mode: int) -> Callable[..., float]:
             return float(mode * x[1 + body]) if t > 0 or x[1 + body] != 0.0 else 1e-300
         return motor.coulomb_torque_nm - abs(torques_of(motor, x)[body])
 
-    ends.terminal, ends.direction = True, -1.0  # type: ignore[attr-defined]  # as scipy wants it
+    ends.terminal = True
+    ends.direction = -1.0  # type: ignore[attr-defined]  # as scipy wants it
     return ends
 
 

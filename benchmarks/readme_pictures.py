@@ -28,8 +28,11 @@ from ssm_study.report.figures.certified_decay import controlled, distances
 from ssm_study.report.study_folder import RecordedCases, StudyFolder
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
-RECORD_S, DECAY = 2.0, 15  # seconds of the validation record, samples of the certified decay
-SHOWN_S, SLOWER, PAUSE = 0.4, 10, 15  # seconds of motion, slow motion, frames at the end
+RECORD_S = 2.0
+DECAY = 15  # seconds of the validation record, samples of the certified decay
+SHOWN_S = 0.4
+SLOWER = 10
+PAUSE = 15  # seconds of motion, slow motion, frames at the end
 
 
 def animation(loop: RecordedCases) -> FuncAnimation:
@@ -42,7 +45,8 @@ def animation(loop: RecordedCases) -> FuncAnimation:
         pairs = [(left, "output", "Under control"), (right, "uncontrolled", "Left alone")]
         drawn = [(lines_of(axes, loop, title), loop[name][:, :, 0]) for axes, name, title in pairs]
         left.set_ylabel(loop.label("output"))
-    time_s, step_s = loop.time_s("output"), loop.step_s("output")
+    time_s = loop.time_s("output")
+    step_s = loop.step_s("output")
     samples = int(SHOWN_S / step_s)
 
     def update(frame: int) -> list[Artist]:
@@ -60,7 +64,8 @@ def lines_of(axes: Axes, loop: RecordedCases, title: str) -> list[mpl.lines.Line
     frame on."""
     rank = loop["output"][:, 0, 0].argsort().argsort()
     colours = [mpl.colormaps[style.SEQUENCE](0.9 * value) for value in rank / len(rank)]
-    goal, band = loop["reference"][0, -1, 0], loop.settling_band
+    goal = loop["reference"][0, -1, 0]
+    band = loop.settling_band
     assert band is not None
     axes.axhspan(goal - band, goal + band, color=style.PALE, lw=0, zorder=0)
     axes.set(title=title, xlabel="Time (s)", xlim=(0, SHOWN_S), ylim=(-4.2, 4.2))
@@ -130,7 +135,8 @@ def _slopes(axes: Axes, model: SSM, record: dict[str, Any]) -> None:
     """The local slope of the input map over the interval that the certificate covers."""
     scaled = np.linspace(-2, 2, 401)
     slope = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
-    lower, upper = record["input_slope_lower"], record["input_slope_upper"]
+    lower = record["input_slope_lower"]
+    upper = record["input_slope_upper"]
     axes.axhspan(
         lower, upper, color=style.SKY, alpha=0.25, lw=0, label="covered by the certificate"
     )

@@ -65,10 +65,8 @@ def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     for axes, run, (_, row) in zip(panels, runs, table.iterrows(), strict=True):
         loop = read_experiment(run)[0].controlled
         axes.plot(loop.step_s * np.arange(loop.y.shape[1]), loop.y[:, :, 0].T, lw=0.8)
-        settled, proved = (
-            f"{row.stable_count:.0f} of {row.initial_conditions:.0f} settle",
-            row.certified_tolerance,
-        )
+        settled = f"{row.stable_count:.0f} of {row.initial_conditions:.0f} settle"
+        proved = row.certified_tolerance
         axes.set_title(
             f"choice {row.refinements + 1:.0f}: {settled}, {proved:.2g} is proved", fontsize=8
         )

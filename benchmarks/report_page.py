@@ -28,7 +28,8 @@ from common import REFERENCE, ROOT, write
 from ssm_study.report.page.writing import write_page
 
 OUT = REFERENCE / "benchmarks" / "report_page.csv"
-FRAME_S, REST_S = 0.016, 0.6
+FRAME_S = 0.016
+REST_S = 0.6
 RECORDER = """
 window.recorded = {frames: [], tasks: []};
 new PerformanceObserver((list) => recorded.tasks.push(...list.getEntries().map((task) => task.duration)))

@@ -44,7 +44,8 @@ def swept(folder: Path, words: list[str], group: Path | None) -> tuple[float, fl
     ]
     if group:
         command = ["sh", "-c", 'echo $$ >"$0/cgroup.procs"; exec "$@"', str(group), *command]
-    before, begun = processor_seconds(group), time.perf_counter()
+    before = processor_seconds(group)
+    begun = time.perf_counter()
     ended = subprocess.run(command, check=False, capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr
     after = processor_seconds(group)

@@ -84,11 +84,13 @@ def main() -> None:
     options = parser.parse_args()
     load = Path("/proc/loadavg").read_text().split()[0]
     with tempfile.TemporaryDirectory() as scratch:
-        folder, begun = Path(scratch), time.time()
+        folder = Path(scratch)
+        begun = time.time()
         ended = subprocess.run(
             command(folder, options.runs, options.smoke), cwd=folder, capture_output=True, text=True
         )
-        wall, used = time.time() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+        wall = time.time() - begun
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
         assert ended.returncode == 0, ended.stderr[-2000:]
         rows = [("load before", float(load)), ("runs", options.runs), ("wall seconds", wall)]
         rows += [("processor seconds", used.ru_utime + used.ru_stime)]

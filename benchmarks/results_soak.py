@@ -50,7 +50,8 @@ SWEEP = (
 )
 AT_WORK = 0.75  # of the kills wait until jobs are at work
 EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes further
-STUDY, STATE = "smoke", "state.json"
+STUDY = "smoke"
+STATE = "state.json"
 COLUMNS = ["sweeps_at_once", "damage", "event", "count"]
 # What a second attempt may change: when, where, how often.
 VOLATILE = (
@@ -178,25 +179,27 @@ def stable_table(folder: Path) -> pd.DataFrame:
 def soak(folder: Path, kills: int, damages: bool, until: float, sweeps: int = 1) -> "Soak":
     """Kill until `kills` have been dealt and the study is finished; raises AssertionError if a
     promise is broken."""
-    done, undisturbed = Soak.read(folder), folder / "undisturbed"
+    done = Soak.read(folder)
+    undisturbed = folder / "undisturbed"
     if not done.longest_s:
-        begun, process = time.monotonic(), start(undisturbed)
+        begun = time.monotonic()
+        process = start(undisturbed)
         until_at_work(process, undisturbed)
         at_work = time.monotonic()
         assert process.wait(timeout=600) == 0
-        done.longest_s, done.working_s = time.monotonic() - begun, time.monotonic() - at_work
+        done.longest_s = time.monotonic() - begun
+        done.working_s = time.monotonic() - at_work
     while done.kills < kills and time.monotonic() < until:
         here = folder / f"round{done.rounds}"
-        started, rng = [start(here) for _ in range(sweeps)], random.Random(done.counts.total())
+        started = [start(here) for _ in range(sweeps)]
+        rng = random.Random(done.counts.total())
         done.counts[what := disturb(started, here, rng, done)] += 1
         if what == "finished":
             assert [sweep.returncode for sweep in started] == [0] * sweeps
             check(here, undisturbed, damages)
             shutil.rmtree(here)
-            done.longest_s, done.working_s = (
-                0.8 * done.longest_s,
-                0.8 * done.working_s,
-            )  # too late: strike sooner
+            done.longest_s = 0.8 * done.longest_s
+            done.working_s = 0.8 * done.working_s  # too late: strike sooner
             done.rounds += 1
         elif damages and rng.random() < 0.3:
             done.counts[damage(here, rng)] += 1

@@ -108,7 +108,8 @@ def changes(history: list[dict[str, str]]) -> Iterator[str]:
 
 
 def main() -> None:
-    last, count = sys.argv[1], int(sys.argv[2])
+    last = sys.argv[1]
+    count = int(sys.argv[2])
     fingerprint._scanned = scan_once
     history = [both_ways(commit) for commit in commits(last, count)]
     history = [pair for pair in history if pair[0]]

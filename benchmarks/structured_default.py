@@ -40,7 +40,8 @@ def row(where: str, model: str) -> dict[str, object]:
     data = (
         part.data.build(part.plant, part.excitation, 0) if where in PLANTS else part.data.build(0)
     )
-    fits, began = [], time.process_time()
+    fits = []
+    began = time.process_time()
     for fold in held_out(data):
         with TemporaryDirectory() as folder:
             try:

@@ -28,7 +28,8 @@ sys.path.append(str(ROOT / "tests"))
 from structured_adjoint import gradient
 
 TARGET = REFERENCE / "training" / "structured_gradient.csv"
-BATCH, PAIRS = 16, 5
+BATCH = 16
+PAIRS = 5
 FREE = (*CORE, "b", "g", "bias", "c")
 
 
@@ -67,11 +68,9 @@ def by_jacobian(one: Residuals, theta: Theta) -> np.ndarray:
 def by_autograd(one: Residuals, theta: Theta) -> np.ndarray:
     parts = {name: torch.tensor(theta[name], requires_grad=True) for name in FREE}
     u, y, weight = (torch.from_numpy(np.ascontiguousarray(side)) for side in one.records)
-    x, still, out = (
-        torch.zeros(BATCH, len(theta["a"]), dtype=torch.float64),
-        torch.tanh(parts["bias"]),
-        [],
-    )
+    x = torch.zeros(BATCH, len(theta["a"]), dtype=torch.float64)
+    still = torch.tanh(parts["bias"])
+    out = []
     for k in range(u.shape[1]):
         w = torch.tanh(x @ parts["f"].T + u[:, k] @ parts["g"].T + parts["bias"]) - still
         out.append(x @ parts["c"].T)

@@ -32,7 +32,8 @@ from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.training.metrics import mean_fit
 
-PLANTS, MODELS = ("dc_motor", "stribeck_drive", "cascaded_tanks"), ("ssm", "structured")
+PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
+MODELS = ("ssm", "structured")
 COLUMNS = "plant,model,seed,fit_test_percent,certified,rate_controller,rate_limit,rate_observer,margin,predicted,"
 COLUMNS += "settled_of_10,settle_s,alone_s,ratio_to_one_layer,synthesis_s"
 
@@ -45,10 +46,8 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         made = parts.reduction.reduce(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
-    shown, balls = (
-        measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records),
-        certified_balls(made),
-    )
+    shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
+    balls = certified_balls(made)
     free = [
         Simulation.of(made, records, data.start_up_samples)
         for records in (data.validation, data.test)
@@ -58,7 +57,8 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     design = (parts.synthesis.cautious() if silent else parts.synthesis).design(
         made, balls, data.validation, shown
     )
-    spent, feedback = time.process_time() - started, design.state_feedback
+    spent = time.process_time() - started
+    feedback = design.state_feedback
     about = {
         "plant": plant,
         "model": kind,

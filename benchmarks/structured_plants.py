@@ -82,7 +82,8 @@ def largest(system: System, ball: JacobianBall, observes: bool) -> float:
 
 def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]:
     """Every start of one seed, none of which the program would have to take."""
-    part, found = study_of(f"plant={plant}", "model=structured", *overrides), []
+    part = study_of(f"plant={plant}", "model=structured", *overrides)
+    found = []
 
     def kept(every):  # type: ignore[no-untyped-def]
         found.extend(every)
@@ -95,7 +96,8 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         )
     rows = []
     for start, one in enumerate(found):
-        model, near = one.model, one.fit_validation_percent >= best.fit_validation_percent - 1
+        model = one.model
+        near = one.fit_validation_percent >= best.fit_validation_percent - 1
         numbers = {"fit_validation_percent": one.fit_validation_percent}
         numbers |= {"fit_test_percent": mean_fit(model, data.test, data)}
         sizes = {"plant": plant, "seed": seed, "start": start, "order": model.order}

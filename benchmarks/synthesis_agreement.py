@@ -30,7 +30,9 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis
 from ssm_study.synthesis.modes import split_modes
 
-FEASIBLE, INFEASIBLE, CANNOT_TELL = "feasible", "infeasible", "cannot tell"
+FEASIBLE = "feasible"
+INFEASIBLE = "infeasible"
+CANNOT_TELL = "cannot tell"
 TELLING = 1e-7  # Clarabel stops at 1e-8
 GAPS = (0.01, -0.01)
 
@@ -81,13 +83,15 @@ def opinion(case: Instance) -> str:
 
 
 def row(gap: float, cases: list[Instance]) -> dict[str, object]:
-    said, seconds = [], []
+    said = []
+    seconds = []
     for case in cases:
         started = time.perf_counter()
         said.append(opinion(case))
         seconds.append(time.perf_counter() - started)
     right, wrong = (FEASIBLE, INFEASIBLE) if gap > 0 else (INFEASIBLE, FEASIBLE)
-    counts, models = Counter(said), [(case.linear.order, case.kind) for case in cases]
+    counts = Counter(said)
+    models = [(case.linear.order, case.kind) for case in cases]
     row = told(
         ("random", "modal_lmi_alone", gap), models, [word == FEASIBLE for word in said], seconds
     )

@@ -25,7 +25,8 @@ sys.path.insert(0, str(ROOT / "tests"))  # where oracles are
 from worst_case import worst_jacobian
 
 SHAPES = ((1, (8,)), (1, (32,)), (1, (8, 8)), (2, (8,)), (2, (32,)), (2, (8, 8)), (3, (16,)))
-COUNT, STARTS = 20, 6
+COUNT = 20
+STARTS = 6
 LEAK = 0.1
 BOUNDS = {"exact": network_bound, "lipsdp": lipsdp_bound, "interval": interval_bound}
 
@@ -47,7 +48,9 @@ def scaffold(rng: np.random.Generator, channels: int, widths: tuple[int, ...]) -
 
 def row(channels: int, widths: tuple[int, ...], method: str) -> dict[str, object]:
     rng = np.random.default_rng(0)
-    ratios, against_norms, spent = [], [], []
+    ratios = []
+    against_norms = []
+    spent = []
     for seed in range(COUNT):
         network = scaffold(rng, channels, widths)
         started = time.process_time()

@@ -41,7 +41,8 @@ AGREEMENT = ("agrees", "cannot_tell", "contradicts")  # with the frontier: `synt
 def instances(kind: str, gap: float, count: int, orders: tuple[int, int]) -> list[Instance]:
     if kind == "trained":
         return trained(gap, count)
-    rng, found = np.random.default_rng(20261121), []
+    rng = np.random.default_rng(20261121)
+    found = []
     while len(found) < count:
         case = random_instance(rng, orders, gap, mixed=kind == "mixed")
         if case is not None:
@@ -74,7 +75,8 @@ def certified(method: str, case: Instance) -> bool:
 
 
 def row(kind: str, method: str, gap: float, cases: list[Instance]) -> dict[str, object]:
-    verdicts, seconds = [], []
+    verdicts = []
+    seconds = []
     for case in cases:
         started = time.perf_counter()
         verdicts.append(certified(method, case))
@@ -92,10 +94,8 @@ def told(
 ) -> dict[str, object]:
     """The line of one (set, method, gap): of which models, by order and kind, how many were
     certified, how fast."""
-    orders, missed = (
-        [order for order, _ in models],
-        [model for model, ok in zip(models, held, strict=True) if not ok],
-    )
+    orders = [order for order, _ in models]
+    missed = [model for model, ok in zip(models, held, strict=True) if not ok]
     return dict(zip(KEY, key, strict=True)) | {
         "instances": len(models),
         "certified": sum(held),
@@ -113,7 +113,8 @@ def named(missed: list[tuple[int, str]]) -> str:
 
 def kept(new: dict[str, object]) -> None:
     """In place of the row of the same set, method and gap."""
-    path, columns = FOLDER / "certified.csv", COLUMNS + AGREEMENT
+    path = FOLDER / "certified.csv"
+    columns = COLUMNS + AGREEMENT
     keep(
         path, [new], KEY, lambda row: (row["set"], row["method"], -float(str(row["gap"]))), columns
     )

@@ -27,11 +27,9 @@ def feasibility_map(table: pd.DataFrame) -> Figure:
 
     `table`: columns `slope_floor, rate, rate_limit, solver_certified`, all of one model.
     """
-    floor, rate, held = (
-        column(table, "slope_floor"),
-        column(table, "rate"),
-        flag(table, "solver_certified"),
-    )
+    floor = column(table, "slope_floor")
+    rate = column(table, "rate")
+    held = flag(table, "solver_certified")
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log")
     limits = pd.DataFrame({"floor": floor, "limit": column(table, "rate_limit")}).drop_duplicates()
@@ -84,7 +82,8 @@ def contraction(table: pd.DataFrame) -> Figure:
 
     `table`: columns `method, certified, measured`, factors of the distance per sample.
     """
-    certified, measured = column(table, "certified"), column(table, "measured")
+    certified = column(table, "certified")
+    measured = column(table, "measured")
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     span = (

@@ -36,7 +36,8 @@ def random_model(
 ) -> StateSpace:
     """`mixed`: dense random coordinates (condition about ten to a hundred) instead of modal
     ones."""
-    blocks, left = [], order
+    blocks = []
+    left = order
     while left:
         modulus = KINDS[kind] * (1.0 if left == order else rng.uniform(0.2, 1))
         if left >= 2 and rng.random() < 0.5:
@@ -47,14 +48,14 @@ def random_model(
         else:
             blocks.append(np.array([[modulus * rng.choice([-1, 1])]]))
             left -= 1
-    a, b, c = (
-        scipy.linalg.block_diag(*blocks),
-        rng.normal(size=(order, inputs)),
-        rng.normal(size=(1, order)),
-    )
+    a = scipy.linalg.block_diag(*blocks)
+    b = rng.normal(size=(order, inputs))
+    c = rng.normal(size=(1, order))
     if mixed:
         t = rng.normal(size=(order, order)) / np.sqrt(order) + np.eye(order)
-        a, b, c = t @ a @ np.linalg.inv(t), t @ b, c @ np.linalg.inv(t)
+        a = t @ a @ np.linalg.inv(t)
+        b = t @ b
+        c = c @ np.linalg.inv(t)
     return StateSpace(a=a, b=b, c=c, d=np.zeros((1, inputs)))
 
 

@@ -49,7 +49,8 @@ def feasibility_map(linear: StateSpace) -> list[dict[str, object]]:
 def designs(linear: StateSpace, floor: float) -> list[tuple[str, StateFeedback]]:
     """Every method over rates from 5 to 99 percent of the limit; what is not certified is left
     out."""
-    ball, found = JacobianBall.from_slopes(floor, 1.0), []
+    ball = JacobianBall.from_slopes(floor, 1.0)
+    found = []
     limit = frontier(linear.a, linear.b, ball).rate_limit
     for share in (0.05, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.99):
         asked = {"rate_controller": share * limit, "rate_observer": 0.5}

@@ -31,11 +31,13 @@ CASES = (
 
 def drawn(seed: int, radius: float) -> StateSpace:
     """Modes in pairs, one input and one output."""
-    rng, a = np.random.default_rng(seed), np.zeros((ORDER, ORDER))
+    rng = np.random.default_rng(seed)
+    a = np.zeros((ORDER, ORDER))
     modes = rng.uniform(0.3, radius, ORDER // 2) * np.exp(1j * rng.uniform(0, 3, ORDER // 2))
     for i, z in enumerate(modes):
         a[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[z.real, z.imag], [-z.imag, z.real]]
-    b, c = rng.standard_normal((ORDER, 1)), rng.standard_normal((1, ORDER))
+    b = rng.standard_normal((ORDER, 1))
+    c = rng.standard_normal((1, ORDER))
     return StateSpace(a=a, b=b, c=c, d=np.zeros((1, 1)))
 
 

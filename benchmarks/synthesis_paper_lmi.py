@@ -30,7 +30,8 @@ from ssm_study.synthesis.lmi import paper_lmi
 
 TARGET = FOLDER / "paper_lmi.csv"
 COLUMNS = ("gap", "index", "order", "kind", "status", "certified", "seconds")
-COUNT, BLOCK = 1000, 50
+COUNT = 1000
+BLOCK = 50
 # Small orders first: two thirds of the time go to the last band. Within a band a block of models
 # goes through every
 # gap, so that an unfinished band is still a fair sample of its orders.
@@ -58,7 +59,8 @@ def row(gap: float, index: int, case: Instance) -> Row:
 
 
 def solve(cases: Cases, minutes: float) -> None:
-    started, rows = time.monotonic(), rows_of(TARGET)
+    started = time.monotonic()
+    rows = rows_of(TARGET)
     with TARGET.open("a", newline="") as file:
         writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
         if not rows:
@@ -72,10 +74,8 @@ def solve(cases: Cases, minutes: float) -> None:
 
 def count(gap: float, rows: list[Row]) -> dict[str, object]:
     models = [(int(row["order"]), row["kind"]) for row in rows]
-    held, seconds = (
-        [row["certified"] == "True" for row in rows],
-        [float(row["seconds"]) for row in rows],
-    )
+    held = [row["certified"] == "True" for row in rows]
+    seconds = [float(row["seconds"]) for row in rows]
     return told(("random", "paper_lmi", gap), models, held, seconds)
 
 

@@ -35,13 +35,16 @@ BELOW = 0.9
 SIZES = ((2, 1), (4, 2), (4, 4), (8, 4), (8, 8))
 BALLS = {"none": JacobianBall(alpha=1.0, beta=0.0), "wide": JacobianBall.from_slopes(0.6, 1.0)}
 KINDS = tuple(product(SIZES, ("controller", "observer"), BALLS, (False, True)))
-RANDOM, CLIMBED, STEPS = 400, 5, 20
+RANDOM = 400
+CLIMBED = 5
+STEPS = 20
 COLUMNS = "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
 
 
 def drawn(rng: np.random.Generator, n: int, q: int, h: bool) -> StructuredSystem:
     """`A` of radius 0.8 to 1.05, neurons from weak to strong."""
-    a, size = rng.normal(size=(n, n)), rng.uniform(0.1, 0.5)
+    a = rng.normal(size=(n, n))
+    size = rng.uniform(0.1, 0.5)
     return StructuredSystem(
         a=a * rng.uniform(0.8, 1.05) / np.abs(np.linalg.eigvals(a)).max(),
         b=rng.normal(size=(n, 1)),
@@ -67,10 +70,8 @@ def timed(solve: Callable[[], Solution]) -> tuple[Solution | None, float]:
 def problem_of(system: StructuredSystem, observes: bool, ball: JacobianBall) -> Problem:
     """The state feedback of the system, or its observer, at any rate."""
     system = dual(system) if observes else system
-    weight, neurons = (
-        np.eye(system.order),
-        Neurons(e=system.e, f=system.f, g=system.g, observes=observes),
-    )
+    weight = np.eye(system.order)
+    neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
     return Problem(
         a=system.a,
         b=system.b,
@@ -88,12 +89,15 @@ def sampled(
     """The largest factor by which frozen slopes, the last one that of S_u or S_y, stretch in the
     certified metric."""
     assert problem.neurons is not None
-    ball, k, k_w = problem.ball, found.k, found.k_w
+    ball = problem.ball
+    k = found.k
+    k_w = found.k_w
     root = np.linalg.cholesky(found.p if problem.neurons.observes else np.linalg.inv(found.p)).T
     inverse = np.linalg.inv(root)
 
     def step(at: Float[np.ndarray, "s"]) -> Float[np.ndarray, "n n"]:
-        slopes, j = at[:-1], ball.lower + at[-1] * (ball.upper - ball.lower)
+        slopes = at[:-1]
+        j = ball.lower + at[-1] * (ball.upper - ball.lower)
         frozen = system.at_slopes(slopes)
         if not problem.neurons.observes:
             return root @ (frozen.a + j * frozen.b @ k) @ inverse
@@ -123,7 +127,8 @@ def sampled(
 def row(index: int) -> str | None:
     """The line of one model; None where no rate worth the name is certified for it."""
     rng, ((n, q), side, ball, h) = np.random.default_rng(index), KINDS[index % len(KINDS)]
-    system, observes = drawn(rng, n, q, h and side == "observer"), side == "observer"
+    system = drawn(rng, n, q, h and side == "observer")
+    observes = side == "observer"
     problem = problem_of(system, observes, BALLS[ball])
     best = largest_rate(problem)
     if best < 0.02:
@@ -144,10 +149,12 @@ def row(index: int) -> str | None:
         np.nan if found is None else np.trace(np.linalg.inv(found.p)) for found in (fast, slow)
     ]
     ratio = costs[0] / costs[1] * (1 - problem.rate if observes else 1.0)
-    proof, started = fast if certified else deep, time.process_time()
+    proof = fast if certified else deep
+    started = time.process_time()
     assert proof is not None
     assert holds(problem, proof)
-    exact_s, worst = time.process_time() - started, sampled(system, problem, proof, rng)
+    exact_s = time.process_time() - started
+    worst = sampled(system, problem, proof, rng)
     factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
     times = f"{game_s:.5f},{cost_s:.5f},{deep_s:.5f},{exact_s:.5f}"
     return f"{index},{n},{q},{side},{ball},{h and observes},{factors},{worst:.6f},{times}"
@@ -158,10 +165,8 @@ def told(path: str) -> Iterator[str]:
     table = pd.read_csv(path)
     every = (table.sampled_r <= np.sqrt(1 - BELOW * (1 - table.best_r**2)) + 1e-4).sum()
     yield f"{len(table)} models; sampled slopes contract no slower than certified on {every}"
-    share, solved = (
-        f"{table.certified.sum()} ({table.certified.mean():.1%})",
-        table.cost_ratio.notna().sum(),
-    )
+    share = f"{table.certified.sum()} ({table.certified.mean():.1%})"
+    solved = table.cost_ratio.notna().sum()
     yield f"search certified {share}, cost form solved {solved}"
     low, middle, high = (table.cost_s / table.game_s).quantile([0.25, 0.5, 0.75])
     yield f"cost form over search, time: median {middle:.1f}, quartiles {low:.1f}, {high:.1f}"

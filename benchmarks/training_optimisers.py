@@ -30,7 +30,8 @@ from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training import saving
 
 FOLDER = REFERENCE / "training"
-CURVES, TABLE = FOLDER / "optimiser_curves.csv", FOLDER / "optimisers.csv"
+CURVES = FOLDER / "optimiser_curves.csv"
+TABLE = FOLDER / "optimisers.csv"
 EPOCHS = {"lbfgs": 60, "levenberg": 20, "adam": 30}  # each ends on its plateau
 SHARES = (95.0, 99.0, 99.9)
 
@@ -43,7 +44,8 @@ def read(group: str, *overrides: str) -> Any:
 
 
 def motor(seed: int) -> DataSet:
-    plant, excitation = read("plant", "+plant=dc_motor"), read("excitation", "+excitation=aprbs")
+    plant = read("plant", "+plant=dc_motor")
+    excitation = read("excitation", "+excitation=aprbs")
     return read("data", "+data=simulated", "data.validation_samples=1000").build(
         plant, excitation, seed
     )
@@ -70,7 +72,8 @@ def wiener_hammerstein(seed: int) -> DataSet:
         )
 
     records = [record(f"record_{i}") for i in range(10)]
-    zero, scale = np.zeros(1), np.array([records[0].y.std()])
+    zero = np.zeros(1)
+    scale = np.array([records[0].y.std()])
     return DataSet(
         training=tuple(records[:8]), validation=(records[8],), test=(records[9],),
         inputs=(Channel(name="input", unit="1"),), outputs=(Channel(name="output", unit="1"),),
@@ -119,7 +122,8 @@ def known() -> dict[tuple[str, str, int], list[tuple[float, float]]]:
 
 
 def run_missing(seeds: int, minutes: float) -> None:
-    deadline, done = time.monotonic() + 60 * minutes, known()
+    deadline = time.monotonic() + 60 * minutes
+    done = known()
     missing = [
         (c, o, s) for s in range(seeds) for c in CASES for o in EPOCHS if (c, o, s) not in done
     ]
@@ -160,7 +164,8 @@ def reach(points: list[tuple[float, float]], fit: float) -> float:
 def table() -> list[dict[str, object]]:
     """Medians over the seeds that all optimisers ran; the best known fit is that of the same data
     and seed."""
-    runs, rows = known(), []
+    runs = known()
+    rows = []
     for case in CASES:
         seeds = [s for s in range(1000) if all((case, o, s) in runs for o in EPOCHS)]
         best = {s: max(fit for o in EPOCHS for _, fit in runs[case, o, s]) for s in seeds}

@@ -30,7 +30,10 @@ from ssm_study.models.spec import on_ring
 from ssm_study.models.torch_recurrence import by_convolution
 from ssm_study.models.torch_ssm import LRU, Lift, TorchSSM
 
-BATCH, SAMPLES, ORDER, WIDTH = 16, 5000, 16, 32
+BATCH = 16
+SAMPLES = 5000
+ORDER = 16
+WIDTH = 32
 TARGET = REFERENCE / "training" / "step.csv"
 
 
@@ -40,7 +43,8 @@ class PlainMlp(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.first, self.last = nn.Linear(1, WIDTH), nn.Linear(WIDTH, 1)
+        self.first = nn.Linear(1, WIDTH)
+        self.last = nn.Linear(WIDTH, 1)
 
     def forward(self, v: Tensor) -> Tensor:
         return self.last(nn.functional.leaky_relu(self.first(v), 0.01))
@@ -70,16 +74,16 @@ def stepper(
 
 def contenders() -> dict[str, Callable[[], None]]:
     torch.manual_seed(0)
-    u, y = torch.randn(BATCH, SAMPLES, 1), torch.randn(BATCH, SAMPLES, 1)
+    u = torch.randn(BATCH, SAMPLES, 1)
+    y = torch.randn(BATCH, SAMPLES, 1)
     held = torch.randn(BATCH, SAMPLES // 20, 1).repeat_interleave(20, dim=1)
-    fast, fft, public, plain, plain_fft = (
-        ours(),
-        ours(),
-        PublicLRU(ORDER // 2),
-        PlainMlp(),
-        PlainMlp(),
-    )
-    lifted, levels = Lift(u), Lift(held)
+    fast = ours()
+    fft = ours()
+    public = PublicLRU(ORDER // 2)
+    plain = PlainMlp()
+    plain_fft = PlainMlp()
+    lifted = Lift(u)
+    levels = Lift(held)
     return {
         "ours": stepper(
             list(fast.parameters()), lambda: fast(u, lifted=lifted(fast.scaffold_in)), y
@@ -104,11 +108,9 @@ class Bare(pl.LightningModule):
 
     def __init__(self, steps: int) -> None:
         super().__init__()
-        self.numbers, self.steps, self.automatic_optimization = (
-            nn.Parameter(torch.zeros(3)),
-            steps,
-            False,
-        )
+        self.numbers = nn.Parameter(torch.zeros(3))
+        self.steps = steps
+        self.automatic_optimization = False
 
     def evaluate(self) -> Tensor:
         self.zero_grad()
@@ -128,7 +130,8 @@ class Bare(pl.LightningModule):
 def overhead_ms(steps_per_call: int, pairs: int = 7, steps: int = 400) -> float:
     """Lightning's step minus one of our own loop, start-up left out of both; median over
     alternating stretches."""
-    module, excess = Bare(steps_per_call), []
+    module = Bare(steps_per_call)
+    excess = []
     optimiser = module.configure_optimizers()
     for _ in range(pairs):
         inside = lightning_ms(steps_per_call, 50 + steps) - lightning_ms(steps_per_call, 50)
@@ -148,7 +151,8 @@ def lightning_ms(steps_per_call: int, steps: int) -> float:
             enable_progress_bar=False, enable_model_summary=False, default_root_dir=folder,
         )  # fmt: skip
         one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]
-        module, began = Bare(steps_per_call), time.process_time()
+        module = Bare(steps_per_call)
+        began = time.process_time()
         trainer.fit(module, one)
         return 1e3 * (time.process_time() - began)
 

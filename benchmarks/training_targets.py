@@ -37,7 +37,8 @@ def row(
 
 
 def recurrence() -> Iterator[Row]:
-    name, table = "recurrence.csv", read("recurrence.csv")
+    name = "recurrence.csv"
+    table = read("recurrence.csv")
     ms = {
         (int(r["samples"]), int(r["modes"]), int(r["batch"]), r["contender"]): float(r["cpu_ms"])
         for r in table
@@ -45,7 +46,8 @@ def recurrence() -> Iterator[Row]:
     cases = sorted({key[:3] for key in ms if key[2] == BATCH})
     for case in cases:
         label = f"T = {case[0]}, {case[1]} modes, batch {case[2]}"
-        ours, bare = ms[*case, "automatic"], ms[*case, "bare FFT"]
+        ours = ms[*case, "automatic"]
+        bare = ms[*case, "bare FFT"]
         yield row(f"ours over the bare FFT, {label}", ours / bare, 2.2, True, name)
         for peer, wanted in (
             ("public scan", SCAN.get(case[:2])),
@@ -57,10 +59,13 @@ def recurrence() -> Iterator[Row]:
                 yield row(
                     f"{peer} over ours, {label}", theirs / ours, wanted, False, name, theirs / bare
                 )
-    wide, narrow = (10_000, 256, 16), (10_000, 8, 16)
+    wide = (10_000, 256, 16)
+    narrow = (10_000, 8, 16)
     for which in ("automatic", "convolution"):
         if (*wide, which) in ms and (*narrow, which) in ms:
-            many, few, bare = ms[*wide, which], ms[*narrow, which], ms[*wide, "bare FFT"]
+            many = ms[*wide, which]
+            few = ms[*narrow, which]
+            bare = ms[*wide, "bare FFT"]
             yield row(
                 f"256 modes over 8, T = 10000, {which} for both",
                 many / few,
@@ -91,8 +96,10 @@ def step() -> Iterator[Row]:
 
 def optimisers() -> Iterator[Row]:
     table = {(r["data"], r["optimiser"]): r for r in read("optimisers.csv")}
-    motor, adam = table["motor", "lbfgs"], table["motor", "adam"]
-    label, name = f"motor, median of {motor['seeds']} seeds", "optimisers.csv"
+    motor = table["motor", "lbfgs"]
+    adam = table["motor", "adam"]
+    label = f"motor, median of {motor['seeds']} seeds"
+    name = "optimisers.csv"
     ours = float(motor["cpu_s_to_99"])
     yield row(
         f"CPU seconds to 99 % of the best known fit by the default, {label}", ours, 5.0, True, name

@@ -85,7 +85,8 @@ def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
 def row(folder: Path, integral: bool) -> dict[str, object]:
     """One run of the table."""
     record = read_record(folder)
-    files, plant = RunFiles(path=folder, record=record), folder.parent.name
+    files = RunFiles(path=folder, record=record)
+    plant = folder.parent.name
     design, told, naive = loops(files, integral)
     (low, high), u = LIMITS[plant], told.controlled.u
     found: dict[str, object] = {
@@ -136,7 +137,8 @@ def draw(folder: Path, path: Path) -> None:
         )
     for limit in (low, high):
         below.axhline(limit, color="black", lw=0.8, ls="--")
-    output, applied = files.plant.outputs[0], files.plant.inputs[0]
+    output = files.plant.outputs[0]
+    applied = files.plant.inputs[0]
     above.set(ylabel=f"{output.name.replace('_', ' ')} ({output.unit})")
     above.legend(frameon=False)
     until = 2 * (pooled([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2)

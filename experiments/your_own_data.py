@@ -66,7 +66,8 @@ def sensor(temperature: np.ndarray, seed: int) -> np.ndarray:
 
 # %%
 room = 0.5 * np.random.default_rng(0).standard_normal(1200).cumsum()
-power, temperature = np.full(1200, 0.3), np.zeros(1200)
+power = np.full(1200, 0.3)
+temperature = np.zeros(1200)
 for k in range(1199):
     if not 0 < temperature[k] < 1:
         power[k] = -0.3 if temperature[k] >= 1 else 0.3
@@ -146,7 +147,8 @@ good.margin_plot()
 # %%
 def on_the_heater(design: st.Design, start: float, samples: int = 100) -> np.ndarray:
     """The temperature under control, sample by sample, as the exported controller computes it."""
-    controller, temperature = design.to_control(), np.full(samples, start)
+    controller = design.to_control()
+    temperature = np.full(samples, start)
     state = np.zeros(controller.nstates)
     for k in range(samples - 1):
         applied = float(np.clip(controller.output(0, state, temperature[k : k + 1])[0], -3, 3))

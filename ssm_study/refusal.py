@@ -14,7 +14,10 @@ class BadRequest(ValueError):
     """
 
     def __init__(self, field: str, value: Any, problem: str, remedy: str) -> None:
-        self.field, self.value, self.problem, self.remedy = field, value, problem, remedy
+        self.field = field
+        self.value = value
+        self.problem = problem
+        self.remedy = remedy
         # A library may answer in lines, and a foreign name may hold what would command the
         # terminal.
         shown, reason = (printable(" ".join(str(part).split())) for part in (value, problem))

@@ -40,11 +40,14 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         positive("step_s", self.step_s, "give it in seconds")
-        both, lengths = f"{self.name}.u, {self.name}.y", (len(self.u), len(self.y))
-        problem, remedy = "input and output differ in length", "cut both to the same samples"
+        both = f"{self.name}.u, {self.name}.y"
+        lengths = (len(self.u), len(self.y))
+        problem = "input and output differ in length"
+        remedy = "cut both to the same samples"
         require(lengths[0] == lengths[1], both, lengths, problem, remedy)
         for label, values in (("u", self.u), ("y", self.y)):
-            bad, remedy = np.argwhere(~np.isfinite(values)), "remove or interpolate these samples"
+            bad = np.argwhere(~np.isfinite(values))
+            remedy = "remove or interpolate these samples"
             first = f"first at sample {bad[0][0] if len(bad) else 0}"
             require(not len(bad), f"{self.name}.{label}", "NaN or infinity", first, remedy)
 
@@ -110,7 +113,8 @@ class Scale:
 
     def __post_init__(self) -> None:
         for side in ("input", "output"):
-            gains, rest = getattr(self, f"{side}_scale"), getattr(self, f"{side}_equilibrium")
+            gains = getattr(self, f"{side}_scale")
+            rest = getattr(self, f"{side}_equilibrium")
             sound = (
                 len(gains) == len(rest) and (gains > 0).all() and np.isfinite([gains, rest]).all()
             )
@@ -122,7 +126,8 @@ class Scale:
     @classmethod
     def unit(cls, inputs: int, outputs: int) -> "Scale":
         """`v = u`, `w = y`."""
-        m, p = np.ones(inputs), np.ones(outputs)
+        m = np.ones(inputs)
+        p = np.ones(outputs)
         return cls(input_scale=m, output_scale=p, input_equilibrium=0 * m, output_equilibrium=0 * p)
 
     @property
@@ -162,13 +167,15 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
     """The limits of each input as given, else the range of records; `BadRequest` for another number
     than inputs."""
-    seen, found = np.concatenate(inputs), []
+    seen = np.concatenate(inputs)
+    found = []
     for name, given, end in (
         ("lower", lower, seen.min(axis=0)),
         ("upper", upper, seen.max(axis=0)),
     ):
         told = end if given is None else np.asarray(given, dtype=float).reshape(-1)
-        fits, remedy = len(told) in (1, len(end)), "give one for all, or one for each"
+        fits = len(told) in (1, len(end))
+        remedy = "give one for all, or one for each"
         require(fits, f"loop.input_{name}", given, f"there are {len(end)} inputs", remedy)
         found.append(np.broadcast_to(told, end.shape).copy())
     return found[0], found[1]
@@ -206,10 +213,8 @@ class DataSet:
         """Each output beside the input that many samples before it: the records of a fit without
         their dead time."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
-        problem, remedy = (
-            f"the shortest record has {shortest} samples",
-            "log longer records, or a shorter dead time",
-        )
+        problem = f"the shortest record has {shortest} samples"
+        remedy = "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
         def early(records: Trajectories) -> Trajectories:
@@ -230,7 +235,8 @@ def fit_percent(
 ) -> float:
     """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)`, Frobenius norms over all channels, after the
     start-up samples."""
-    y, y_hat = y[start_up_samples:], y_hat[start_up_samples:]
+    y = y[start_up_samples:]
+    y_hat = y_hat[start_up_samples:]
     return fit_of_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
 
 

@@ -17,15 +17,15 @@ COLUMN_IN = 3.5
 PAGE_IN = 7.16
 
 # Okabe & Ito 2008, ordered so that neighbours also differ in lightness.
-BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE = (
-    "#0072B2",
-    "#D55E00",
-    "#009E73",
-    "#E69F00",
-    "#56B4E9",
-    "#CC79A7",
-)
-INK, GREY, PALE = "#1A1A1A", "#6B6B6B", "#D9D9D9"
+BLUE = "#0072B2"
+VERMILLION = "#D55E00"
+GREEN = "#009E73"
+ORANGE = "#E69F00"
+SKY = "#56B4E9"
+PURPLE = "#CC79A7"
+INK = "#1A1A1A"
+GREY = "#6B6B6B"
+PALE = "#D9D9D9"
 CYCLE = [BLUE, VERMILLION, GREEN, ORANGE, SKY, PURPLE]
 SEQUENCE = "viridis"  # monotone in lightness
 

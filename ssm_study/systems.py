@@ -70,7 +70,8 @@ class StateSpace(_Recurrence):
 
             x, v = np.split(null_space(np.hstack([left, -self.b])), [self.order])
         else:
-            x, v = np.linalg.solve(left, self.b), np.eye(self.b.shape[1])
+            x = np.linalg.solve(left, self.b)
+            v = np.eye(self.b.shape[1])
         return x, v, self.c @ x + self.d @ v
 
     def simulate(
@@ -78,9 +79,12 @@ class StateSpace(_Recurrence):
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
         """Step through `u` from `x0` (default 0); returns the outputs and the state after the last
         sample."""
-        batch, samples = u.shape[:-2], u.shape[-2]
+        batch = u.shape[:-2]
+        samples = u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
-        states, forced, turn = np.empty((*batch, samples, self.order)), u @ self.b.T, self.a.T
+        states = np.empty((*batch, samples, self.order))
+        forced = u @ self.b.T
+        turn = self.a.T
         for k in range(samples):
             states[..., k, :] = x
             x = x @ turn + forced[..., k, :]
@@ -137,8 +141,10 @@ class StructuredSystem(_Recurrence):
     def at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
         """The linear system with the neurons' slopes frozen: `a + e S f`, `b + e S g`, `c + h S f`,
         `d + h S g`."""
-        driven, seen = self.e * slopes, self.h * slopes
-        a, b = self.a + driven @ self.f, self.b + driven @ self.g
+        driven = self.e * slopes
+        seen = self.h * slopes
+        a = self.a + driven @ self.f
+        b = self.b + driven @ self.g
         return StateSpace(a=a, b=b, c=self.c + seen @ self.f, d=self.d + seen @ self.g)
 
 
@@ -160,10 +166,8 @@ class JacobianBall:
     beta: float
 
     def __post_init__(self) -> None:
-        sound, said = (
-            np.isfinite(self.alpha) and 0 <= self.beta < np.inf,
-            "needs a finite centre and radius >= 0",
-        )
+        sound = np.isfinite(self.alpha) and 0 <= self.beta < np.inf
+        said = "needs a finite centre and radius >= 0"
         require(sound, "alpha, beta", (self.alpha, self.beta), said, "bound the scaffolding again")
 
     @classmethod
@@ -245,9 +249,7 @@ def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float
         raise BadRequest(key, data[key], "not a rectangular array of numbers", AGAIN) from error
     if values.size == 0 and values.ndim < dimensions:  # JSON keeps no shape of an empty array
         values = values.reshape((0,) * dimensions)
-    sound, problem = (
-        values.ndim == dimensions,
-        f"expected a finite array of {dimensions} dimension(s)",
-    )
+    sound = values.ndim == dimensions
+    problem = f"expected a finite array of {dimensions} dimension(s)"
     require(sound and bool(np.isfinite(values).all()), key, f"shape {values.shape}", problem, AGAIN)
     return values

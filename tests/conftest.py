@@ -112,7 +112,8 @@ def first(
     return either
 
 
-jaxtyped, jaxtyping.jaxtyped = jaxtyping.jaxtyped, checked_at_first
+jaxtyped = jaxtyping.jaxtyped
+jaxtyping.jaxtyped = checked_at_first
 
 
 @pytest.hookimpl(tryfirst=True)

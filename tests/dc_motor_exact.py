@@ -36,7 +36,8 @@ class _Flow:
         f = np.zeros((5, 5))
         f[0] = np.array([-p.resistance, -p.k, 0.0, 0.0, v_eff]) * p.per_inductance
         f[3, 1:3] = 1.0, -1.0
-        self.modes, self.limit = modes, p.coulomb
+        self.modes = modes
+        self.limit = p.coulomb
         self.torque = np.array([
             [p.k, -p.damping - p.motor_viscous, p.damping, -p.stiffness, 0.0],
             [0.0, p.damping, -p.damping - p.load_viscous, p.stiffness, -load_nm],
@@ -103,7 +104,8 @@ def _period(
     motor: DCMotor, z: Float[np.ndarray, "5"], v: float, load: float
 ) -> tuple[Float[np.ndarray, "5"], list]:
     """One sampling period; returns the augmented state after it and the switch times within it."""
-    limit, t = motor.constants.coulomb, 0.0
+    limit = motor.constants.coulomb
+    t = 0.0
     ends: list[float] = []
     torque = _Flow(motor, (0, 0), v, load).torque
     modes = [_mode(z[1 + b], float(torque[b] @ z), limit) for b in (0, 1)]
@@ -113,7 +115,8 @@ def _period(
         if end is None:
             return flow.at(z, motor.step_s - t), ends
         after, body = end
-        z, t = flow.at(z, after), t + after
+        z = flow.at(z, after)
+        t = t + after
         z[1 + body] = 0.0
         modes[body] = _mode(0.0, float(torque[body] @ z), limit if modes[body] != 0 else 0.0)
         ends.append(t)
@@ -128,7 +131,9 @@ def simulate_exactly(
     """`x[k]` for `k = 0 .. T` under voltage `u` and load torque `d`, switch times to 1e-10 s."""
     load = np.zeros_like(u) if d is None else d
     v_eff = np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - motor.constants.dead_zone, 0.0)
-    z, states, times = np.append(x0, 1.0), [x0], []
+    z = np.append(x0, 1.0)
+    states = [x0]
+    times = []
     for k, v in enumerate(v_eff):
         z, ends = _period(motor, z, float(v), float(load[k, 0]))
         states.append(z[:4].copy())

@@ -22,7 +22,8 @@ SHELL = re.compile(r"^```(?:console|bash|sh|shell)\n(.*?)^```", re.M | re.S)
 FENCED = re.compile(r"^( *)```.*?^\1```", re.M | re.S)
 WRITTEN = re.compile(r'^( *)```\w+ title="([^"]+)"\n(.*?)^\1```', re.M | re.S)
 OURS = r"(?:ssm-study|python|make) [^`\n]+"
-INLINE, INDENTED = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`"), re.compile(rf"^    ({OURS})$", re.M)
+INLINE = re.compile(rf"`((?:[A-Z_]+=\S+ )*{OURS})`")
+INDENTED = re.compile(rf"^    ({OURS})$", re.M)
 
 # The rule. The same command with these settings appended (or in place of its own), where its
 # configuration has them;
@@ -246,7 +247,8 @@ def small_benchmark(words: list[str]) -> list[str]:
 
 
 def without(words: list[str], flags: set[str]) -> list[str]:
-    kept, dropping = [], False
+    kept = []
+    dropping = False
     for word in words:
         dropping = word in flags or (dropping and not word.startswith("--"))
         kept += [] if dropping else [word]

@@ -42,7 +42,8 @@ def random_run(
 def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
     a = rng.standard_normal((ORDER, ORDER))
     d = 0.1 * rng.standard_normal((channels, channels))
-    b, c = rng.standard_normal((ORDER, channels)), rng.standard_normal((channels, ORDER))
+    b = rng.standard_normal((ORDER, channels))
+    c = rng.standard_normal((channels, ORDER))
     return SSM(
         linear=StateSpace(a=0.6 * a / np.abs(np.linalg.eigvals(a)).max(), b=b, c=c, d=d),
         scaffold_in=random_scaffold(rng, kind, channels),
@@ -93,7 +94,8 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
         "condition": 1.0,
     }
     shared |= {"rate_limit": 0.4, "method": "placeholder", "solver_status": "none", "seconds": 0.0}
-    a, b = linear.a, linear.b
+    a = linear.a
+    b = linear.b
     if integral:  # of one output a ramp and a sine, of several outputs constants, unless named
         named = (
             integral
@@ -106,8 +108,10 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
         fed = error_input_matrix(modes, p) @ (0.7 * np.eye(p))
         a = np.block([[a, np.zeros((n, len(modes)))], [fed @ linear.c, modes]])
         b = np.vstack([b, fed @ linear.d])
-    k, l = 0.1 * rng.standard_normal((m, len(a))), 0.05 * rng.standard_normal((n, p))  # noqa: E741
-    wide, eye = np.eye(len(a)), np.eye(n)
+    k = 0.1 * rng.standard_normal((m, len(a)))
+    l = 0.05 * rng.standard_normal((n, p))  # noqa: E741
+    wide = np.eye(len(a))
+    eye = np.eye(n)
     return Design(
         state_feedback=StateFeedbackOfBall(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared),
         observer=ObserverOfBall(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
@@ -117,12 +121,12 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
 def write_recordings(run: Path, *, seed: int = 0) -> Path:
     """`validation.mcap`, `excitation.mcap` and `closed_loop.mcap` with ten made-up cases, as a
     study leaves them."""
-    rng, time_s = np.random.default_rng(seed), np.arange(200) * 0.01
-    u, y = np.sign(rng.standard_normal((200, 1))) * 5, rng.standard_normal((200, 1))
-    volt, speed = (
-        (Channel(name="armature_voltage", unit="V"),),
-        (Channel(name="load_speed", unit="rad/s"),),
-    )
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(200) * 0.01
+    u = np.sign(rng.standard_normal((200, 1))) * 5
+    y = rng.standard_normal((200, 1))
+    volt = (Channel(name="armature_voltage", unit="V"),)
+    speed = (Channel(name="load_speed", unit="rad/s"),)
 
     def group(topic: str, channels: tuple[Channel, ...], values: np.ndarray) -> SignalGroup:
         return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)

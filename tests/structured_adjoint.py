@@ -47,20 +47,35 @@ def _add_outer(left, right, out):  # out[i, j] += left[i] right[j], record by re
 def _derivatives(k, v, x0, y, weight):
     """Of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything kept, then
     backward."""
-    n, q, m, p, samples = k.a.shape[0], k.e.shape[1], v.shape[2], k.c.shape[0], v.shape[1]
-    at, et, ft, ct, ht = k.a.T.copy(), k.e.T.copy(), k.f.T.copy(), k.c.T.copy(), k.h.T.copy()
-    da, db, de = np.zeros((n, n, AT_ONCE)), np.zeros((n, m, AT_ONCE)), np.zeros((n, q, AT_ONCE))
-    df, dg, dbias = np.zeros((q, n, AT_ONCE)), np.zeros((q, m, AT_ONCE)), np.zeros((q, AT_ONCE))
-    dc, dd, dh = np.zeros((p, n, AT_ONCE)), np.zeros((p, m, AT_ONCE)), np.zeros((p, q, AT_ONCE))
-    x, g = np.empty((samples + 1, n, AT_ONCE)), np.empty((samples, p, AT_ONCE))
-    w, slope = np.empty((samples, q, AT_ONCE)), np.empty((samples, q, AT_ONCE))
-    z, dw, ahead, here = (
-        np.empty((q, AT_ONCE)),
-        np.empty((q, AT_ONCE)),
-        np.empty((n, AT_ONCE)),
-        np.empty((n, AT_ONCE)),
-    )
-    still, rest = np.empty(q), np.empty(q)
+    n = k.a.shape[0]
+    q = k.e.shape[1]
+    m = v.shape[2]
+    p = k.c.shape[0]
+    samples = v.shape[1]
+    at = k.a.T.copy()
+    et = k.e.T.copy()
+    ft = k.f.T.copy()
+    ct = k.c.T.copy()
+    ht = k.h.T.copy()
+    da = np.zeros((n, n, AT_ONCE))
+    db = np.zeros((n, m, AT_ONCE))
+    de = np.zeros((n, q, AT_ONCE))
+    df = np.zeros((q, n, AT_ONCE))
+    dg = np.zeros((q, m, AT_ONCE))
+    dbias = np.zeros((q, AT_ONCE))
+    dc = np.zeros((p, n, AT_ONCE))
+    dd = np.zeros((p, m, AT_ONCE))
+    dh = np.zeros((p, q, AT_ONCE))
+    x = np.empty((samples + 1, n, AT_ONCE))
+    g = np.empty((samples, p, AT_ONCE))
+    w = np.empty((samples, q, AT_ONCE))
+    slope = np.empty((samples, q, AT_ONCE))
+    z = np.empty((q, AT_ONCE))
+    dw = np.empty((q, AT_ONCE))
+    ahead = np.empty((n, AT_ONCE))
+    here = np.empty((n, AT_ONCE))
+    still = np.empty(q)
+    rest = np.empty(q)
     for i in range(q):
         still[i], rest[i] = bend(k.kinds[i], k.bias[i])
     for block in range(v.shape[0]):

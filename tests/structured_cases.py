@@ -39,7 +39,8 @@ def drawn(
 
 def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) -> Problem:
     """The problem of a state feedback or an observer with unit weights and cheap inputs."""
-    feeds, one = side == "state_feedback", np.eye(system.order)
+    feeds = side == "state_feedback"
+    one = np.eye(system.order)
     system = system if feeds else dual(system)
     neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=not feeds)
     return Problem(
@@ -93,7 +94,8 @@ def observing_steps(
 
 def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> StructuredSSM:
     """Three states, contracting because A and E S F are small; S_u has a dead zone's slopes."""
-    rng, q = np.random.default_rng(seed), len(neurons)
+    rng = np.random.default_rng(seed)
+    q = len(neurons)
     a = rng.normal(size=(3, 3))
     return StructuredSSM(
         a=0.6 * a / np.linalg.norm(a, 2),

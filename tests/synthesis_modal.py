@@ -71,7 +71,8 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
         fast = FastGain(k=np.zeros((m, len(problem.a))), p=np.zeros((0, 0)))
         p = with_slow_modes(problem, modes, fast)
         return Solution(p=p, y=p, k=fast.k, sigma=1.0, status="no fast modes")
-    ah, bh = modes.a_fast / faster, modes.b_fast / faster
+    ah = modes.a_fast / faster
+    bh = modes.b_fast / faster
     root = energy_root(ah, bh)
     balanced_a = scipy.linalg.solve_triangular(root, ah @ root, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
@@ -135,9 +136,7 @@ class ModalLmiSynthesis(Synthesis):
         return solve_on_fast_modes(problem, problem.contraction, self.objective, self.solver)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        r, solve = (
-            problem.contraction,
-            partial(solve_on_fast_modes, objective=self.objective, solver=self.solver),
-        )
+        r = problem.contraction
+        solve = partial(solve_on_fast_modes, objective=self.objective, solver=self.solver)
         floor = max(frontier.contraction_limit, FASTEST * r)
         return [partial(solve, problem, float(r * (floor / r) ** share)) for share in SHARES]

@@ -80,7 +80,8 @@ def _nearness(
 def _smooth_jacobian(
     network: Network, v: Float[np.ndarray, "m"], temperature: float
 ) -> Float[np.ndarray, "k m"]:
-    d, product = v, np.eye(network.inputs)
+    d = v
+    product = np.eye(network.inputs)
     layers = zip(
         network.weights,
         network.biases,

@@ -64,7 +64,8 @@ def before(known: Identified) -> Mismatch:
 @lru_cache(maxsize=1)
 def recorded(name: str, seed: int) -> tuple[Plant, DataSet]:
     """A plant and its records: the same for every order of the model."""
-    plant, parts = plant_of(name), study_of(f"seed={seed}")
+    plant = plant_of(name)
+    parts = study_of(f"seed={seed}")
     return plant, parts.data.build(plant, parts.excitation, seed)
 
 
@@ -75,7 +76,8 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         found = parts.training.identify(parts.model, data, seed, Path(folder), False)
     model = parts.reduction.reduce(found.model)
     known = Identified.of(model, certified_balls(model), data)
-    grid, loop = DesignGrid(designs=designs), parts.loop.fitted(model)
+    grid = DesignGrid(designs=designs)
+    loop = parts.loop.fitted(model)
     rows = pd.DataFrame(grid.rows(plant, known, loop, seed))
     about = {
         "plant": name,
@@ -89,9 +91,11 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test)
     )
     about["evidence"] = judge(data, model, validation, test, known.shown).level
-    settles, drawn = rows.stable_count_noise_free == rows.initial_conditions, rows.index > 0
+    settles = rows.stable_count_noise_free == rows.initial_conditions
+    drawn = rows.index > 0
     candidates = grid.auto.candidates(model, known.balls)
-    pairs, record = grid.drawn(candidates, seed), before(known)
+    pairs = grid.drawn(candidates, seed)
+    record = before(known)
     old = [
         predict(model, candidates.gains(pair), known.balls, record).predicts_stability()
         for pair in pairs

@@ -97,8 +97,11 @@ def tracked(
     controller takes it.
     """
     kp, kv = gains
-    q, v, before = float(reference[0]), 0.0, float(reference[0])
-    volt, position = np.empty(len(reference)), np.empty(len(reference))
+    q = float(reference[0])
+    v = 0.0
+    before = float(reference[0])
+    volt = np.empty(len(reference))
+    position = np.empty(len(reference))
     for k, (target, added) in enumerate(zip(reference.tolist(), disturbance.tolist(), strict=True)):
         position[k] = q
         volt[k] = kv * (kp * (target - q) - (q - before) / step_s) + added

@@ -59,7 +59,8 @@ class Rehearsal(RecordedSource):
 
     def build(self, seed: int) -> DataSet:
         data = self._closed().build(seed)
-        fine, recording = self._record(), self.experiments.training[0]
+        fine = self._record()
+        recording = self.experiments.training[0]
         servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, self.force_per_volt)
         test = tuple(
             self._rehearsed(servo, fine, recording.decimate, k) for k in range(self.rehearsals)
@@ -80,7 +81,8 @@ class Rehearsal(RecordedSource):
         ).read()
 
     def _rehearsed(self, servo: Servo, fine: Trajectory, every: int, k: int) -> Trajectory:
-        reference, rng = self._record(output=self.reference).y[:, 0], np.random.default_rng(k)
+        reference = self._record(output=self.reference).y[:, 0]
+        rng = np.random.default_rng(k)
         disturbance = self._pulses(np.abs(fine.u).max(), len(fine), fine.step_s, rng)
         volt, position = tracked(servo, reference, disturbance, (self.kp, self.kv), fine.step_s)
         u, y = decimated(volt[:, None], position[:, None], every)
@@ -89,7 +91,8 @@ class Rehearsal(RecordedSource):
     def _pulses(
         self, largest: float, samples: int, step_s: float, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
-        disturbance, width = np.zeros(samples), max(round(self.pulse_s / step_s), 1)
+        disturbance = np.zeros(samples)
+        width = max(round(self.pulse_s / step_s), 1)
         for start in rng.integers(0, samples - width, size=self.pulses):
             disturbance[start : start + width] += rng.uniform(-largest, largest)
         return disturbance

@@ -224,7 +224,8 @@ class Model:
             lines["states"] = self.simulator.order
             lines["neurons"] = facts.get("neurons", 0)
             lines["slowest pole"] = f"{slowest:.4f} per sample"
-            lower, upper = facts.get("input_slope_lower"), facts.get("input_slope_upper")
+            lower = facts.get("input_slope_lower")
+            upper = facts.get("input_slope_upper")
             if lower is not None and upper is not None:
                 lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
             lines["evidence"] = self.evidence.level

@@ -76,15 +76,20 @@ def _peak(system: StateSpace) -> float:
 def _bilinear(system: StateSpace) -> StateSpace:
     """The continuous-time system with the same norm: `z = (1 + s) / (1 - s)`, so `w = tan(angle /
     2)`."""
-    one, root2 = np.eye(system.order), np.sqrt(2)
+    one = np.eye(system.order)
+    root2 = np.sqrt(2)
     shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
-    a, d = shifted @ (system.a - one), system.d - system.c @ shifted @ system.b
+    a = shifted @ (system.a - one)
+    d = system.d - system.c @ shifted @ system.b
     return StateSpace(a=a, b=root2 * shifted @ system.b, c=root2 * system.c @ shifted, d=d)
 
 
 def _crossings(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
     """Frequencies at which some singular value equals `gamma`, ascending, both signs."""
-    a, b, c, d = system.a, system.b, system.c, system.d
+    a = system.a
+    b = system.b
+    c = system.c
+    d = system.d
     r = gamma**2 * np.eye(d.shape[1]) - d.T @ d
     s = gamma**2 * np.eye(len(d)) - d @ d.T
     f = a + b @ np.linalg.solve(r, d.T @ c)  # the first block of gamma's Hamiltonian matrix

@@ -40,9 +40,11 @@ def gramian(
         )
         w = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     else:
-        w, power = np.zeros_like(a), b
+        w = np.zeros_like(a)
+        power = b
         for _ in range(horizon):
-            w, power = w + power @ power.T, a @ power
+            w = w + power @ power.T
+            power = a @ power
     return (w + w.T) / 2
 
 
@@ -70,7 +72,8 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     require(1 <= order <= linear.order, "truncate_to", order, problem, "choose 1 .. order")
     root_c, root_o = _roots(linear)
     left, hankel, right_t = np.linalg.svd(root_o.T @ root_c)  # R_o^T R_c = U Sigma V^T
-    well, least = hankel > BALANCING_FLOOR * hankel[0], float(hankel[order - 1])
+    well = hankel > BALANCING_FLOOR * hankel[0]
+    least = float(hankel[order - 1])
     problem = f"below {BALANCING_FLOOR:g} of the largest ({hankel[0]:.3g}), so balanced coordinates are ill-conditioned"
     require(
         well[order - 1],
@@ -123,10 +126,8 @@ def local_property(
     and `mu_y > 0`.
     """
     values = np.linalg.eigvalsh(gramian(a, b, len(a)))
-    mu, nu = (
-        abs(ball.alpha) - ball.beta,
-        abs(ball.alpha) + ball.beta,
-    )  # least and largest gain of a Jacobian
+    mu = abs(ball.alpha) - ball.beta
+    nu = abs(ball.alpha) + ball.beta  # least and largest gain of a Jacobian
     # Popov-Belevitch-Hautus: a mode lambda is out of reach iff [A - lambda I, B] loses rank.
     tests = [np.hstack([a - mode * np.eye(len(a)), b]) for mode in np.linalg.eigvals(a)]
     distance = min(float(np.linalg.svd(test, compute_uv=False)[-1]) for test in tests)

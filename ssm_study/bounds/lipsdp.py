@@ -83,7 +83,8 @@ def _radius(
 ) -> float:
     """The least L for these multipliers and this centre: the Schur complement onto v of all else.
     Infinite if none."""
-    m, largest = network.inputs, max(float(t.max(initial=0.0)) for t in multipliers)
+    m = network.inputs
+    largest = max(float(t.max(initial=0.0)) for t in multipliers)
     kept = [
         np.maximum(t, 0) + 1e-9 * largest for t in multipliers
     ]  # strictly positive, so the block is invertible
@@ -115,8 +116,10 @@ def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
         low, high = np.sort(
             np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0
         )
-        d, q = _select(network, layer + 1), network.weights[layer] @ _select(network, layer)
-        left, right = d - low[:, None] * q, high[:, None] * q - d
+        d = _select(network, layer + 1)
+        q = network.weights[layer] @ _select(network, layer)
+        left = d - low[:, None] * q
+        right = high[:, None] * q - d
         scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right
         total = total - (left.T @ scaled + scaled.T @ left)
     return total

@@ -72,7 +72,8 @@ class Network:
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
         """`W_{L+1} Phi_L W_L ... Phi_1 W_1` with the slopes active at `v`."""
-        d, product = v, np.eye(self.inputs)
+        d = v
+        product = np.eye(self.inputs)
         for w, b, low, high in self.hidden():
             z = w @ d + b
             product = np.where(z >= 0, high, low)[:, None] * (
@@ -111,12 +112,15 @@ class PortableMap:
 
     def as_network(self) -> Network:
         """The same map as one network: `linear v` passes through neurons of slope one."""
-        inputs, through = self.linear.shape[1], np.eye(self.linear.shape[1])
-        zero, one = np.zeros(inputs), np.ones(inputs)
+        inputs = self.linear.shape[1]
+        through = np.eye(self.linear.shape[1])
+        zero = np.zeros(inputs)
+        one = np.ones(inputs)
         if self.network is None:
             slopes = {"negative_slopes": (one,), "positive_slopes": (one,)}
             return Network(weights=(through, self.linear), biases=(zero,), **slopes)
-        net, added = self.network, [through] * len(self.network.biases)
+        net = self.network
+        added = [through] * len(self.network.biases)
         inner = (
             scipy.linalg.block_diag(w, i) for w, i in zip(net.weights[1:-1], added[1:], strict=True)
         )
@@ -206,10 +210,12 @@ def _integers(matrix: Float[np.ndarray, "..."]) -> Exact:  # matrix = integers /
 def _through(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
     """Split one affine piece at the zeros of the layer's pre-activations, and apply the active
     slopes on each part."""
-    affine, one = weights[1] + piece.bits, 1 << biases[1]
+    affine = weights[1] + piece.bits
+    one = 1 << biases[1]
     bits = affine + biases[1]  # of the pre-activations, in which the biases are integers too
     at_zero = biases[0] * (1 << affine)
-    slope, offset = weights[0] @ piece.slope * one, weights[0] @ piece.offset * one + at_zero
+    slope = weights[0] @ piece.slope * one
+    offset = weights[0] @ piece.offset * one + at_zero
     zeros = {Fraction(-o, s) for s, o in zip(slope, offset, strict=True) if s != 0}
     edges = [piece.low, *sorted(t for t in zeros if piece.low < t < piece.high), piece.high]
     negative, positive = slopes[0]
@@ -267,11 +273,13 @@ def inverse_of(portable: PortableMap) -> Inverse | None:
 
 def _channels(portable: PortableMap) -> list[PortableMap]:
     """One scalar map per channel; none if a neuron sees or moves two of them."""
-    net, gains = portable.network, np.diagonal(portable.linear)
+    net = portable.network
+    gains = np.diagonal(portable.linear)
     if portable.linear.shape == (1, 1):
         return [portable]
     assert net is not None
-    inner, outer = net.weights[0], net.weights[-1]
+    inner = net.weights[0]
+    outer = net.weights[-1]
     diagonal = np.array_equal(portable.linear, np.diag(gains))
     apart = ((inner != 0).sum(axis=1) <= 1).all() and not np.any(
         (outer.T != 0) & (inner == 0)

@@ -26,13 +26,13 @@ class Reduction:
     def __post_init__(self) -> None:
         order = self.truncate_to
         at_least(1, "reduction.truncate_to", order, "one state must stay")
-        share, remedy = self.drop_below, "1e-6 changes the output by about one part in a million"
-        inside, problem = BALANCING_FLOOR <= share < 1, f"must lie in [{BALANCING_FLOOR:g}, 1)"
+        share = self.drop_below
+        remedy = "1e-6 changes the output by about one part in a million"
+        inside = BALANCING_FLOOR <= share < 1
+        problem = f"must lie in [{BALANCING_FLOOR:g}, 1)"
         require(inside, "reduction.drop_below", share, problem, remedy)
-        problem, remedy = (
-            "truncation happens in balanced coordinates",
-            "set it true, or reduction.truncate_to=null",
-        )
+        problem = "truncation happens in balanced coordinates"
+        remedy = "set it true, or reduction.truncate_to=null"
         require(
             self.balanced or order is None, "reduction.balanced", self.balanced, problem, remedy
         )
@@ -45,10 +45,8 @@ class Reduction:
         (`BadRequest`).
         """
         if not hasattr(model, "with_linear"):
-            problem, remedy = (
-                "balanced truncation is of linear recurrences",
-                "use reduction.truncate_to=null",
-            )
+            problem = "balanced truncation is of linear recurrences"
+            remedy = "use reduction.truncate_to=null"
             require(
                 self.truncate_to is None, "reduction.truncate_to", self.truncate_to, problem, remedy
             )

@@ -34,7 +34,9 @@ class SlopeBound:
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
     """Both ends rounded outwards to floats; the ball encloses the rational interval, not its
     rounded picture."""
-    least, most, ball = _rounded_down(lower), -_rounded_down(-upper), enclosing_ball(lower, upper)
+    least = _rounded_down(lower)
+    most = -_rounded_down(-upper)
+    ball = enclosing_ball(lower, upper)
     return SlopeBound(lower=least, upper=most, ball=ball, method=method)
 
 
@@ -107,29 +109,23 @@ def interval_bound(network: Network) -> SlopeBound:
     Refuses a network
     that is not square. Source: Moore 1966 (interval arithmetic).
     """
-    shape, problem = (
-        (network.outputs, network.inputs),
-        "a ball around alpha I needs as many outputs as inputs",
-    )
+    shape = (network.outputs, network.inputs)
+    problem = "a ball around alpha I needs as many outputs as inputs"
     require(shape[0] == shape[1], "scaffold", shape, problem, "use a square scaffolding")
-    centre, size = (
-        np.eye(network.inputs),
-        np.eye(network.inputs),
-    )  # size: what rounding errors are a share of
+    centre = np.eye(network.inputs)
+    size = np.eye(network.inputs)  # size: what rounding errors are a share of
     radius = np.zeros_like(centre)
     for weight, _, negative, positive in network.hidden():
-        centre, radius, size = weight @ centre, np.abs(weight) @ radius, np.abs(weight) @ size
-        middle, half = (
-            ((positive + negative) / 2)[:, None],
-            (np.abs(positive - negative) / 2)[:, None],
-        )
+        centre = weight @ centre
+        radius = np.abs(weight) @ radius
+        size = np.abs(weight) @ size
+        middle = ((positive + negative) / 2)[:, None]
+        half = (np.abs(positive - negative) / 2)[:, None]
         radius = np.abs(middle) * radius + half * (
             np.abs(centre) + radius
         )  # interval product, entry by entry
-        centre, size = (
-            middle * centre,
-            np.maximum(np.abs(positive), np.abs(negative))[:, None] * size,
-        )
+        centre = middle * centre
+        size = np.maximum(np.abs(positive), np.abs(negative))[:, None] * size
     last = network.weights[-1]
     radius = np.abs(last) @ radius + ROUNDING_SHARE * (np.abs(last) @ size)
     return bound_from_ball(
@@ -148,10 +144,12 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
     lower = upper = 1.0
     for weight in network.weights:
         values = np.linalg.svd(weight, compute_uv=False)
-        lower, upper = lower * float(values[-1]), upper * float(values[0])
+        lower = lower * float(values[-1])
+        upper = upper * float(values[0])
     for _, _, *both in network.hidden():
         slopes = np.abs(np.concatenate(both))
-        lower, upper = lower * float(slopes.min()), upper * float(slopes.max())
+        lower = lower * float(slopes.min())
+        upper = upper * float(slopes.max())
     return lower, upper
 
 

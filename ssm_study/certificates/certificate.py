@@ -168,7 +168,8 @@ class OfProblem(Side, abstract=True):
         neurons = (
             Neurons(e=of["e"], f=of["f"], g=of["g"], observes=self.observes) if "e" in of else None
         )
-        ball, one = JacobianBall(alpha=self.alpha, beta=self.beta), np.eye(len(self.a))
+        ball = JacobianBall(alpha=self.alpha, beta=self.beta)
+        one = np.eye(len(self.a))
         data = {"a": of["a"], "b": of["b"], "ball": ball, "rate": self.rate, "neurons": neurons}
         found = {"p": of["p"], "y": of["y"], "k": of["k"], "k_w": of.get("k_w"), "status": ""}
         sigma = of["eta" if self.observes else "sigma"]
@@ -278,7 +279,8 @@ class Design:
     def pair(self) -> Gains:
         """The gains of both sides; `BadRequest` as of `parts`."""
         feedback, observer = self.parts()
-        n, l_z = len(observer.l), getattr(observer, "l_z", None)
+        n = len(observer.l)
+        l_z = getattr(observer, "l_z", None)
         internal = feedback.a[n:, n:] if len(feedback.a) > n else None
         return Gains(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
 
@@ -378,7 +380,8 @@ def _read(label: str, content: dict[str, Any]) -> Any:
         str, tuple[int, str]
     ] = {}  # of each letter of a shape, and the field that has it first
     for name, matrix in read.items():
-        letters, shape = getattr(types[name].type, "dim_str", "").split(), np.shape(matrix)
+        letters = getattr(types[name].type, "dim_str", "").split()
+        shape = np.shape(matrix)
         for letter, size in zip(letters, shape, strict=True):
             known, first = sizes.setdefault(letter, (size, name))
             problem = f"is to be {' by '.join(letters)}, and {letter} is {known} in {first}"

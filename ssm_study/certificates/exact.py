@@ -124,10 +124,12 @@ def is_positive_definite(matrix: Exact) -> bool:
 def _definite(
     matrix: arb_mat,
 ) -> bool | None:  # What these balls prove; None where one of them leaves it open
-    rows, half = matrix.tolist(), matrix.nrows() // 2
+    rows = matrix.tolist()
+    half = matrix.nrows() // 2
     if not half:
         return True if rows[0][0] > 0 else False if rows[0][0] <= 0 else None
-    first, rest = slice(half), slice(half, None)
+    first = slice(half)
+    rest = slice(half, None)
     a, b, c = (
         arb_mat([row[s] for row in rows[r]])
         for r, s in ((first, first), (first, rest), (rest, rest))

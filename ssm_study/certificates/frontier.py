@@ -85,7 +85,8 @@ def frontier(
     product = _product_limit(moduli, ball.relative_radius)
     if unreached >= product:
         return Frontier(contraction_limit=unreached, decided_by="a mode out of reach")
-    high, least = product, _product_limit(moduli, ball.relative_radius ** b.shape[1])
+    high = product
+    least = _product_limit(moduli, ball.relative_radius ** b.shape[1])
     low = max(unreached, least, np.finfo(float).tiny)
     while (
         low < (middle := float(np.sqrt(low * high))) < high

@@ -45,7 +45,8 @@ class Neurons:
     def units(self) -> Float[np.ndarray, "q"]:
         """Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ
         by many decades."""
-        into, seen = np.linalg.norm(self.e, axis=0), np.linalg.norm(self.f, axis=1)
+        into = np.linalg.norm(self.e, axis=0)
+        seen = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
         return np.exp2(np.round(np.log2(ratio) / 2))
 

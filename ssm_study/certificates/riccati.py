@@ -51,7 +51,8 @@ def doubled(a: Square, g: Square, q: Square) -> Square | None:
     quadratically. A few matrix
     products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004, Algorithm 2.1.
     """
-    n, h = len(a), q
+    n = len(a)
+    h = q
     for _ in range(MOST_STEPS):
         with np.errstate(over="ignore", invalid="ignore"):
             try:
@@ -85,7 +86,8 @@ def least_metric(
     Raises `NoSolution` if
     floats find none.
     """
-    b, k = left @ problem.b / contraction, k @ right
+    b = left @ problem.b / contraction
+    k = k @ right
     a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
     noise = b @ b.T + slack * np.eye(len(b))
     p = doubled(np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise)

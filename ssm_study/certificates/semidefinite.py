@@ -69,16 +69,20 @@ def largest_mismatch(
         right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z])
     )
     one = np.eye(width)
-    state, disturbed, known, neurons = (
-        one[:order],
-        one[order : order + m],
-        one[order + m : enter],
-        one[enter:],
-    )
-    step, met = np.linalg.solve(right, loop @ scale), (seen @ scale[:enter]) / z[:, None]
-    drawn, read = beta / moved * into_u @ scale[:order], into_w @ scale[:order] / w
-    p, weights = cp.Variable((order, order), symmetric=True), cp.Variable(len(z))
-    lambda_p, mu, t, given = cp.Variable(), cp.Variable(), cp.Variable(), cp.Parameter()
+    state = one[:order]
+    disturbed = one[order : order + m]
+    known = one[order + m : enter]
+    neurons = one[enter:]
+    step = np.linalg.solve(right, loop @ scale)
+    met = (seen @ scale[:enter]) / z[:, None]
+    drawn = beta / moved * into_u @ scale[:order]
+    read = into_w @ scale[:order] / w
+    p = cp.Variable((order, order), symmetric=True)
+    weights = cp.Variable(len(z))
+    lambda_p = cp.Variable()
+    mu = cp.Variable()
+    t = cp.Variable()
+    given = cp.Parameter()
 
     def room(mu: Any) -> cp.Expression:
         sectors = neurons.T @ cp.diag(weights) @ (neurons - met)
@@ -92,7 +96,8 @@ def largest_mismatch(
     solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
     if not float(np.asarray(mu.value)) > 0:  # below zero the mismatch would have to help
         raise NoSolution("the loop is not proved to rest without any mismatch")
-    deepest, left = cp.Problem(cp.Maximize(t), [room(given) >> t * one]), np.linalg.inv(right)
+    deepest = cp.Problem(cp.Maximize(t), [room(given) >> t * one])
+    left = np.linalg.inv(right)
     for share in INSIDE_LARGEST:
         given.value = np.asarray(mu.value) * (1 - share) ** 2
         solved(deepest, "CLARABEL")

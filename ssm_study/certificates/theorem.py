@@ -245,7 +245,8 @@ class Theorem(ABC):
         """
         if isinstance(known.system, StructuredSystem) != hasattr(self, "e"):
             return [f": {UNFIT}"]
-        given, stored = self.model_data(known), vars(self)
+        given = self.model_data(known)
+        stored = vars(self)
         try:
             conditions = self.exactly(**self.variables)
             fits = all(np.shape(stored[name]) == np.shape(value) for name, value in given.items())

@@ -18,12 +18,15 @@ ASK = "see `ssm-study run --help`"
 def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
     """The refusal of `overrides` over the configuration in `folder` that Hydra answered with
     `error`."""
-    asked, said = " ".join(overrides) or "(no override)", one_sentence(error)
+    asked = " ".join(overrides) or "(no override)"
+    said = one_sentence(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
         remedy = "write KEY=VALUE, in a sweep KEY=VALUE,VALUE, and close what you open"
         return BadRequest("request", asked, f"{error.override} cannot be read", remedy)
     if found := re.search(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)", said):
-        group, name, choices = found[1], found[2], found[3].split()
+        group = found[1]
+        name = found[2]
+        choices = found[3].split()
         near = get_close_matches(name, choices, n=1)
         remedy = (
             f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
@@ -135,7 +138,8 @@ def places(group: str, said: str, folder: Path) -> list[str]:
 def choices_with(key: str, folder: Path) -> list[str]:
     """`data.path` -> `[data=recorded]`: the choices of a group, not taken here, that have the
     key."""
-    parts, found = key.split("."), []
+    parts = key.split(".")
+    found = []
     for cut in range(1, len(parts)):
         rest = ".".join(parts[cut:])
         for path in sorted(folder.joinpath(*parts[:cut]).glob("*.yaml")):

@@ -16,7 +16,9 @@ from ssm_study import __version__, limit_threads
 from ssm_study.extensions import taken_from
 from ssm_study.refusal import BadRequest, at_least, require
 
-DONE, SOME_FAILED, WRONG_REQUEST = 0, 1, 2
+DONE = 0
+SOME_FAILED = 1
+WRONG_REQUEST = 2
 Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
@@ -72,10 +74,8 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
 def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
     """The sentence for a disk that is full or a folder that is not ours; `field` names what was
     asked."""
-    problem, remedy = (
-        error.strerror or type(error).__name__,
-        "make room, or choose a folder that you may write to",
-    )
+    problem = error.strerror or type(error).__name__
+    remedy = "make room, or choose a folder that you may write to"
     return BadRequest(field, error.filename or otherwise, problem, remedy)
 
 

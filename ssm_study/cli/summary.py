@@ -24,7 +24,8 @@ WIDTH = 80  # of the outcome, where a terminal is not narrower
 def conclude_run(config: DictConfig) -> bool:
     """Gather the study, draw the run's figures and print how it went; True if the run failed, or,
     with `strict`, cannot be judged."""
-    study, console = study_folder(config), Console()
+    study = study_folder(config)
+    console = Console()
     record = read_record(study / str(config.run)) or {}
     width = min(WIDTH, console.width) if console.is_terminal else WIDTH
     # A baseline closes no loop.
@@ -32,10 +33,8 @@ def conclude_run(config: DictConfig) -> bool:
     figures = [study / "figures" / f"{name}.{kind}" for name in drawn for kind in ("png", "pdf")]
     # What was told of a study that has not changed is told again: reading it takes pandas, half a
     # second to import.
-    told, about = (
-        study / ".told" / f"{config.run}.json",
-        [__version__, str(Path.cwd()), str(study), width],
-    )
+    told = study / ".told" / f"{config.run}.json"
+    about = [__version__, str(Path.cwd()), str(study), width]
     known = _told(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
     if known[:-1] != about or record.get("status") != OK:
         known = [*about, _outcome(study, record, drawn, figures, width)]

@@ -6,7 +6,8 @@ import pytest
 from ssm_study.conformance import choices, part
 from ssm_study.plants.plant import Plant
 
-SAMPLES, HALF = 30, 15
+SAMPLES = 30
+HALF = 15
 
 
 @pytest.fixture(params=choices("plant"))
@@ -59,7 +60,8 @@ def test_states_at_reads_back(plant: Plant) -> None:
 def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:
     changed = (u := inputs(plant, 1)).copy()
     changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
-    y, y_changed = plant.simulate(u)[1], plant.simulate(changed)[1]
+    y = plant.simulate(u)[1]
+    y_changed = plant.simulate(changed)[1]
     np.testing.assert_array_equal(y[:, : HALF + 1], y_changed[:, : HALF + 1])
     assert not np.array_equal(y[:, HALF + 1 :], y_changed[:, HALF + 1 :])
 

@@ -56,10 +56,8 @@ def assemble(
         named[part] = tuple(
             replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)
         )
-    training, window = (
-        named["training"],
-        f"no longer than the start-up window of {start_up_samples} samples",
-    )
+    training = named["training"]
+    window = f"no longer than the start-up window of {start_up_samples} samples"
     step_s = training[0].step_s
     for record in (record for records in named.values() for record in records):
         remedy = "use a longer record or a smaller data.start_up_samples"

@@ -215,7 +215,8 @@ def on_even_clock(
     clock, and for a log of which nothing is left.
     """
     known = np.isfinite(time_s)
-    time_s, values = time_s[known], values[known]
+    time_s = time_s[known]
+    values = values[known]
     at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     if step_s is not None and (np.diff(time_s) == 0).any():
         return rounded_clock(time_s, values, step_s, where)

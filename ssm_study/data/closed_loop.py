@@ -39,7 +39,8 @@ def from_set_points(
     )
     at_rest = (np.repeat(r[:1], LAGS, axis=0) for r in references)  # before each log
     past = [lagged(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)]
-    x, u = np.concatenate(past), np.concatenate([log.u for log in logs])
+    x = np.concatenate(past)
+    u = np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
     share = float(
         ((x @ filtered - u.mean(axis=0)) ** 2).sum()
@@ -59,7 +60,9 @@ def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
     hides e.
     """
-    field, shape, u = "data.controller", (log.u.shape[1], log.y.shape[1]), log.u[:, 0]
+    field = "data.controller"
+    shape = (log.u.shape[1], log.y.shape[1])
+    u = log.u[:, 0]
     require(
         shape == (1, 1),
         field,
@@ -76,7 +79,8 @@ def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
         problem,
         "log the set point, and name it data.reference",
     )
-    asked, c = (u - u[0]) / gain, log.step_s / integral_s
+    asked = (u - u[0]) / gain
+    c = log.step_s / integral_s
     e = asked - scipy.signal.lfilter(
         [0.0, c], [1.0, c - 1.0], asked
     )  # i from asked: i+ = (1 - c) i + c asked

@@ -41,7 +41,8 @@ METADATA_NAME = "ssm-study"
 NANOSECONDS = 1_000_000_000
 LARGEST = 2**28  # bytes of a recording, unpacked: what a reader may ask of the memory
 Names = tuple[str, ...]  # of a field: its own, after that of the message it is in
-DOUBLE, WITHIN = 1, 2  # the wire types of eight bytes and of a message within
+DOUBLE = 1
+WITHIN = 2  # the wire types of eight bytes and of a message within
 # What the MCAP, compression and protobuf libraries were seen to raise on damaged files.
 DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error, ValueError, EOFError, RuntimeError,
           KeyError, TypeError, OverflowError, MemoryError)  # fmt: skip
@@ -69,7 +70,8 @@ class SignalGroup:
         for name in names:
             good = name.isidentifier() and name.isascii() and names.count(name) == 1
             require(good, f"{self.topic} (channel)", name, problem, "rename it")
-        times, problem = self.time_s, "times must be finite, increasing and not negative"
+        times = self.time_s
+        problem = "times must be finite, increasing and not negative"
         clock = np.isfinite(times).all() and (np.diff(times) > 0).all() and (times >= 0).all()
         require(bool(clock), f"{self.topic} (time_s)", times, problem, "use the sampling clock")
 
@@ -151,22 +153,23 @@ def _open_channel(
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{message}.proto", package="ssm_study", syntax="proto3"
     )
-    whole, kind = file.message_type.add(name=message), descriptor_pb2.FieldDescriptorProto
+    whole = file.message_type.add(name=message)
+    kind = descriptor_pb2.FieldDescriptorProto
     about = {}
     for number, part in enumerate(parts, start=1):
-        fields, prefix = whole.field, "unit."
+        fields = whole.field
+        prefix = "unit."
         if part.topic != topic:
-            name, inner = (
-                part.topic.rpartition("/")[2],
-                f"Part{number}",
-            )  # protobufjs: no type is called like a field
+            name = part.topic.rpartition("/")[2]
+            inner = f"Part{number}"  # protobufjs: no type is called like a field
             of = {
                 "number": number,
                 "type": kind.TYPE_MESSAGE,
                 "type_name": f".ssm_study.{message}.{inner}",
             }
             whole.field.add(name=name, label=kind.LABEL_OPTIONAL, **of)
-            fields, prefix = whole.nested_type.add(name=inner).field, f"unit.{name}."
+            fields = whole.nested_type.add(name=inner).field
+            prefix = f"unit.{name}."
         for order, channel in enumerate(part.channels, start=1):
             fields.add(
                 name=channel.name, number=order, type=kind.TYPE_DOUBLE, label=kind.LABEL_OPTIONAL
@@ -182,7 +185,8 @@ def _open_channel(
 def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
     """A message of zeros, each double behind its tag, and where the bytes of the doubles lie: of a
     fixed size."""
-    message, at = b"", list[int]()
+    message = b""
+    at = list[int]()
     for number, channels in enumerate(counts, start=1):
         tags = [TagBytes(order, DOUBLE) for order in range(1, channels + 1)]
         if nested:
@@ -200,7 +204,8 @@ def _encoded(parts: list[SignalGroup]) -> list[bytes]:
     message, at = _layout([len(part.channels) for part in parts], nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
     rows[:, at] = np.ascontiguousarray(values, dtype="<f8").view(np.uint8)
-    whole, size = rows.tobytes(), len(message)
+    whole = rows.tobytes()
+    size = len(message)
     return [whole[k : k + size] for k in range(0, len(whole), size)]
 
 
@@ -233,10 +238,8 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     own = [record.metadata for record in found[records.Metadata] if record.name == METADATA_NAME]
     metadata = {key: value for one in own for key, value in one.items()}
     require(found[records.DataEnd], "path", path, "the data section has no end", "record it again")
-    counted, promised = (
-        len(found[records.Message]),
-        {one.message_count for one in found[records.Statistics]},
-    )
+    counted = len(found[records.Message])
+    promised = {one.message_count for one in found[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
     read = (
@@ -345,7 +348,8 @@ def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.nd
     ]
     for k, message in enumerate(messages):
         for name in names:
-            value, problem = message.get(name), f"no number in message {k}"
+            value = message.get(name)
+            problem = f"no number in message {k}"
             require(isinstance(value, Real), ".".join(name), value, problem, "log a number")
     return names, np.array([[float(m[name]) for name in names] for m in messages]).reshape(
         len(messages), len(names)

@@ -55,7 +55,8 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
         f"there are {len(data.test)} test records",
         "score all",
     )
-    pairs, score = list(zip(data.test, y_hat, strict=True)), data.metadata.get("score", "rmse")
+    pairs = list(zip(data.test, y_hat, strict=True))
+    score = data.metadata.get("score", "rmse")
     if score == "position_mm":
         return tuple(position_rmse_mm(r, y, data.start_up_samples) for r, y in pairs)
     factor = 1.0 if score == "rmse" else 1000.0
@@ -91,7 +92,8 @@ def input_coverage(data: DataSet) -> float:
     """
     training = np.concatenate([r.u for r in data.training])
     everything = np.concatenate([r.u for r in (*data.training, *data.validation, *data.test)])
-    low, width = everything.min(axis=0), np.ptp(everything, axis=0)
+    low = everything.min(axis=0)
+    width = np.ptp(everything, axis=0)
     if not width.all():
         return 0.0
     bins = np.minimum((BINS * (training - low) / width).astype(int), BINS - 1)
@@ -123,7 +125,8 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
     the first 2000 samples.
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
-    order, too_deep = 0, min(HIGHEST_ORDER, (len(u) + 1) // (u.shape[1] + 1)) + 1
+    order = 0
+    too_deep = min(HIGHEST_ORDER, (len(u) + 1) // (u.shape[1] + 1)) + 1
     while too_deep - order > 1:  # the ranks are nested, so halving finds the last full one
         middle = (order + too_deep) // 2
         columns = len(u) - middle + 1

@@ -78,10 +78,8 @@ class AroundRest(RecordedSource):
             ("output", "y", self.output_equilibrium),
         ):
             mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            fits, problem = (
-                given is None or len(given) == len(mean),
-                f"there are {len(mean)} channels",
-            )
+            fits = given is None or len(given) == len(mean)
+            problem = f"there are {len(mean)} channels"
             require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
@@ -123,22 +121,19 @@ class RecordedData(Columns, AroundRest):
         both = "data.validation_fraction, data.test_fraction"
         require(total < 1, both, total, "nothing is left to train on", "cut less")
         one_of(("auto", "time", "blocks"), "data.split", self.split)
-        named, tested = (
-            (self.validation, self.test),
-            self.test is not None or self.test_path is not None,
-        )
+        named = (self.validation, self.test)
+        tested = self.test is not None or self.test_path is not None
         whole = (self.validation is None and self.test is None) or (
             self.validation is not None and tested
         )
         remedy = "name intervals for data.validation and data.test"
         require(whole, "data.validation, data.test", named, "one is missing", remedy)
         free = self.fold is None or (self.split == "auto" and named == (None, None) and not tested)
-        problem, remedy = (
-            "the parts are named too",
-            "leave out data.split, validation, test and test_path",
-        )
+        problem = "the parts are named too"
+        remedy = "leave out data.split, validation, test and test_path"
         require(free, "data.fold", self.fold, problem, remedy)
-        problem, remedy = "one is enough", "name the set point alone"
+        problem = "one is enough"
+        remedy = "name the set point alone"
         known = self.reference is not None and self.controller is not None
         require(
             not known,
@@ -227,7 +222,8 @@ class RecordedData(Columns, AroundRest):
             return files
         (first,), (second,) = files
         settings = self.text_settings
-        inputs, measured = listed(self.input), listed(self.output)
+        inputs = listed(self.input)
+        measured = listed(self.output)
         alone = has_columns(first, measured, settings) or not has_columns(first, inputs, settings)
         apart = not alone and has_columns(second, measured, settings)
         return [(first, second)] if apart else files

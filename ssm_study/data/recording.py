@@ -172,10 +172,8 @@ class Columns:
         time_s, values, remarks = self._read(path, output_path)
         if time_s is None:
             if self.step_s is None:
-                problem, remedy = (
-                    "the sampling time is unknown",
-                    "give it, or name the column data.time",
-                )
+                problem = "the sampling time is unknown"
+                remedy = "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
             rows = EvenRows(values=[values], starts=[0], step_s=self.step_s, remarks=[])
             pieces = without_missing(rows)
@@ -210,7 +208,8 @@ class Columns:
             np.stack([logs[file].table.columns[name] for name in names], axis=1)
             for file, names, _ in sides
         )
-        problem, remedy = f"has {len(y)} rows, {path.name} {len(u)}", "cut them alike"
+        problem = f"has {len(y)} rows, {path.name} {len(u)}"
+        remedy = "cut them alike"
         require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
         times = [log.time_s for log in logs.values() if log.time_s is not None]
         if len(logs) > 1 and times:
@@ -391,7 +390,8 @@ def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Chann
     columns = listed(names)
     stated = listed(units)
     stated = ("",) * len(columns) if stated == ("",) else stated
-    problem, remedy = f"there are {len(columns)} columns", "give one unit per column"
+    problem = f"there are {len(columns)} columns"
+    remedy = "give one unit per column"
     require(len(stated) == len(columns), f"data.{side}_unit", units, problem, remedy)
     plain = [plain_name(column) for column in columns]
     twice = next((name for name in plain if plain.count(name) > 1), "")

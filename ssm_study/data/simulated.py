@@ -80,11 +80,14 @@ class SimulatedData:
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
         """The data set of this plant under this excitation; equal seeds give equal numbers."""
-        rng, own = np.random.default_rng(seed), np.array(plant.noise_variance)
+        rng = np.random.default_rng(seed)
+        own = np.array(plant.noise_variance)
         deviation = np.sqrt(
             own if self.noise_variance is None else np.full_like(own, self.noise_variance)
         )
-        amplitude, clock_s, rest = plant.input_amplitude, plant.input_clock_s, plant.equilibrium()
+        amplitude = plant.input_amplitude
+        clock_s = plant.input_clock_s
+        rest = plant.equilibrium()
 
         def records(
             exciting: Excitation, count: int, samples: int, noisy: bool = True
@@ -110,7 +113,8 @@ class SimulatedData:
         told |= (
             {"mismatch_records": mismatch_records(plant, seed, deviation)} if self.trials else {}
         )
-        parts, channels = (training, validation, test), (plant.inputs, plant.outputs)
+        parts = (training, validation, test)
+        channels = (plant.inputs, plant.outputs)
         return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
 
@@ -123,7 +127,8 @@ def mismatch_records(
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
     """
-    rng, rest = np.random.default_rng([seed, 7]), plant.equilibrium()
+    rng = np.random.default_rng([seed, 7])
+    rest = plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)
     period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * amplitude

@@ -50,7 +50,8 @@ def over_pieces(
 
 def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
     """Contiguous pieces, in the order of time: training first."""
-    first, second = round(len(record) * (1 - validation - test)), round(len(record) * (1 - test))
+    first = round(len(record) * (1 - validation - test))
+    second = round(len(record) * (1 - test))
     return [record[:first]], [record[first:second]], [record[second:]]
 
 
@@ -140,7 +141,8 @@ def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
     moved = np.flatnonzero((record.u != record.u[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
         return []
-    least, ends = (len(record) - moved[-1]) / 2, [*[-1] * first, *moved.tolist(), len(record)]
+    least = (len(record) - moved[-1]) / 2
+    ends = [*[-1] * first, *moved.tolist(), len(record)]
     return [(max(a, 0), b) for a, b in pairwise(ends) if b - a > least]
 
 
@@ -158,6 +160,7 @@ def end_is_unlike(parts: Pieces) -> bool:
         return True
     trained = np.concatenate([record.y for record in parts[0]])
     tested = np.concatenate([record.y for record in parts[2]])
-    spread, other = trained.std(axis=0) + np.finfo(float).tiny, tested.std(axis=0)
+    spread = trained.std(axis=0) + np.finfo(float).tiny
+    other = tested.std(axis=0)
     moved = np.abs(tested.mean(axis=0) - trained.mean(axis=0)) > UNLIKE * spread
     return bool((moved | (other > 2 * spread) | (other < spread / 2)).any())

@@ -97,7 +97,8 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
             try:
                 return content.decode(encoding), encoding
             except UnicodeDecodeError as error:
-                problem, remedy = "has no readable text", "export it as UTF-8 CSV"
+                problem = "has no readable text"
+                remedy = "export it as UTF-8 CSV"
                 raise BadRequest("data.path", path, problem, remedy) from error
     is_text = b"\0" not in content
     problem = "contains NUL bytes, so it is no text"
@@ -197,14 +198,16 @@ def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
     separators = SEPARATORS if settings.mark is None else (settings.mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sampled(lines)
-    best, best_score = (",", "."), -1.0
+    best = (",", ".")
+    best_score = -1.0
     for separator in separators:
         for decimal in decimals:
             if separator == decimal:
                 continue
             score = table_score([split_cells(row, separator) for row in rows], decimal)
             if score > best_score + 1e-9:
-                best, best_score = (separator, decimal), score
+                best = (separator, decimal)
+                best_score = score
     return best
 
 

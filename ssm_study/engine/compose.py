@@ -87,10 +87,8 @@ class Command(Hydra):
     @cached_property
     def config(self) -> DictConfig:
         """Raises whatever Hydra raises for a request it cannot compose."""
-        mode, words = (
-            RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN,
-            list(self.asked.overrides),
-        )
+        mode = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN
+        words = list(self.asked.overrides)
         if not any(word.startswith("hydra.mode=") for word in words):
             words.append(f"hydra.mode={mode.name}")
         config = self.config_loader.load_configuration(self.name, words, run_mode=mode)
@@ -214,7 +212,9 @@ class Composer:
         self, loader: ConfigLoader, sweep: DictConfig, refuse: Callable[[DictConfig], None]
     ) -> None:
         assert isinstance(loader, ConfigLoaderImpl)
-        self.loader, self.sweep, self.refuse = loader, sweep, refuse
+        self.loader = loader
+        self.sweep = sweep
+        self.refuse = refuse
         self.parser = OverridesParser.create(config_loader=loader)
         # Every word, and whether it is a plain value.
         self.parsed: dict[str, tuple[Override, bool]] = {}
@@ -224,7 +224,8 @@ class Composer:
         """The whole configuration, Hydra's section included; the next one may be the same
         object."""
         chosen, values = self._split(overrides)
-        config, parsed = chosen.config, [self._parse(word)[0] for word in overrides]
+        config = chosen.config
+        parsed = [self._parse(word)[0] for word in overrides]
         ConfigLoaderImpl._apply_overrides_to_config(values, config)
         naming = config.hydra.job.config.override_dirname
         with open_dict(config):
@@ -288,7 +289,8 @@ class Composer:
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
     """`a.b=1`: no choice of a group, nothing added, deleted, interpolated or to be built, nothing
     of Hydra's own."""
-    path, value = str(override.key_or_group), override.value()
+    path = str(override.key_or_group)
+    value = override.value()
     single = value is None or (
         isinstance(value, bool | int | float | str) and "$" not in str(value)
     )

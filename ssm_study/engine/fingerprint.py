@@ -37,7 +37,9 @@ from ssm_study.renamed import present_module, present_symbol
 Symbol = tuple[
     str, str
 ]  # a dotted module and a name in it; `*` is all of it, and a library has no name in it
-WHOLE, LIBRARY, LOOSE = "*", "", ""
+WHOLE = "*"
+LIBRARY = ""
+LOOSE = ""
 OURS = __name__.split(".")[0]
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ssm-study" / "code"
 FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
@@ -99,7 +101,8 @@ class Code:
 
     def closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
         """Every symbol that the roots lead to; libraries are not followed."""
-        seen, waiting = set[Symbol](), {self._followed(symbol) for symbol in roots}
+        seen = set[Symbol]()
+        waiting = {self._followed(symbol) for symbol in roots}
         while waiting:
             symbol = waiting.pop()
             seen.add(symbol)
@@ -288,11 +291,10 @@ def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
 
 
 def _scanned(path: Path, module: str) -> Module:
-    tree, package = (
-        ast.parse(path.read_bytes()),
-        module if path.name == "__init__.py" else module.rpartition(".")[0],
-    )
-    bound, imported = defaultdict[str, list[ast.stmt]](list), defaultdict[str, list[Symbol]](list)
+    tree = ast.parse(path.read_bytes())
+    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
+    bound = defaultdict[str, list[ast.stmt]](list)
+    imported = defaultdict[str, list[Symbol]](list)
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = node.body[ast.get_docstring(node, clean=False) is not None :]

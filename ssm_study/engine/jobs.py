@@ -26,7 +26,8 @@ from ssm_study.engine.settings import Settings
 from ssm_study.engine.task import Task, folder_of
 from ssm_study.refusal import BadRequest
 
-LOG, LOG_TAIL = "run.log", 8000  # characters of it that a traceback shows
+LOG = "run.log"
+LOG_TAIL = 8000  # characters of it that a traceback shows
 OUT_OF_MEMORY_SCORE = 500  # when memory runs out the system stops a job, not the sweep
 GRACE_S = 2.0  # between asking a hanging job for its traceback and killing it
 HINTS = {
@@ -52,7 +53,8 @@ class Job:
     def returned(self, outcome: Outcome | None) -> JobReturn:
         """The outcome as Hydra wants it."""
         ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
-        ended.status, ended.return_value = JobStatus.COMPLETED, outcome
+        ended.status = JobStatus.COMPLETED
+        ended.return_value = outcome
         return ended
 
     def check(self, task: Task[Any]) -> None:
@@ -105,9 +107,11 @@ def run_in_this_process(
     # A copy without Hydra's section takes 10 ms.
     ended = JobReturn(overrides=config.hydra.overrides.task, cfg=config)
     try:
-        ended.return_value, ended.status = task.job(job.settings), JobStatus.COMPLETED
+        ended.return_value = task.job(job.settings)
+        ended.status = JobStatus.COMPLETED
     except Exception as error:  # whatever the task raises
-        ended.return_value, ended.status = error, JobStatus.FAILED
+        ended.return_value = error
+        ended.status = JobStatus.FAILED
         text = "".join(traceback.format_exception(error))
         print(text, file=sys.stderr)
         note_death(job.folder, error_facts(error, job.folder), text, os.getpid())

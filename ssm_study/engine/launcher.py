@@ -130,8 +130,10 @@ class Processes(Launcher):
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
         """Fork the jobs that are to do, a few at a time, and wait for the end of each."""
-        to_do, running = [job for job in jobs if job.outcome is None], list[Job]()
-        task, waiting = task_of(sweep.task_function), deque(enumerate(to_do))
+        to_do = [job for job in jobs if job.outcome is None]
+        running = list[Job]()
+        task = task_of(sweep.task_function)
+        waiting = deque(enumerate(to_do))
         works = [
             partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do
         ]
@@ -145,7 +147,8 @@ class Processes(Launcher):
                 while waiting and len(running) < self.at_once:
                     number, ready = waiting.popleft()
                     running.append(ready)
-                    ready.process, ready.started = server.fork(number), time.monotonic()
+                    ready.process = server.fork(number)
+                    ready.started = time.monotonic()
                 for job in self._ended(server, running, progress):
                     running.remove(job)
                     job.outcome = conclude(job)

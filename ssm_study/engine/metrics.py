@@ -3,7 +3,9 @@ took."""
 
 from ssm_study.columns import Column
 
-WHEN, WHERE, WHY = "depends on when it ran", "depends on where it ran", "describes a failure"
+WHEN = "depends on when it ran"
+WHERE = "depends on where it ran"
+WHY = "describes a failure"
 CODE = "depends on the code that ran"
 
 IDENTITY = tuple(Column(name, "string", word=name.title()) for name in ("study", "run", "status"))

@@ -57,9 +57,12 @@ def plan(
         walk(planned)
     needed = Counter(result.name for result in planned.noted.values())
     there = Counter(result.name for result in planned.noted.values() if result.reused)
-    lines, seconds, bound = [], 0.0, "about"
+    lines = []
+    seconds = 0.0
+    bound = "about"
     for name, count in needed.items():  # in the order of the line
-        seconds_each, missing = each(store, name), count - there[name]
+        seconds_each = each(store, name)
+        missing = count - there[name]
         known = "unknown" if seconds_each is None else f"{seconds_each:.2f} s"
         lines.append(f"{name:<14}{count:>8}{there[name]:>8}{missing:>9}{known:>10}")
         seconds += missing * (seconds_each or 0.0) / jobs_at_once

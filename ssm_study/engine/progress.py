@@ -21,7 +21,10 @@ class Progress:
     elsewhere."""
 
     def __init__(self, total: int) -> None:
-        self.total, self.counts, self.reused, self.running = total, Counter[str](), 0, 0
+        self.total = total
+        self.counts = Counter[str]()
+        self.reused = 0
+        self.running = 0
         self.started = self.spoken = time.monotonic()
         console = Console(stderr=True)
         self.live = (
@@ -83,7 +86,9 @@ class Watch(Thread):
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
-        self.folders, self.every_s, self.over = list(dict.fromkeys(folders)), every_s, Event()
+        self.folders = list(dict.fromkeys(folders))
+        self.every_s = every_s
+        self.over = Event()
         self.there_before = sum(status in FINAL for status in self._statuses())
 
     def __enter__(self) -> "Watch":

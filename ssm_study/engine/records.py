@@ -20,8 +20,12 @@ LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the
 # lock) and
 # `corrupt` (the file is not what was written).
-RUNNING, OK, INFEASIBLE, FAILED = "running", "ok", "infeasible", "failed"
-LOST, CORRUPT = "lost", "corrupt"
+RUNNING = "running"
+OK = "ok"
+INFEASIBLE = "infeasible"
+FAILED = "failed"
+LOST = "lost"
+CORRUPT = "corrupt"
 FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one stopped
 
 

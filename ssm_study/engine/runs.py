@@ -153,7 +153,8 @@ def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
 def _run(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
-    run, started = Run(path=folder), time.perf_counter()
+    run = Run(path=folder)
+    started = time.perf_counter()
     # Until the end only the lock says that the run is under way.
     records.write_record(folder, opening, durable=False)
     try:

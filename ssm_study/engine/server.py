@@ -25,10 +25,13 @@ from ssm_study.refusal import BadRequest
 # of going back to the
 # system at every step: 1.6-2.2 times faster.
 ALLOCATOR = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))
-PR_SET_PDEATHSIG, MADV_COLLAPSE = 1, 25
-LARGE_PAGE, MANY = 2 << 20, 40  # bytes; jobs from which on large pages pay
+PR_SET_PDEATHSIG = 1
+MADV_COLLAPSE = 25
+LARGE_PAGE = 2 << 20
+MANY = 40  # bytes; jobs from which on large pages pay
 # No exit status of a process is 1000, and no process has the number 0.
-SERVER_DIED, UNBORN = (1000, 0)
+SERVER_DIED = 1000
+UNBORN = 0
 
 
 @dataclass

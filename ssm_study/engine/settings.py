@@ -85,10 +85,8 @@ def refuse_unbounded(tree: Any) -> None:
     """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by
     them."""
     for path, _, value in nodes(tree):
-        finite, remedy = (
-            not isinstance(value, float) or math.isfinite(value),
-            "leave it out, or give a finite value",
-        )
+        finite = not isinstance(value, float) or math.isfinite(value)
+        remedy = "leave it out, or give a finite value"
         require(finite, path, value, "is not a finite number", remedy)
 
 

@@ -21,7 +21,8 @@ AUTO = frozenset(
     {"timeout_min", "cpus_per_task", "gpus_per_node", "tasks_per_node", "mem_gb", "nodes", "name"}
 )
 # Seconds between two questions whether Slurm still knows of a job.
-FORGOTTEN, FORGOTTEN_S = ("FORGOTTEN", 30.0)
+FORGOTTEN = "FORGOTTEN"
+FORGOTTEN_S = 30.0
 
 
 @dataclass(frozen=True)
@@ -96,13 +97,15 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
 def ended(submitted: submitit.Job, patience_s: float) -> str:
     """Wait for the end; Slurm's word for it. Without accounting a job cancelled in the queue is
     `FORGOTTEN`."""
-    asked, unheard = time.monotonic(), 0
+    asked = time.monotonic()
+    unheard = 0
     while not submitted.done():
         time.sleep(0.5)  # of files that the job leaves; Slurm itself is asked far less often
         if time.monotonic() - asked > patience_s:
             submitted.watcher.clear()  # it remembers for ever what Slurm once said
             unknown = submitted.watcher.get_state(submitted.job_id, mode="force") == "UNKNOWN"
-            asked, unheard = time.monotonic(), unheard + 1 if unknown else 0
+            asked = time.monotonic()
+            unheard = unheard + 1 if unknown else 0
         if unheard == 2:  # once may be a hiccup
             return FORGOTTEN
     return submitted.state.split()[0]  # "CANCELLED by 0"

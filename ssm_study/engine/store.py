@@ -101,7 +101,8 @@ class Store(Stages):
         temporary.mkdir(parents=True)
         _take_over(temporary, final)
         try:
-            started, worked = time.perf_counter(), time.process_time()
+            started = time.perf_counter()
+            worked = time.process_time()
             compute(temporary)
             seconds = time.perf_counter() - started
             times = {"seconds": seconds, "processor_seconds": time.process_time() - worked}

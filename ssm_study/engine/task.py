@@ -126,10 +126,8 @@ class Task(ABC, Generic[R]):
             return self.run(request, run)
 
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
-        parameters, inputs = (
-            self.parameters(request) | self.asked(request, overrides),
-            self.inputs(settings),
-        )
+        parameters = self.parameters(request) | self.asked(request, overrides)
+        inputs = self.inputs(settings)
         return execute(
             folder_of(settings),
             parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
@@ -156,10 +154,8 @@ class Task(ABC, Generic[R]):
         if before is not None and found.did == "found" and (files := self.inputs(settings)):
             known = before.get(INPUTS)  # none where the run read no files
             names = ", ".join(str(path) for path in files)
-            problem, remedy = (
-                f"{names} changed since this run was done",
-                "give study a new name, or remove the folder",
-            )
+            problem = f"{names} changed since this run was done"
+            remedy = "give study a new name, or remove the folder"
             require(known in (None, content_of(files)), "run", folder, problem, remedy)
         return found
 

@@ -41,7 +41,9 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
     Means are taken off, for an integrator keeps an offset. None where no piece lies behind another
     of its log.
     """
-    powers, skip, scale = [], case.data.start_up_samples, case.data.scale.output_scale
+    powers = []
+    skip = case.data.start_up_samples
+    scale = case.data.scale.output_scale
     for part, scored in ((case.data.validation, case.validation), (case.data.test, case.test)):
         for piece, own in zip(part, scored.simulated, strict=True):
             if len(log := _up_to(case, piece)) > len(piece):
@@ -65,7 +67,8 @@ def _up_to(case: Case, piece: Trajectory) -> Trajectory:
         for one in part
         if one.log
     ]
-    joined, by_end = [piece], {(one.log, one.first + len(one)): one for one in known}
+    joined = [piece]
+    by_end = {(one.log, one.first + len(one)): one for one in known}
     while (before := by_end.get((piece.log, joined[0].first))) is not None:
         joined.insert(0, before)
     u, y = (np.concatenate([getattr(one, side) for one in joined]) for side in "uy")

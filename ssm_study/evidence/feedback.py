@@ -21,24 +21,28 @@ from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.models.spec import arx, scaled
 from ssm_study.signals import DataSet
 
-PAST, OUTPUTS = 20, 4  # samples of the input's own past, and of the output's
+PAST = 20
+OUTPUTS = 4  # samples of the input's own past, and of the output's
 CLIPPED = 4.4  # median sizes of w: three standard deviations of a normal one
 # Shares of w: from earlier outputs, and with the present one, which an input may reach before it is
 # read. Of records at
 # hand 0.01 and 0.07 at most in open loop, 0.08 and 0.11 in EMPS; of drawn PI loops 95 % above 0.05
 # and 0.23.
-EARLIER, PRESENT = 0.05, 0.12
+EARLIER = 0.05
+PRESENT = 0.12
 FORESEEN = (
     1e-4  # share of an input's power that its past must leave: what a multisine leaves is rounding
 )
-FEWEST, SHORTEST = (
-    300,
-    6,
-)  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
+FEWEST = 300
+SHORTEST = (
+    6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
+)
 SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
 ROUNDING = 1e-9
 LEAST_SHARE = 0.2  # of the input's power, below which the set point hardly moves a known loop
-LAGS, UNSTABLE, ALIKE = (3, 5, 8), 1.01, 0.02  # models that must agree on a mode outside the circle
+LAGS = (3, 5, 8)
+UNSTABLE = 1.01
+ALIKE = 0.02  # models that must agree on a mode outside the circle
 # By what a mode must grow over all samples, as a logarithm: `T (rho - 1)` of an integrator of noise
 # alone is more once
 # in a hundred. Source: Fuller, Introduction to Statistical Time Series (1976), table 8.5.1.
@@ -48,7 +52,8 @@ GROWTH = 2.03
 GROWS = 4.0
 REMEMBERED = 0.5  # share of itself that an integrator may lose over all samples, as a logarithm
 MOVED_BY_INPUT = 0.5  # share of the rise that the input must explain
-KNOTS, STRIDE = 9, 10  # of the static map, and the samples over which growth is looked for
+KNOTS = 9
+STRIDE = 10  # of the static map, and the samples over which growth is looked for
 Rows = Float[np.ndarray, "_ _"]
 
 
@@ -197,7 +202,8 @@ def _standard_errors(
 
 def own_mode(data: DataSet, lags: int) -> float:
     """The largest modulus of a mode of the ARX model; arbitrary without a reference in the log."""
-    a, p = arx(scaled(data), lags, feedthrough=False)[0], len(data.scale.output_scale)
+    a = arx(scaled(data), lags, feedthrough=False)[0]
+    p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
     companion[:p] = np.concatenate(a, axis=1)
     return float(np.abs(np.linalg.eigvals(companion)).max())
@@ -222,14 +228,13 @@ def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
     that."""
     (past, y, u), (own_past, own_y, own_u) = fitted, scored
     on_u, on_y = (np.linalg.lstsq(past, side, rcond=ROUNDING)[0] for side in (u, y))
-    v, w, own_v, own_w = (
-        y - past @ on_y,
-        u - past @ on_u,
-        own_y - own_past @ on_y,
-        own_u - own_past @ on_u,
-    )
+    v = y - past @ on_y
+    w = u - past @ on_u
+    own_v = own_y - own_past @ on_y
+    own_w = own_u - own_past @ on_u
     most = CLIPPED * np.median(np.abs(w), axis=0)
-    w, own = np.clip(w, -most, most), np.clip(own_w, -most, most)
+    w = np.clip(w, -most, most)
+    own = np.clip(own_w, -most, most)
     left = own - own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
     return np.array(
         [(side**2).sum(axis=0) for side in (own_u - own_u.mean(axis=0), own_w, own, left)]

@@ -13,7 +13,9 @@ from ssm_study.models.structured import Model
 from ssm_study.signals import DataSet, Trajectories, Trajectory, lagged
 
 Level = Literal["note", "doubt", "cannot judge"]
-SOUND, DOUBT, CANNOT_JUDGE = "sound", "doubt", "cannot judge"
+SOUND = "sound"
+DOUBT = "doubt"
+CANNOT_JUDGE = "cannot judge"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,10 +12,10 @@ POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predic
 NO_FIT = 20.0  # percent: below, two thirds of it are not; the mean, which needs no model, has 0
 APART = 25.0  # points of fit between validation and test that one plant does not explain
 LINEAR_BETTER = 10.0  # points of fit by which a linear filter may not beat the model
-OWED, MOST_OWED = (
-    0.15,
-    0.4,
-)  # shares of the output's power that the residual owes to the input: a doubt, no judgement
+OWED = 0.15
+MOST_OWED = (
+    0.4  # shares of the output's power that the residual owes to the input: a doubt, no judgement
+)
 SMALL_ERROR = 0.02  # rms error as a share of the output's range, below which a fit says little
 LAGS = 40
 FEW = 300  # samples below which the fits of two parts are not compared
@@ -85,7 +85,8 @@ def pooled_fit(case: Case) -> float:
 
     It lies between the two fits that the outcome prints, which are about the same means.
     """
-    missed, moved = 0.0, 0.0
+    missed = 0.0
+    moved = 0.0
     for part in (case.validation, case.test):
         y, error = scored_part(case, part)
         missed += float((error**2).sum())
@@ -121,7 +122,8 @@ def owed_to_input(case: Case) -> float:
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """
-    gained, samples = 0.0, 0
+    gained = 0.0
+    samples = 0
     for u, _, e in case.scored():
         half = len(u) // 2
         if half <= 4 * LAGS:
@@ -145,7 +147,8 @@ def whiteness(case: Case) -> list[Finding]:
     """
     _, _, e = next(case.scored())
     e = e[:, 0] - e[:, 0].mean()
-    power, bound = float(e @ e), 3.0 / np.sqrt(len(e))
+    power = float(e @ e)
+    bound = 3.0 / np.sqrt(len(e))
     if power == 0:
         return []
     lags = range(1, min(26, len(e) // 4))

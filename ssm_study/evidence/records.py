@@ -22,10 +22,8 @@ from ssm_study.robustness.return_to_rest import (
 )
 from ssm_study.signals import DataSet, Trajectory
 
-BEYOND, ROOM = (
-    0.05,
-    0.05,
-)  # share of samples that may lie beyond the range of training, by more than this share of it
+BEYOND = 0.05
+ROOM = 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
 PART = 0.05  # share of the test record that may be part of the training records
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
@@ -34,7 +32,8 @@ APPROACH = 6  # samples over which a limit is approached
 ENTERED = 0.4  # of the rms move over so many samples: the speed with which a limit is run into
 FEWEST_STRETCHES = 3  # at a limit: a position is at its farthest once
 ONE_SIDED = 0.02  # least share of the samples on either side of the equilibrium
-FEWEST_CHANGES, FEWEST_SAMPLES = 10, 200
+FEWEST_CHANGES = 10
+FEWEST_SAMPLES = 200
 DRIFT = 0.2  # shift of the residual from the first quarter to the last, in output scales
 WINDOW = 12  # samples that agree exactly in two records only by being the same
 LONGEST_WINDOW = 96  # samples, for records that repeat themselves in shorter ones
@@ -59,8 +58,10 @@ def _joined(
 def _range(case: Case) -> Iterator[str]:
     trained = _joined(case, case.data.training)
     for name, index in (("input", 0), ("output", 1)):
-        low, high = trained[index].min(axis=0), trained[index].max(axis=0)
-        tested, room = _joined(case, case.data.test)[index], ROOM * (high - low)
+        low = trained[index].min(axis=0)
+        high = trained[index].max(axis=0)
+        tested = _joined(case, case.data.test)[index]
+        room = ROOM * (high - low)
         share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
         if share > BEYOND:
             yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
@@ -69,10 +70,8 @@ def _range(case: Case) -> Iterator[str]:
         for record in case.data.mismatch_records
         if not np.any(case.scaled(record)[0])
     ]
-    reached, farthest = (
-        np.abs(trained[1]).max(),
-        max((float(start.max()) for start in starts), default=0.0),
-    )
+    reached = np.abs(trained[1]).max()
+    farthest = max((float(start.max()) for start in starts), default=0.0)
     if farthest > REACHED * reached:
         yield f"The loop starts {farthest / reached:.1f} times as far out as the training records go: excite more."
 
@@ -122,7 +121,9 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
     Counted are stretches in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
     """
-    samples, counted, stretches = 0, 0, 0
+    samples = 0
+    counted = 0
+    stretches = 0
     for record in case.data.training:
         u, scaled = case.scaled(record)
         y = scaled[:, output]
@@ -142,10 +143,8 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
 
 
 def _length(case: Case) -> Iterator[str]:
-    samples, response = (
-        [len(record) for record in case.data.training],
-        case.model.linear.response_samples(),
-    )
+    samples = [len(record) for record in case.data.training]
+    response = case.model.linear.response_samples()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif (kept := kept_over(case)) > INTEGRATES:
@@ -161,7 +160,8 @@ def _length(case: Case) -> Iterator[str]:
 
 
 def _drift(case: Case) -> Iterator[str]:
-    errors, shifts = [e for _, _, e in case.scored()], []
+    errors = [e for _, _, e in case.scored()]
+    shifts = []
     least = max(map(len, errors)) // 4  # a short piece of a slow process is off as a whole
     for e in (e for e in errors if len(e) >= least):
         quarter = max(len(e) // 4, 1)
@@ -213,7 +213,8 @@ def _spectrum(case: Case) -> Iterator[str]:
         u = _joined(case, records)[0]
         return np.asarray(scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)[1].sum(axis=1))
 
-    trained, tested = power(case.data.training), power(case.data.test)
+    trained = power(case.data.training)
+    tested = power(case.data.test)
     if len(trained) != len(tested):
         return
     share = float(

@@ -19,30 +19,29 @@ from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
 
-AVERAGES, SEGMENTS = (
-    16,
-    (64, 1024),
+AVERAGES = 16
+SEGMENTS = (
+    64,
+    1024,
 )  # pieces that a coherence is averaged over, and their samples at least and at most
 USED = 0.1  # the controller's band: where the model answers with this share of its largest gain
-COHERENT, INCOHERENT = (
-    0.3,
-    0.5,
-)  # coherence below which a frequency counts, and the share of the band that is a doubt
-CLEAR, SMALL = (
-    4.0,
-    0.1,
-)  # standard errors of a lag, and the share of the largest lag below which it counts as none
+COHERENT = 0.3
+INCOHERENT = (
+    0.5  # coherence below which a frequency counts, and the share of the band that is a doubt
+)
+CLEAR = 4.0
+SMALL = (
+    0.1  # standard errors of a lag, and the share of the largest lag below which it counts as none
+)
 SMOOTH = (
     1e-6  # of the largest singular value: an input too smooth to tell neighbouring samples apart
 )
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
 INTEGRATES = 0.9  # share of the slowest mode left over the longest record, above which it is taken for an integrator
-COARSE, FINE, ENOUGH = (
-    3,
-    1000,
-    200,
-)  # samples of a response: too few, more than a design gains from, what to keep
+COARSE = 3
+FINE = 1000
+ENOUGH = 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
 def findings(case: Case) -> list[Finding]:
@@ -69,10 +68,8 @@ def _coherence(case: Case) -> Iterator[Finding]:
     sizes = gains(linear, angles)
     used = sizes >= USED * sizes.max()
     shown = coherence(parts, segment)[1:][used]
-    share, hertz = (
-        float((shown < COHERENT).mean()),
-        angles[used].max() / (2 * np.pi * case.data.step_s),
-    )
+    share = float((shown < COHERENT).mean())
+    hertz = angles[used].max() / (2 * np.pi * case.data.step_s)
     if share > INCOHERENT:
         told = f"Input and output go together (coherence above {COHERENT:g}) in {100 * (1 - share):.0f} % of the band"
         yield doubt(
@@ -94,7 +91,9 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
             [len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0
         )
 
-    power, through, whole = cross(0, 0), cross(0, 1), np.einsum("fpp->fp", cross(1, 1)).real
+    power = cross(0, 0)
+    through = cross(0, 1)
+    whole = np.einsum("fpp->fp", cross(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
     power = power + max(ridge, np.finfo(float).tiny) * np.eye(power.shape[-1])
     explained = np.einsum("fmp,fmp->fp", through.conj(), np.linalg.solve(power, through)).real
@@ -119,7 +118,8 @@ def _sampling(case: Case) -> Iterator[Finding]:
 
 
 def _dead_time(case: Case) -> Iterator[Finding]:
-    late, order = dead_time(case), case.model.order
+    late = dead_time(case)
+    order = case.model.order
     if late < LATE:
         return
     told = f"The output answers {late} samples late"

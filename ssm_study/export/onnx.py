@@ -11,7 +11,8 @@ from jaxtyping import Float
 from ssm_study.bounds.network import PortableMap
 from ssm_study.export.portable import PortableController, PortableNeurons
 
-OPSET, IR_VERSION = 17, 8  # old enough for runtimes in the field
+OPSET = 17
+IR_VERSION = 8  # old enough for runtimes in the field
 
 
 class _Graph:

@@ -60,7 +60,9 @@ def certified_bound(
 ) -> Float[np.ndarray, "N T"]:
     """`r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, `r = sqrt(1 -
     rate)`."""
-    c, bound, error = input_gain(feedback, observer), np.empty((len(d0), samples)), e0
+    c = input_gain(feedback, observer)
+    bound = np.empty((len(d0), samples))
+    error = e0
     bound[:, 0] = d0
     for k in range(1, samples):
         bound[:, k] = feedback.contraction * bound[:, k - 1] + c * error
@@ -83,7 +85,8 @@ def input_gain(feedback: StateFeedback, observer: Observer) -> float:
         through = np.linalg.norm(rooted(feedback.p, feedback.e), 2) * np.linalg.norm(feedback.g, 2)
         largest = np.linalg.norm(into, 2) + through
     else:
-        inner, corners = rooted(feedback.p, feedback.e), product((0.0, 1.0), repeat=len(feedback.g))
+        inner = rooted(feedback.p, feedback.e)
+        corners = product((0.0, 1.0), repeat=len(feedback.g))
         largest = max(np.linalg.norm(into + (inner * slopes) @ feedback.g, 2) for slopes in corners)
     out = rooted(observer.q, feedback.k[:, : len(observer.q)].T)  # (K_x Q^{-1/2})^T
     return float((abs(feedback.alpha) + feedback.beta) * float(largest) * np.linalg.norm(out, 2))
@@ -123,7 +126,8 @@ def excess(
     belongs to state and integrators, `Q` to the state. None if all cases start at 0.
     """
     d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
-    samples, into_state = x_hat.shape[1], np.eye(len(feedback.p), len(observer.q))
+    samples = x_hat.shape[1]
+    into_state = np.eye(len(feedback.p), len(observer.q))
     kappa = float(np.linalg.norm(rooted(observer.q, rooted(feedback.p, into_state).T), 2))
     faded = kappa * e * observer.contraction ** np.arange(samples)
     bound = certified_bound(d[:, 0], e[:, 0], samples, feedback, observer) + faded

@@ -105,11 +105,10 @@ class Comparison(ComparisonTable):
             case "spread":
                 return [(varied, loop) for varied in self.spread(plant, seed)]
             case "saturation":
-                rest, reach = (
-                    plant.equilibrium().u,
-                    self.reach_share * np.array(plant.input_amplitude),
-                )
-                lower, upper = (rest - reach).tolist(), (rest + reach).tolist()
+                rest = plant.equilibrium().u
+                reach = self.reach_share * np.array(plant.input_amplitude)
+                lower = (rest - reach).tolist()
+                upper = (rest + reach).tolist()
                 return [(SaturatedInput(plant=plant, lower=lower, upper=upper), loop)]
             case "delay":
                 return [(DelayedInput(plant=plant, samples=1), loop)]

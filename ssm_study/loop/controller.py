@@ -124,7 +124,8 @@ class EstimateFeedback(Controller):
         return set_points(self.model, reference)
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Estimate:
-        x_hat, lifted = memory[:, : self.model.order], self.model.lift(u)
+        x_hat = memory[:, : self.model.order]
+        lifted = self.model.lift(u)
         innovation = (self.model.read(x_hat, lifted) - y) / self.model.scale.output_scale
         injected = () if self.gains.l_z is None else (times(self.gains.l_z, innovation),)
         return self.model.advance(x_hat, lifted, *injected) + times(self.gains.l, innovation)
@@ -149,11 +150,9 @@ class ObserverFeedback(EstimateFeedback):
 
     def __post_init__(self) -> None:
         (n, m), p = self.model.linear.b.shape, self.model.scale.outputs
-        k, l_, remedy = (
-            self.gains.k.shape[-2:],
-            self.gains.l.shape[-2:],
-            "use the design made for this model",
-        )
+        k = self.gains.k.shape[-2:]
+        l_ = self.gains.l.shape[-2:]
+        remedy = "use the design made for this model"
         widths = (n, n + p) if self.gains.internal is None else (n + len(self.gains.internal),)
         needed = " or ".join(str((m, width)) for width in widths)
         require(
@@ -204,7 +203,8 @@ class ObserverFeedback(EstimateFeedback):
         return self.model.scale.physical_input(set_points(self.model, ends)[:, self.model.order :])
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        n, m = self.model.order, self.model.scale.inputs
+        n = self.model.order
+        m = self.model.scale.inputs
         error = np.concatenate(
             [memory[:, :n] - target[:n], memory[:, n:]], axis=1
         )  # the internal model aims at zero
@@ -212,17 +212,16 @@ class ObserverFeedback(EstimateFeedback):
         return self.model.scale.physical_input(self.asked(u, times(self.gains.k, error)))
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
-        x_hat, z, modes = (
-            super().advance(memory, u, y, target),
-            memory[:, self.model.order :],
-            self.gains.modes,
-        )
+        x_hat = super().advance(memory, u, y, target)
+        z = memory[:, self.model.order :]
+        modes = self.gains.modes
         if not len(modes):
             return x_hat
         free = np.isclose(u, self.input(memory, y, target), rtol=1e-9, atol=1e-12).all(
             axis=1, keepdims=True
         )
-        error, p = (y - target[-y.shape[1] :]) / self.model.scale.output_scale, y.shape[1]
+        error = (y - target[-y.shape[1] :]) / self.model.scale.output_scale
+        p = y.shape[1]
         z = np.where(
             free, z @ modes.T + error @ error_input_matrix(modes, p).T, z @ frozen_modes(modes).T
         )

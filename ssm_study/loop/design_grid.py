@@ -55,7 +55,8 @@ class DesignGrid(ComparisonTable):
         candidates = self.auto.candidates(known.model, known.balls)
         if candidates is None:
             return []
-        drawn, chosen = self.drawn(candidates, seed), known.chosen(Auto())
+        drawn = self.drawn(candidates, seed)
+        chosen = known.chosen(Auto())
         gains = candidates.gains(drawn)
         rates = [
             (candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer)
@@ -112,16 +113,15 @@ def _behaved(plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: in
     each = ObserverFeedback(
         model=known.model, gains=gains.at(np.repeat(np.arange(designs), len(y0)))
     )
-    starts, noises = np.tile(y0, (designs, 1)), np.tile(noise, (designs, 1, 1))
+    starts = np.tile(y0, (designs, 1))
+    noises = np.tile(noise, (designs, 1, 1))
     run, quiet = (
         loop.simulate(plant, each, starts, given) for given in (noises, np.zeros_like(noises))
     )
     alone = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
-    open_loop, times_s, kinds = (
-        mean(settling_times_s(alone, band)),
-        settling_times_s(run, band),
-        motions(quiet, band),
-    )
+    open_loop = mean(settling_times_s(alone, band))
+    times_s = settling_times_s(run, band)
+    kinds = motions(quiet, band)
     rows = []
     for first in range(0, len(starts), len(y0)):
         own = slice(first, first + len(y0))

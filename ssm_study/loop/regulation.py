@@ -44,16 +44,13 @@ class IdentifiedPlant(Plant):
     initial_range: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        model, remedy = self.model, "identify with model.feedthrough=false"
-        problem, told = (
-            "the input reaches the output at once",
-            "the loop samples the output before the input acts",
-        )
+        model = self.model
+        remedy = "identify with model.feedthrough=false"
+        problem = "the input reaches the output at once"
+        told = "the loop samples the output before the input acts"
         require(not answers_at_once(model), "model.feedthrough", problem, told, remedy)
-        channels, needed = (
-            (len(self.inputs), len(self.outputs)),
-            (model.scale.inputs, model.scale.outputs),
-        )
+        channels = (len(self.inputs), len(self.outputs))
+        needed = (model.scale.inputs, model.scale.outputs)
         require(
             channels == needed,
             "channels",
@@ -70,10 +67,8 @@ class IdentifiedPlant(Plant):
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
         """
-        unit, counts = (
-            float(model.scale.output_scale.min()),
-            {"u": model.scale.inputs, "y": model.scale.outputs},
-        )
+        unit = float(model.scale.output_scale.min())
+        counts = {"u": model.scale.inputs, "y": model.scale.outputs}
         names = {
             one: [one] if n == 1 else [f"{one}_{i + 1}" for i in range(n)]
             for one, n in counts.items()

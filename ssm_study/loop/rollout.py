@@ -99,8 +99,12 @@ def close_loop(
             values = {"u": at_rest, "y": y, "measured": measured, "states": x}
             for name, value in values.items():
                 log[name][stopped, k:] = value[~inside, None]
-            x, y, measured = x[inside], y[inside], measured[inside]
-            u, memory, going = u[inside], memory[inside], going[inside]
+            x = x[inside]
+            y = y[inside]
+            measured = measured[inside]
+            u = u[inside]
+            memory = memory[inside]
+            going = going[inside]
             controller = controller.among(inside)
         values = {"u": u, "y": y, "measured": measured, "states": x}
         values["estimate"] = controller.estimate(memory)
@@ -165,7 +169,8 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
     excess = float(beyond.max(initial=0.0))
     if excess == 0.0:
         return
-    lowest, highest = demanded.min(), demanded.max()
+    lowest = demanded.min()
+    highest = demanded.max()
     raise BadRequest(
         "loop.input_lower, loop.input_upper",
         tuple(np.asarray(end).tolist() for end in limits),
@@ -303,10 +308,13 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
     at a limit.
     The memory advances by the recorded input, so that errors do not add up.
     """
-    stayed, targets = run.stayed, controller.targets(run.reference)
-    memory, worst = controller.start(int(stayed.sum())), 0.0
+    stayed = run.stayed
+    targets = controller.targets(run.reference)
+    memory = controller.start(int(stayed.sum()))
+    worst = 0.0
     for k in range(run.u.shape[1]):
-        applied, measured = run.u[stayed, k], run.measured[stayed, k]
+        applied = run.u[stayed, k]
+        measured = run.measured[stayed, k]
         again = np.clip(controller.input(memory, measured, targets[k]), *limits)
         worst = float(np.abs(again - applied).max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])

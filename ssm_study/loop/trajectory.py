@@ -46,7 +46,8 @@ def equilibrium(
     `S_u(u*)` is taken.
     Raises `BadRequest` when no input holds that output.
     """
-    y_bar, n = inverse(model.scaffold_out, model.scale.scaled_output(y)[None])[0], model.order
+    y_bar = inverse(model.scaffold_out, model.scale.scaled_output(y)[None])[0]
+    n = model.order
     size = max(1.0, float(np.abs(y_bar).max()))
 
     def missing(point: Vector) -> Vector:
@@ -97,29 +98,28 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     ).T  # at no cost of their own these would drift
     target = inverse(model.scaffold_out, model.scale.scaled_output(reference))
     target = np.pad(target, ((0, 0), (0, len(idle))))
-    f, g = (
-        np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]]),
-        np.vstack([system.b, np.eye(m)]),
-    )
-    h, d = (
-        np.block([[system.c, system.d], [np.zeros((len(idle), n)), idle]]),
-        np.vstack([system.d, idle]),
-    )
+    f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
+    g = np.vstack([system.b, np.eye(m)])
+    h = np.block([[system.c, system.d], [np.zeros((len(idle), n)), idle]])
+    d = np.vstack([system.d, idle])
     weight = SMOOTHNESS * np.eye(m) + d.T @ d
     p = scipy.linalg.solve_discrete_are(
         f, g, h.T @ h, weight, s=h.T @ d
     )  # with the cross term of a feedthrough
     curvature = weight + g.T @ p @ g
     k = np.linalg.solve(curvature, g.T @ p @ f + d.T @ h)
-    closed, seen = f - g @ k, h - d @ k
+    closed = f - g @ k
+    seen = h - d @ k
     last = -np.linalg.solve(
         np.eye(n + m) - closed.T, seen.T @ target[-1]
     )  # a reference held for ever
-    c, through = -np.linalg.solve(curvature, g.T), np.linalg.solve(curvature, d.T)
+    c = -np.linalg.solve(curvature, g.T)
+    through = np.linalg.solve(curvature, d.T)
     preview = StateSpace(a=closed.T, b=-seen.T, c=c, d=through).simulate(target[::-1], last)[0][
         ::-1
     ]
-    c, through = np.vstack([np.eye(n, n + m), closed[n:]]), np.vstack([np.zeros((n, m)), g[n:]])
+    c = np.vstack([np.eye(n, n + m), closed[n:]])
+    through = np.vstack([np.zeros((n, m)), g[n:]])
     plan = StateSpace(a=closed, b=g, c=c, d=through).simulate(preview)[0]
     return np.concatenate([plan[:, :n], inverse(model.scaffold_in, plan[:, n:])], axis=1)
 
@@ -139,8 +139,10 @@ def guided_trajectory(
     reference at rest gives
     zeros.
     """
-    points, n = set_points(model, reference), model.order
-    x, plan = np.zeros(n), np.empty_like(points)
+    points = set_points(model, reference)
+    n = model.order
+    x = np.zeros(n)
+    plan = np.empty_like(points)
     for i, point in enumerate(points):
         u = law(point[n:], k @ (x - point[:n]))
         plan[i] = np.concatenate([x, u])
@@ -179,7 +181,8 @@ def inverse(scaffold: Scaffold, w: Float[np.ndarray, "N k"]) -> Float[np.ndarray
             ]
     else:  # a reference at rest asks the same at every sample
         values, index = np.unique(w, axis=0, return_inverse=True)
-        start, enough = np.zeros(scaffold.inputs), 1e-2 * INVERSION_TOLERANCE
+        start = np.zeros(scaffold.inputs)
+        enough = 1e-2 * INVERSION_TOLERANCE
         rows = [
             _newton(partial(missing, w=row), scaffold.jacobian, start, enough) for row in values
         ]

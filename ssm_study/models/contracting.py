@@ -24,10 +24,8 @@ from ssm_study.refusal import BadRequest
 FREQUENCIES = np.exp(
     1j * np.append(0.0, np.geomspace(1e-4, np.pi, 200))
 )  # the Riccati equation has the last word
-INSIDE, PULLED = (
-    0.9,
-    0.99,
-)  # shares of the largest gain, and of the rate, that a projected model may have
+INSIDE = 0.9
+PULLED = 0.99  # shares of the largest gain, and of the rate, that a projected model may have
 STRICT = 1e-2  # relative: what makes the Riccati equation's inequality strict
 HALVINGS = 12  # of the path from a free model to one that contracts
 Square = Float[np.ndarray, "k k"]
@@ -62,8 +60,10 @@ class Contracting(NamedTuple):
 def explicit(free: Free, rate: float) -> Core:
     """The recurrence of these parameters; it contracts with `r = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
-    e, stacked = np.sqrt(2.0) * _contraction(free.x_e)[0], rate * _contraction(free.x_g)[0]
-    a, root = stacked[:n], np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)  # R
+    e = np.sqrt(2.0) * _contraction(free.x_e)[0]
+    stacked = rate * _contraction(free.x_g)[0]
+    a = stacked[:n]
+    root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)  # R
     d = np.exp(free.log_d)  # positive, whatever the parameter
     return Core(a=a, e=e / d, f=d[:, None] * (root @ stacked[n:] - e.T @ a))
 
@@ -75,16 +75,22 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
     dS L^{-T})`, low the
     lower triangle with half its diagonal. The same rule gives `dR` of `R R' = 2 I - E'E`.
     """
-    n, root2 = free.x_g.shape[1], np.sqrt(2.0)
+    n = free.x_g.shape[1]
+    root2 = np.sqrt(2.0)
     con_e, low_e = _contraction(free.x_e)
     con_g, low_g = _contraction(free.x_g)
-    e, a, gh = root2 * con_e, rate * con_g[:n], rate * con_g[n:]
+    e = root2 * con_e
+    a = rate * con_g[:n]
+    gh = rate * con_g[n:]
     de = root2 * _change(free.x_e, change.x_e, con_e, low_e)  # d con(X_E), times sqrt 2
     stacked = rate * _change(free.x_g, change.x_g, con_g, low_g)
-    da, dgh = stacked[:, :n], stacked[:, n:]
+    da = stacked[:, :n]
+    dgh = stacked[:, n:]
     root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
     droot = _cholesky_change(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
-    f, d, dlog = root @ gh - e.T @ a, np.exp(free.log_d), change.log_d
+    f = root @ gh - e.T @ a
+    d = np.exp(free.log_d)
+    dlog = change.log_d
     df = droot @ gh + root @ dgh - de.mT @ a - e.T @ da
     return Core(a=da, e=(de - e * dlog[:, None, :]) / d, f=d[:, None] * (df + dlog[:, :, None] * f))
 
@@ -113,7 +119,10 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
     mean = (core.e * slope) @ core.f  # what the neurons add to A on average
     radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
     average = min(1.0, PULLED * rate / max(radius, 1e-12)) * (core.a + mean)
-    low, high, share, found = 0.0, 1.0, 1.0, None
+    low = 0.0
+    high = 1.0
+    share = 1.0
+    found = None
     for _ in range(HALVINGS):
         trial = metric(Core(a=average - share * mean, e=share * core.e, f=core.f), rate)
         low, high, found = (low, share, found) if trial is None else (share, high, trial)
@@ -137,7 +146,9 @@ def metric(core: Core, rate: float) -> Contracting | None:
     largest entries over
     the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
     """
-    a, b, c = (core.a + core.e @ core.f / 2.0) / rate, core.e / 2.0, core.f / rate
+    a = (core.a + core.e @ core.f / 2.0) / rate
+    b = core.e / 2.0
+    c = core.f / rate
     if np.abs(np.linalg.eigvals(a)).max(initial=0.0) >= 1.0:
         return None
     response = c @ np.linalg.solve(FREQUENCIES[:, None, None] * np.eye(len(a)) - a, b + 0j)
@@ -172,13 +183,12 @@ def in_metric(found: Contracting) -> Core:
 def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
     """`d` such that off the diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal
     norms."""
-    off, d = (
-        gains - np.diag(np.diagonal(gains)),
-        np.ones(len(gains)),
-    )  # the diagonal does not move under scaling
+    off = gains - np.diag(np.diagonal(gains))
+    d = np.ones(len(gains))  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration
         for i in range(len(d)):
-            row, column = np.linalg.norm(off[i] * d) / d[i], np.linalg.norm(off[:, i] / d) * d[i]
+            row = np.linalg.norm(off[i] * d) / d[i]
+            column = np.linalg.norm(off[:, i] / d) * d[i]
             if row > 0 and column > 0:
                 d[i] *= np.sqrt(row / column)
     return d

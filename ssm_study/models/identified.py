@@ -124,8 +124,10 @@ class SSM(ScaffoldedModel):
     def of(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
         """A linear system as it is: identities for scaffoldings, scaled by one around zero unless
         told otherwise."""
-        m, p = linear.b.shape[1], len(linear.c)
-        inward, outward = LinearScaffold.identity(m), LinearScaffold.identity(p)
+        m = linear.b.shape[1]
+        p = len(linear.c)
+        inward = LinearScaffold.identity(m)
+        outward = LinearScaffold.identity(p)
         scale = scale or Scale.unit(m, p)
         return cls(
             linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s
@@ -152,7 +154,8 @@ class SSM(ScaffoldedModel):
     def delayed(self, samples: int) -> "SSM":
         """`x+ = A x + B ub[k - samples]`: what is under way are states of the recurrence."""
         (a, b, c, d), k = (vars(self.linear)[name] for name in "abcd"), self.linear.b.shape[1]
-        n, late = len(a), samples * k
+        n = len(a)
+        late = samples * k
         shift = np.eye(n + late, k=-k) * (np.arange(n + late)[:, None] >= n + k)
         shift[:n, :n], shift[:n, n + late - k :] = a, b
         into = np.eye(n + late, k, -n)
@@ -171,7 +174,9 @@ class SSM(ScaffoldedModel):
         be absorbed stays
         refused. Derivation: docs/theory.md, "The ball of Jacobians".
         """
-        linear, scaffold_in, scaffold_out = self.linear, self.scaffold_in, self.scaffold_out
+        linear = self.linear
+        scaffold_in = self.scaffold_in
+        scaffold_out = self.scaffold_out
         if (found := _straightened(scaffold_in, "after")) is not None:
             scaffold_in, m = found
             linear = replace(linear, b=linear.b @ m, d=linear.d @ m)

@@ -154,7 +154,8 @@ def initial_state(model: Any, record: Trajectory, samples: int) -> Float[np.ndar
     """
     lifted = model.lift(record.u)
     target = model.scale.scaled_output(record.y[:samples])
-    prior, x0 = _reached(model, lifted), np.zeros(model.order)  # W, and the mean of the prior: rest
+    prior = _reached(model, lifted)
+    x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         ybar, by_state = _linearised(model, lifted[:samples], x0)
         slopes = np.stack(
@@ -194,7 +195,8 @@ def _linearised(
         return model.linear.simulate(lifted, x0)[0], np.stack(powers)
     from ssm_study.models.structured_kernel import sensitivities  # numba: only where it is needed
 
-    nothing, none = np.zeros((1, len(lifted), 0)), np.zeros(0, dtype=np.int64)
+    nothing = np.zeros((1, len(lifted), 0))
+    none = np.zeros(0, dtype=np.int64)
     ybar, by = sensitivities(model.matrices, lifted[None], x0[None], nothing, none)
     return ybar[0], by["x0"][0]
 
@@ -202,7 +204,9 @@ def _linearised(
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
     """`sum_k A^k B B^T A^kT` over k below the first power of two that is not less than `samples`:
     by doubling."""
-    gramian, power = b @ b.T, a
+    gramian = b @ b.T
+    power = a
     for _ in range((samples - 1).bit_length()):
-        gramian, power = gramian + power @ gramian @ power.T, power @ power
+        gramian = gramian + power @ gramian @ power.T
+        power = power @ power
     return gramian

@@ -79,11 +79,10 @@ def on_ring(
     b, c = (
         rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in ((count, m), (p, count))
     )
-    b, c = (
-        b * np.sqrt(1 - np.abs(modes[:, None]) ** 2),
-        c / np.sqrt(2 * count),
-    )  # of like size at any radius and order
-    b[:real_modes].imag, c[:, :real_modes].imag = 0.0, 0.0
+    b = b * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
+    c = c / np.sqrt(2 * count)  # of like size at any radius and order
+    b[:real_modes].imag = 0.0
+    c[:, :real_modes].imag = 0.0
     return Initialisation(modes=modes, b=b, c=c, d=np.zeros((p, m)))
 
 
@@ -123,14 +122,16 @@ def arx(
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
     """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
     feedthrough)."""
-    rows, targets = [], []
+    rows = []
+    targets = []
     for u, y in records:
         past = [y[lags - i : len(y) - i] for i in range(1, lags + 1)]
         driven = [u[lags - j : len(u) - j] for j in range(0 if feedthrough else 1, lags + 1)]
         rows.append(np.hstack([*past, *driven]))
         targets.append(y[lags:])
     theta = np.linalg.lstsq(np.vstack(rows), np.vstack(targets), rcond=None)[0].T
-    p, m = records[0][1].shape[1], records[0][0].shape[1]
+    p = records[0][1].shape[1]
+    m = records[0][0].shape[1]
     a = theta[:, : lags * p].reshape(p, lags, p).transpose(1, 0, 2)
     b = theta[:, lags * p :].reshape(p, -1, m).transpose(1, 0, 2)
     return a, b if feedthrough else np.concatenate([np.zeros((1, p, m)), b])
@@ -164,7 +165,8 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])
-    observe, reach = left[:, :kept] * root, root[:, None] * right[:kept]
+    observe = left[:, :kept] * root
+    reach = root[:, None] * right[:kept]
     a = np.linalg.lstsq(observe[:-p], observe[p:], rcond=None)[0]
     a = a + 1e-6 * rng.normal(
         size=a.shape
@@ -179,7 +181,8 @@ def modal_start(system: StateSpace) -> Initialisation:
     """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in
     eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
-    b, c = np.linalg.solve(vectors, system.b.astype(complex)), system.c @ vectors
+    b = np.linalg.solve(vectors, system.b.astype(complex))
+    c = system.c @ vectors
     radius = np.abs(values)
     values = np.where(
         radius > 1.0, values / np.maximum(radius, 1.0) ** 2, values
@@ -249,10 +252,8 @@ class SSMSpec(ModelSpec):
         one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
             whole(0, "real_modes", self.real_modes, "use 2")
-            pairs, remedy = (
-                self.order - self.real_modes,
-                "leave an even number of states for the pairs",
-            )
+            pairs = self.order - self.real_modes
+            remedy = "leave an even number of states for the pairs"
             fits = pairs >= 0 and pairs % 2 == 0
             problem = f"{self.order} states minus these must be pairs"
             require(fits, "model.real_modes", self.real_modes, problem, remedy)
@@ -273,19 +274,15 @@ class SSMSpec(ModelSpec):
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
-        rng, records, slopes = (
-            np.random.default_rng(seed),
-            scaled(data),
-            (self.slope_lower, self.slope_upper),
-        )
+        rng = np.random.default_rng(seed)
+        records = scaled(data)
+        slopes = (self.slope_lower, self.slope_upper)
         seen = [np.concatenate(parts) for parts in zip(*records, strict=True)]
         frames = [
             Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
         ]
-        scaffold_in, scaffold_out = (
-            self.scaffold_in.build(frames[0], rng),
-            self.scaffold_out.build(frames[1], rng),
-        )
+        scaffold_in = self.scaffold_in.build(frames[0], rng)
+        scaffold_out = self.scaffold_out.build(frames[1], rng)
         if self.start == "data":
             start = from_data(records, self.order, rng, self.feedthrough)
         else:
@@ -313,7 +310,8 @@ def whole(least: int, name: str, value: object, remedy: str) -> None:
 def check_slopes(lower: float, upper: float) -> None:
     """Refuse a sector of slopes that is empty, or reaches zero."""
     positive("model.slope_lower", lower, "use 0.01 or so")
-    fits, problem = lower < upper < np.inf, "the lower slope must lie below the upper one"
+    fits = lower < upper < np.inf
+    problem = "the lower slope must lie below the upper one"
     require(
         fits,
         "model.slope_lower, model.slope_upper",

@@ -118,12 +118,10 @@ class StructuredSSM(ScaffoldedModel):
     step_s: float
 
     def __post_init__(self) -> None:
-        n, m, p, q = (
-            len(self.a),
-            self.scaffold_in.outputs,
-            self.scaffold_out.inputs,
-            len(self.neurons),
-        )
+        n = len(self.a)
+        m = self.scaffold_in.outputs
+        p = self.scaffold_out.inputs
+        q = len(self.neurons)
         codes(self.neurons)
         for name, shape in shapes(n, m, p, q).items():
             value = getattr(self, name)
@@ -186,7 +184,8 @@ class StructuredSSM(ScaffoldedModel):
         last sample."""
         from ssm_study.models.structured_kernel import free_run
 
-        batch, samples = ubar.shape[:-2], ubar.shape[-2]
+        batch = ubar.shape[:-2]
+        samples = ubar.shape[-2]
         start = np.zeros((*batch, self.order))
         start[...] = (
             0.0 if x0 is None else x0

@@ -98,11 +98,14 @@ def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + i
 def free_run(k, v, x0):
     """`(ybar (N, T, p), states (N, T + 1, n))`: the states include the one after the last
     sample."""
-    records, samples = v.shape[0], v.shape[1]
+    records = v.shape[0]
+    samples = v.shape[1]
     ybar = np.empty((records, samples, k.c.shape[0]))
     states = np.empty((records, samples + 1, k.a.shape[0]))
     q = k.e.shape[1]
-    w, slope, still = np.empty(q), np.empty(q), np.zeros(q)
+    w = np.empty(q)
+    slope = np.empty(q)
+    still = np.zeros(q)
     _neurons(
         k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope
     )  # phi(b): at rest
@@ -196,17 +199,29 @@ def _sensitivities(k, v, x0, basis, channel, places):
     """A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its
     place."""
     records, samples, m = v.shape
-    n, p, q = k.a.shape[0], k.c.shape[0], k.e.shape[1]
+    n = k.a.shape[0]
+    p = k.c.shape[0]
+    q = k.e.shape[1]
     _, at_b, at_e, _, _, _, _, at_x0, at_c, at_d, at_h, width = places
     at = places[3:7]
-    out, ybar = np.zeros((records, samples, p, width)), np.empty((records, samples, p))
-    w, slope, still, rest = np.empty(q), np.empty(q), np.zeros(q), np.empty(q)
+    out = np.zeros((records, samples, p, width))
+    ybar = np.empty((records, samples, p))
+    w = np.empty(q)
+    slope = np.empty(q)
+    still = np.zeros(q)
+    rest = np.empty(q)
     _neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
-    es, hs, turn, read = np.empty((n, q)), np.empty((p, q)), np.empty((n, n)), np.empty((p, n))
-    push, through = np.empty((n, m)), np.empty((p, m))
+    es = np.empty((n, q))
+    hs = np.empty((p, q))
+    turn = np.empty((n, n))
+    read = np.empty((p, n))
+    push = np.empty((n, m))
+    through = np.empty((p, m))
     for r in range(records):
-        x, ahead = x0[r].copy(), np.empty(n)
-        s, moved = np.zeros((n, at_c)), np.empty((n, at_c))
+        x = x0[r].copy()
+        ahead = np.empty(n)
+        s = np.zeros((n, at_c))
+        moved = np.empty((n, at_c))
         s[:, at_x0:at_c] = np.eye(n)  # dx / dx0 at the first sample
         for t in range(samples):
             _neurons(k, still, x, v[r, t], w, slope)

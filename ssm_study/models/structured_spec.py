@@ -38,7 +38,8 @@ class Pieces:
     @property
     def owners(self) -> Int[np.ndarray, "P"]:
         """The channel each parameter belongs to."""
-        each, knots = np.arange(self.channels), self.knots
+        each = np.arange(self.channels)
+        knots = self.knots
         return (
             np.concatenate([np.repeat(each, knots + 1), np.repeat(each, knots)])
             if knots
@@ -50,7 +51,8 @@ class Pieces:
         seldom visited."""
         if not self.knots:
             return np.zeros(0)
-        low, high = samples.min(axis=0), samples.max(axis=0)
+        low = samples.min(axis=0)
+        high = samples.max(axis=0)
         points = low + (high - low) * (np.arange(self.knots) + 0.5)[:, None] / self.knots
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
@@ -79,7 +81,10 @@ class Pieces:
         """
         if not self.knots:
             return v, np.ones_like(v), np.zeros((*v.shape[:-1], 0))
-        values, at, frees, moves = np.empty_like(v), np.empty_like(v), [], []
+        values = np.empty_like(v)
+        at = np.empty_like(v)
+        frees = []
+        moves = []
         for c, (slopes, by_free, points) in enumerate(zip(*self._explicit(theta), strict=True)):
             order = np.argsort(points, kind="stable")
             ends = np.concatenate([[-np.inf], points[order], [np.inf]])
@@ -173,10 +178,8 @@ class StructuredSpec(ModelSpec):
             "needs three numbers, at least 1",
             "use [15, 20, 10]",
         )
-        told, remedy = (
-            "without neurons no integrator is set apart: a mode comes near one by itself",
-            "use 1 or more",
-        )
+        told = "without neurons no integrator is set apart: a mode comes near one by itself"
+        remedy = "use 1 or more"
         require(
             not self.integrated or self.neurons > 0, "model.neurons", self.neurons, told, remedy
         )
@@ -216,10 +219,8 @@ class StructuredSpec(ModelSpec):
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""
         ends = {"lower": self.slope_lower, "upper": self.slope_upper}
-        lift, read = (
-            Pieces(channels[0], self.knots, **ends),
-            Pieces(channels[1], self.output_knots, **ends),
-        )
+        lift = Pieces(channels[0], self.knots, **ends)
+        read = Pieces(channels[1], self.output_knots, **ends)
         return lift, read
 
     def one_layer(self) -> SSMSpec:

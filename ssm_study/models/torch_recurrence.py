@@ -68,22 +68,24 @@ class Chunks(torch.autograd.Function):
         x = _scan(turns, _complex(blocks @ lift), x0)  # the state at the start of each block
         y = (blocks @ within).view(-1, within.shape[1]).addmm_(_real(x).flatten(0, 1), read.mT)
         ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)
-        ctx.samples, ctx.starts_moving = u.shape[1], x0 is not None
+        ctx.samples = u.shape[1]
+        ctx.starts_moving = x0 is not None
         return _signal(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
-        m, p = b.shape[1], len(c)
-        errors, inputs, states = _blocks(upstream[0]), blocks.flatten(0, 1), _real(x).flatten(0, 1)
+        m = b.shape[1]
+        p = len(c)
+        errors = _blocks(upstream[0])
+        inputs = blocks.flatten(0, 1)
+        states = _real(x).flatten(0, 1)
         reached = _complex(errors @ read)
         later = _scan(turns.conj_physical(), reached.flip(0), None).flip(
             0
         )  # the loss by the inputs to the states
-        pushed, errors = (
-            _real(later).flatten(0, 1),
-            errors.flatten(0, 1),
-        )  # adjoint of the states, rows by block
+        pushed = _real(later).flatten(0, 1)
+        errors = errors.flatten(0, 1)  # adjoint of the states, rows by block
         d_u = (
             (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape)
             if ctx.needs_input_grad[4]
@@ -95,7 +97,8 @@ class Chunks(torch.autograd.Function):
         d_read = errors.mT @ states
         d_read[:-p].addmm_(tail, _real(b.mT.contiguous()))
         d_read = _complex(d_read.view(CHUNK, p, -1)).conj_physical()
-        power_conj, d_turn = power.conj_physical(), (x.conj() * later).sum((0, 1))
+        power_conj = power.conj_physical()
+        d_turn = (x.conj() * later).sum((0, 1))
         d_b = (power_conj[:-1, None] * d_lift).sum(0) + _complex(tail.mT @ read[:-p])
         d_c = (power_conj[:-1, None] * d_read).sum(0)
         d_power = torch.cat(
@@ -197,7 +200,8 @@ class ModalForm:
 def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
     """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the
     last sample."""
-    samples, rate = u.shape[1], modes.decay.to(torch.complex128)
+    samples = u.shape[1]
+    rate = modes.decay.to(torch.complex128)
     ages = powers(rate, samples).flip(0).to(modes.b.dtype)
     moments = torch.complex(u.transpose(1, 2) @ ages.real, u.transpose(1, 2) @ ages.imag)
     x = (moments * modes.b.T).sum(1)
@@ -208,13 +212,15 @@ def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Outpu
     """`y = g * u` by real transforms of a fast length; differentiable forward, vectorised and any
     number of times."""
     (p, m), samples = modes.d.shape, u.shape[1]
-    both, length = tables(modes.decay, samples), next_fast_len(2 * samples - 1, real=True)
+    both = tables(modes.decay, samples)
+    length = next_fast_len(2 * samples - 1, real=True)
     weights = (modes.c[:, None] * modes.b.mT).flatten(
         0, 1
     )  # C_i B_i, one row per pair of output and input
     tail = power_sums(weights, both)[:, : samples - 1]
     g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
-    spectrum, lifted = torch.fft.rfft(g, n=length), torch.fft.rfft(u.mT, n=length)
+    spectrum = torch.fft.rfft(g, n=length)
+    lifted = torch.fft.rfft(u.mT, n=length)
     y = torch.fft.irfft(torch.einsum("pmf,emf->epf", spectrum, lifted), n=length)[..., :samples]
     if x0 is not None:
         free = power_sums((x0[:, None] * modes.c).flatten(0, 1), both)[:, :samples]
@@ -249,7 +255,8 @@ def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]
     step = torch.exp(rate)[None]
     table = torch.ones_like(step)
     while len(table) < count:
-        table, step = torch.cat([table, table * step]), step * step  # twice as many rows each time
+        table = torch.cat([table, table * step])
+        step = step * step  # twice as many rows each time
     return table[:count]
 
 

@@ -29,7 +29,8 @@ class TorchScaffold(nn.Module):
         self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]
     ) -> None:
         super().__init__()
-        self.spec, self.slopes = spec, slopes
+        self.spec = spec
+        self.slopes = slopes
         for name, values in start.items():
             at = torch.tensor(np.ascontiguousarray(values))
             self.register_parameter(
@@ -168,10 +169,12 @@ class LRU(nn.Module):
             "pairs", torch.where(modes.imag == 0, 1.0, 2.0).to(torch.float64), persistent=False
         )
         self.single = single = start.b.shape[1] == 1
-        b, c = torch.from_numpy(start.b), torch.from_numpy(start.c)
+        b = torch.from_numpy(start.b)
+        c = torch.from_numpy(start.c)
         gain = torch.sqrt(1 - radius**2)[:, None]
         if single:  # y = C diag(b) x: the input column moves into C
-            c, b = c * (b / gain)[:, 0], torch.ones_like(b)
+            c = c * (b / gain)[:, 0]
+            b = torch.ones_like(b)
         else:
             b = b / gain
         self.b_real, self.b_imag = _parts(b, self.reals, trained=not single)
@@ -230,7 +233,8 @@ class LRU(nn.Module):
 
     def initial_state(self, free: States) -> Modal:
         """Real states, ordered as in `to_state_space`, to modal ones."""
-        real, pairs = free[:, : self.reals], free[:, self.reals :].unflatten(1, (-1, 2))
+        real = free[:, : self.reals]
+        pairs = free[:, self.reals :].unflatten(1, (-1, 2))
         return torch.complex(
             torch.cat([real, pairs[..., 0]], 1),
             torch.cat([torch.zeros_like(real), pairs[..., 1]], 1),
@@ -288,7 +292,9 @@ class TorchSSM(TorchModel):
 
     def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
         super().__init__()
-        self.scaffold_in, self.lru, self.scaffold_out = scaffold_in, lru, scaffold_out
+        self.scaffold_in = scaffold_in
+        self.lru = lru
+        self.scaffold_out = scaffold_out
         self.states = lru.order
 
     def forward(
@@ -300,16 +306,15 @@ class TorchSSM(TorchModel):
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
         lifted = self.scaffold_in(u) if lifted is None else lifted
-        modes, modal = self.lru.modes(), self.lru.initial_state(x0)
+        modes = self.lru.modes()
+        modal = self.lru.initial_state(x0)
         end = self.lru.real_state(end_state(modes, lifted, modal))
         return self.scaffold_out(respond(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
-        linear, inward, outward = (
-            self.lru.to_state_space(),
-            self.scaffold_in.freeze(),
-            self.scaffold_out.freeze(),
-        )
+        linear = self.lru.to_state_space()
+        inward = self.scaffold_in.freeze()
+        outward = self.scaffold_out.freeze()
         return SSM(
             linear=linear,
             scaffold_in=inward,

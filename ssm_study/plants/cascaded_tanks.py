@@ -39,11 +39,10 @@ class CascadedTanks(Plant):
     outputs = (Channel(name="lower_level", unit="V"),)
     states = (Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V"))
     disturbances = (Channel(name="lower_inflow", unit="V/s"),)
-    initial_range, input_clock_s = stated("initial_level_v", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = (
-        stated("amplitude_v", (1,)),
-        stated("level_noise_variance", (1,)),
-    )
+    initial_range = stated("initial_level_v", (-1, 1))
+    input_clock_s = stated("clock_s")
+    input_amplitude = stated("amplitude_v", (1,))
+    noise_variance = stated("level_noise_variance", (1,))
 
     outflow_upper: float
     inflow_lower: float
@@ -62,7 +61,8 @@ class CascadedTanks(Plant):
 
     def __post_init__(self) -> None:
         check_signs(self, not_negative=("level_noise_variance", "spill_share"))
-        share, remedy = self.spill_share, "use 0 if nothing falls into the lower"
+        share = self.spill_share
+        remedy = "use 0 if nothing falls into the lower"
         require(share <= 1, "spill_share", share, "a share lies in [0, 1]", remedy)
         stays = (self.equilibrium().x < self.brim_v).all()
         require(stays, "rest_pump_v", self.rest_pump_v, "the tanks overflow at rest", "lower it")

@@ -59,11 +59,10 @@ class DCMotor(Plant):
         Channel(name="shaft_twist", unit="rad"),
     )
     disturbances = (Channel(name="load_torque", unit="N m"),)
-    initial_range, input_clock_s = stated("initial_speed_rad_per_s", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = (
-        stated("amplitude_v", (1,)),
-        stated("speed_noise_variance", (1,)),
-    )
+    initial_range = stated("initial_speed_rad_per_s", (-1, 1))
+    input_clock_s = stated("clock_s")
+    input_amplitude = stated("amplitude_v", (1,))
+    noise_variance = stated("speed_noise_variance", (1,))
 
     resistance_ohm: float
     inductance_h: float

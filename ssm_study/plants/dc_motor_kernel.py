@@ -38,7 +38,10 @@ def _series(p, c, v, load, motor_mode, load_mode):
     """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence
     exactly."""
     for q in range(ORDER):
-        i, wm, wl, th = c[q, 0], c[q, 1], c[q, 2], c[q, 3]
+        i = c[q, 0]
+        wm = c[q, 1]
+        wl = c[q, 2]
+        th = c[q, 3]
         held_v, held_load = (v, load) if q == 0 else (0.0, 0.0)
         tm, tl = _torques(p, i, wm, wl, th, held_load)
         if q == 0:
@@ -77,7 +80,8 @@ def _leaves(
 ):  # The time in [0, h] at which body leaves its mode; above h if it does not
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
-    low, high = 0.0, h
+    low = 0.0
+    high = h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         if _keeps(p, c, middle, load, body, mode) >= 0.0:
@@ -103,7 +107,8 @@ def _mode(
 @no_type_check
 def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
     tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
-    motor_mode, load_mode = _mode(c[0, 1], tm, p.coulomb), _mode(c[0, 2], tl, p.coulomb)
+    motor_mode = _mode(c[0, 1], tm, p.coulomb)
+    load_mode = _mode(c[0, 2], tl, p.coulomb)
     for _ in range(SWITCHES_PER_SUBSTEP):
         _series(p, c, v, load, motor_mode, load_mode)
         motor_leaves = _leaves(p, c, h, load, 0, motor_mode)  # which body switches first

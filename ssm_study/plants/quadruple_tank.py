@@ -43,11 +43,10 @@ class QuadrupleTank(Plant):
         Channel(name="inflow_1", unit="cm^3/s"),
         Channel(name="inflow_2", unit="cm^3/s"),
     )
-    initial_range, input_clock_s = stated("initial_level_v", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = (
-        stated("amplitude_v", (1, 1)),
-        stated("level_noise_variance", (1, 1)),
-    )
+    initial_range = stated("initial_level_v", (-1, 1))
+    input_clock_s = stated("clock_s")
+    input_amplitude = stated("amplitude_v", (1, 1))
+    noise_variance = stated("level_noise_variance", (1, 1))
 
     area_cm2: Four
     outlet_cm2: Four

@@ -39,11 +39,10 @@ class StribeckDrive(Plant):
     outputs = (Channel(name="speed", unit="rad/s"),)
     states = (Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s"))
     disturbances = (Channel(name="load_torque", unit="N m"),)
-    initial_range, input_clock_s = stated("initial_speed_rad_per_s", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = (
-        stated("amplitude_a", (1,)),
-        stated("speed_noise_variance", (1,)),
-    )
+    initial_range = stated("initial_speed_rad_per_s", (-1, 1))
+    input_clock_s = stated("clock_s")
+    input_amplitude = stated("amplitude_a", (1,))
+    noise_variance = stated("speed_noise_variance", (1,))
 
     current_lag_s: float
     current_limit_a: float
@@ -86,11 +85,10 @@ class StribeckDrive(Plant):
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         h = self.step_s / self.substeps
-        keep, drive = (
-            np.exp(-h / self.current_lag_s),
-            np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a),
-        )
-        i, w = x[:, 0], x[:, 1]
+        keep = np.exp(-h / self.current_lag_s)
+        drive = np.clip(u[:, 0], -self.current_limit_a, self.current_limit_a)
+        i = x[:, 0]
+        w = x[:, 1]
         for _ in range(self.substeps):
             torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
             free = w + (h / self.inertia_kgm2) * torque

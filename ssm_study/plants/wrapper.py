@@ -79,7 +79,8 @@ class SaturatedInput(Wrapper):
     upper: Limit
 
     def __post_init__(self) -> None:
-        rest, limits = self.plant.equilibrium().u, (self.lower, self.upper)
+        rest = self.plant.equilibrium().u
+        limits = (self.lower, self.upper)
         for name, limit in zip(("lower", "upper"), limits, strict=True):
             require(
                 np.size(limit) in (1, len(rest)),

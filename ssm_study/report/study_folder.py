@@ -133,7 +133,8 @@ class StudyFolder:
     def table(self) -> pd.DataFrame:
         tables = [gathered(self.folder)]
         for other in self.others:
-            place, table = Path(os.path.relpath(other, self.folder)), gathered(other)
+            place = Path(os.path.relpath(other, self.folder))
+            table = gathered(other)
             tables.append(table.assign(run=[str(place / run) for run in table["run"]]))
         return tables[0] if len(tables) == 1 else pd.concat(tables, ignore_index=True)
 

@@ -288,7 +288,8 @@ def _once(records: list[_Errors]) -> View:
         float(sum((part**2).sum() for part in parts))
         for parts in zip(*[(r.e, r.u) for r in records])  # noqa: B905
     )
-    power_u, power_e = welch([r.u for r in records]), welch([r.e for r in records])
+    power_u = welch([r.u for r in records])
+    power_e = welch([r.e for r in records])
     bands = np.linspace(0, np.pi, len(power_u))
     ratio = np.sqrt(
         np.divide(power_e, power_u, out=np.where(power_e > 0, np.inf, 0.0), where=power_u > 0)
@@ -329,8 +330,10 @@ def _swung(
     overlapping); by frequency
     the gain is raised by as many of them, since what a loop that failed shows must refute it.
     """
-    power_u, power_e = welch([record.u]), welch([record.e])
-    bands, samples = np.linspace(0, np.pi, len(power_u)), len(record.u)
+    power_u = welch([record.u])
+    power_e = welch([record.e])
+    bands = np.linspace(0, np.pi, len(power_u))
+    samples = len(record.u)
     sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
     white = np.quantile(power_e[1:-1], QUIET) / 2
     drawn = sides * (white if noise is None else samples * np.interp(bands, ANGLES, noise))

@@ -44,11 +44,13 @@ def after_returns(
     an input other than
     the equilibrium's, came to rest.
     """
-    still, offsets = list[float](), list[float]()
+    still = list[float]()
+    offsets = list[float]()
     for level, outputs in _by_input(scale, records).items():
         centred = not np.frombuffer(level).any()
         long = [y for y in outputs if len(y) >= max(RESPONSES * response, FEWEST)]
-        moves, apart = [swing(y) for y in long or outputs], _apart(long or outputs, centred=centred)
+        moves = [swing(y) for y in long or outputs]
+        apart = _apart(long or outputs, centred=centred)
         if long or (max((*moves, *apart)) < AT_REST and _far(outputs)):
             still += [one for one in moves if one >= AT_REST or apart]
             offsets += [off for off in apart if off > AT_REST]
@@ -91,7 +93,8 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
     if not centred and not others:
         return []
     if not centred:
-        means, spread = means - (means.sum(axis=0) - means) / others, spread * (1 + 1 / others)
+        means = means - (means.sum(axis=0) - means) / others
+        spread = spread * (1 + 1 / others)
     return [float(off) for off in (np.abs(means) - SURE * np.sqrt(spread)).max(axis=1)]
 
 

@@ -60,15 +60,20 @@ def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: flo
     """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal
     model."""
     k, (n, p) = pair.k, pair.l.shape
-    on_state, on_internal, modes = k[:, :n], k[:, n:], pair.modes
-    drive, internal = slope_in * linear.b @ on_state, slope_in * linear.b @ on_internal
-    fed, none = error_input_matrix(modes, p), np.zeros((len(modes), n))
+    on_state = k[:, :n]
+    on_internal = k[:, n:]
+    modes = pair.modes
+    drive = slope_in * linear.b @ on_state
+    internal = slope_in * linear.b @ on_internal
+    fed = error_input_matrix(modes, p)
+    none = np.zeros((len(modes), n))
     rows = [[linear.a + drive, drive, internal]]  # x, for `u` reads the estimate `x + eps`
     rows += [
         [np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, none.T]
     ]  # eps, driven by e
     rows += [[slope_out * fed @ linear.c[:p], none, modes]]  # z is driven by what is measured
-    entry, read = [np.zeros((n, p)), -pair.l, fed], [on_state, on_state, on_internal]
+    entry = [np.zeros((n, p)), -pair.l, fed]
+    read = [on_state, on_state, on_internal]
     return StateSpace(
         a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p))
     )
@@ -112,7 +117,8 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
     stabilisation.
     Source: Youla, Bongiorno & Lu, Automatica 10 (1974) 159-173.
     """
-    on_state, largest = pair.k[..., : system.order], np.zeros(pair.k.shape[:-2])
+    on_state = pair.k[..., : system.order]
+    largest = np.zeros(pair.k.shape[:-2])
     for linear, own, slope_in, slope_out in ends(system, pair, balls):
         driven = slope_in * on_state
         alone = linear.a + linear.b @ driven + slope_out * own.l @ (linear.c + linear.d @ driven)
@@ -184,7 +190,8 @@ def peaks_on_grid(
         if isinstance(system, StateSpace)
         else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
     )
-    responses, peaks = Responses(angles=angles), np.zeros((len(ks), len(ls)))
+    responses = Responses(angles=angles)
+    peaks = np.zeros((len(ks), len(ls)))
     observers = Gains(
         k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal
     )  # of no controller

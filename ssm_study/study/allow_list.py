@@ -95,10 +95,8 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
     if (
         key in ("()", "class") and "_logging." in path
     ):  # `()` is the factory of logging.config: any function at all
-        standard, remedy = (
-            key == "class" and str(value).startswith("logging."),
-            "use a handler class of logging",
-        )
+        standard = key == "class" and str(value).startswith("logging.")
+        remedy = "use a handler class of logging"
         require(standard, path, value, "logging is not made by foreign classes", remedy)
     if path in FOLDERS:
         kept = value in FOLDERS[path]

@@ -100,14 +100,13 @@ def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
 
 def requested(run: RunFiles) -> Claims:
     """The settings are those of the configuration, and the run's name is its hash."""
-    name, hashed = (
-        str(run.config.run),
-        run_name(run.config),
-    )  # what a name shows before its hash is the user's choice
+    name = str(run.config.run)
+    hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
     yield Derived(
         {"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"}
     )
-    study, folder = run.path.absolute().parent, run.path.absolute().name
+    study = run.path.absolute().parent
+    folder = run.path.absolute().name
     alone = folder == name or not ((study / PARQUET).exists() or (study / name).exists())
     told = (
         "stands once"
@@ -162,7 +161,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield Derived(data_metrics.data_facts(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
-        kept, made = getattr(run.simulated, split), getattr(records, split)
+        kept = getattr(run.simulated, split)
+        made = getattr(records, split)
         pairs = of_records(kept.records, made)
         pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
@@ -170,7 +170,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         pairs = of_records(run.trials, records.mismatch_records)
         yield agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
-        judged, stated = evidence_facts(run.judgement), evidence_facts(read_judgement(run.path))
+        judged = evidence_facts(run.judgement)
+        stated = evidence_facts(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
         yield Checked(claim="evidence.json", holds=stated == judged, found=found)
         yield Derived(judged)

@@ -108,7 +108,8 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     claimed = any(run.record.get(name) is not None for name in ("coverage", "coverage_reason"))
     if not claimed and MeasuredDiscs.part not in run.design.extra_certificates:
         return {}  # a run of before these columns claims nothing of them
-    kept, test = run.simulated.validation, run.simulated.test
+    kept = run.simulated.validation
+    test = run.simulated.test
     records = kept.records, kept.start_up_samples, run.trials
     shown = measure_mismatch(run.model, *records)
     premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)

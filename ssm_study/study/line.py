@@ -122,7 +122,9 @@ class Study(Task["Specification"]):
         data, _, bounded = self.identified(request, stages)
         if not request.model.gives_ssm:
             return
-        known, tried, unrecorded = data, list[StageOutput[Any]](), stages.unrecorded()
+        known = data
+        tried = list[StageOutput[Any]]()
+        unrecorded = stages.unrecorded()
         for left in reversed(range(request.refine if isinstance(request.refine, int) else 0)):
             tried += self.designed(request, unrecorded, known, bounded)
             known = (unrecorded if left else stages).run_stage(TRIALS, {}, {}, data, *tried)
@@ -236,7 +238,8 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     """Raise `BadRequest` where failed runs are to be run again and there is no run yet."""
     study = study_folder(config)
     there = any(study.glob(f"{run}/{RECORD}"))
-    problem, remedy = f"there is nothing in {study} to run again", "leave it out the first time"
+    problem = f"there is nothing in {study} to run again"
+    remedy = "leave it out the first time"
     require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
 
 

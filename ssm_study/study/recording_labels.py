@@ -32,7 +32,8 @@ def recordings_of(
     ]
     if run.closes_loop:
         twin = IdentifiedPlant.of(run.model, data.inputs, data.outputs)
-        on, spec = run.specification.plant or twin, run.specification
+        on = run.specification.plant or twin
+        spec = run.specification
         words = {
             "loop_on": closed_on(spec.plant),
             "loop_seed": str(spec.loop_seed),

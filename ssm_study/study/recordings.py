@@ -84,10 +84,8 @@ class RecordedCases:
     def rest_s(self) -> float:
         """A little after the last response of a closed loop has come to rest in the band, else the
         whole horizon."""
-        time_s, responses = (
-            self.time_s("output"),
-            np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0],
-        )
+        time_s = self.time_s("output")
+        responses = np.concatenate([self["output"], self["uncontrolled"]])[:, :, 0]
         outside = (np.abs(responses - self["reference"][0, :, 0]) > self.settling_band).any(axis=0)
         last = int(
             np.flatnonzero(outside).max(initial=0)
@@ -97,10 +95,8 @@ class RecordedCases:
     @property
     def records(self) -> Trajectories:
         """Input and measured output of every case."""
-        step_s, names = (
-            float(self.about["step_s"]),
-            (prefix or self.path.stem for prefix in self.cases),
-        )
+        step_s = float(self.about["step_s"])
+        names = (prefix or self.path.stem for prefix in self.cases)
         parts = zip(names, self.signals("input"), self.signals("measured"), strict=True)
         return tuple(
             Trajectory(u=u.values, y=y.values, step_s=step_s, name=name) for name, u, y in parts
@@ -159,7 +155,8 @@ def of_records(
     kept: tuple[Trajectory, ...], made: tuple[Trajectory, ...]
 ) -> dict[str, tuple[Any, Any]]:
     """The signals of two sets of records, and their sampling times, side by side."""
-    names, both = ("u", "y", "step_s", "closed_loop"), enumerate(zip(kept, made, strict=False))
+    names = ("u", "y", "step_s", "closed_loop")
+    both = enumerate(zip(kept, made, strict=False))
     pairs = {
         f"{name} {i}": (getattr(one, name), getattr(other, name))
         for i, (one, other) in both
@@ -173,7 +170,8 @@ def distance(stored: Any, made: Any) -> float:
     that is none."""
     if stored is None or made is None:
         return 0.0 if stored is made else float("inf")
-    one, other = np.asarray(stored, dtype=float), np.asarray(made, dtype=float)
+    one = np.asarray(stored, dtype=float)
+    other = np.asarray(made, dtype=float)
     if one.shape != other.shape:
         return float("inf")
     apart = float(np.abs(one - other).max(initial=0.0))

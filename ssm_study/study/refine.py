@@ -44,7 +44,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
     """
     files = _tried(run, log)
     for _ in range(1 if log else times):
-        proved, shown = files.record.get("certified_tolerance") or 0.0, _seen(files, log)
+        proved = files.record.get("certified_tolerance") or 0.0
+        shown = _seen(files, log)
         if shown <= proved:
             covered = f"what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
             still = "the loop comes to rest, so it shows nothing that makes it swing; the choice stays as it is."
@@ -56,7 +57,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         yield Step(said=_told(child, proved, shown, outcome), config=config)
         if outcome.status == FAILED:
             return
-        before, after = files.design.gains, child.design.gains
+        before = files.design.gains
+        after = child.design.gains
         if before.keys() == after.keys() and all(
             np.array_equal(before[name], after[name]) for name in before
         ):
@@ -75,7 +77,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
 def _tried(run: Path, log: Path | None) -> RunFiles:
     """The run's files; refuses what cannot be refined."""
     files = RunFiles(path=run, record=read_record(run) or {})
-    status, remedy = files.record.get("status"), "give the folder of a run in its study"
+    status = files.record.get("status")
+    remedy = "give the folder of a run in its study"
     require(
         (run / CONFIGURATION).is_file() and bool(status), "run", run, "is no run folder", remedy
     )
@@ -102,10 +105,8 @@ def _tried(run: Path, log: Path | None) -> RunFiles:
         "use model=ssm",
     )
     if log is None:
-        known, remedy = (
-            files.record.get("loop_on") == "plant",
-            "give the log of a trial: --record log.csv",
-        )
+        known = files.record.get("loop_on") == "plant"
+        remedy = "give the log of a trial: --record log.csv"
         require(known, "run", run, "its data are recorded, so no plant is known", remedy)
     else:
         own = "the run has a plant of its own, on which the loop is closed"
@@ -121,17 +122,16 @@ def _seen(files: RunFiles, log: Path | None) -> float:
         trial = of_loops(read_experiment(files.path)[0].controlled)
     else:
         trial = read_logs([str(log)], files.specification.data, files.model.step_s)  # type: ignore[arg-type]
-    known, kept = (
-        files.simulated.validation,
-        tuple(one for one in files.trials if not one.closed_loop),
-    )
+    known = files.simulated.validation
+    kept = tuple(one for one in files.trials if not one.closed_loop)
     shown = measure_mismatch(files.model, known.records, known.start_up_samples, kept + trial)
     return 0.0 if shown.loop is None else shown.loop.gain
 
 
 def _next(files: RunFiles, log: Path | None) -> DictConfig:
     """The configuration with one trial more, in the study where the run lies."""
-    config, before = files.config.copy(), files.specification.refine
+    config = files.config.copy()
+    before = files.specification.refine
     logs, count = (before, 0) if isinstance(before, list) else ([], before or 0)
     more: Any = count + 1 if log is None else [*logs, str(log)]
     config.update(

@@ -31,7 +31,8 @@ from ssm_study.study.trials import repeated
 LEFT_AT_REST = (
     0.02  # share of the summed impulse response that is left when a plant counts as at rest
 )
-CONFIGURATION, OVERRIDES = ".hydra/config.yaml", ".hydra/overrides.yaml"
+CONFIGURATION = ".hydra/config.yaml"
+OVERRIDES = ".hydra/overrides.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,10 +46,8 @@ class RunFiles:
     @cached_property
     def config(self) -> DictConfig:
         """The resolved configuration that the run was made from."""
-        there, remedy = (
-            (self.path / CONFIGURATION).is_file(),
-            "give a run folder that the study made",
-        )
+        there = (self.path / CONFIGURATION).is_file()
+        remedy = "give a run folder that the study made"
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
         config = OmegaConf.create(stored_yaml(self.path / CONFIGURATION))
         require(
@@ -88,7 +87,8 @@ class RunFiles:
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
-        spec, real = self.specification, getattr(self.specification.plant, "real", False)
+        spec = self.specification
+        real = getattr(self.specification.plant, "real", False)
         require(
             not real,
             "plant",
@@ -165,7 +165,8 @@ class RunFiles:
     def excitation(self) -> dict[str, float]:
         """What a next record (`OwnPlantRecord`) takes, by this one: its inputs with rest, its
         model's response, s."""
-        problem, remedy = "has several inputs", "give --lower and the others for each"
+        problem = "has several inputs"
+        remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
         (lower,), (upper,) = input_limits(None, None, self.applied)
         lasts = self.model.linear.response_samples(remainder=LEFT_AT_REST) * self.model.step_s

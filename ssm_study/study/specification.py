@@ -86,20 +86,16 @@ class Specification:
         Without a plant it is scored and certified, and no loop is closed.
         """
         loops = self.model.gives_ssm and self.plant is not None
-        problem, remedy = (
-            "the loop samples the output before the input acts",
-            "identify with model.feedthrough=false",
-        )
+        problem = "the loop samples the output before the input acts"
+        remedy = "identify with model.feedthrough=false"
         asked = self.configuration["model"].get("feedthrough")
         require(not (loops and asked), "model.feedthrough", asked, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
         """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is
         known beforehand."""
-        words, step_s = (
-            getattr(self.synthesis, "modes", ()),
-            getattr(self.plant or self.data, "step_s", None),
-        )
+        words = getattr(self.synthesis, "modes", ())
+        step_s = getattr(self.plant or self.data, "step_s", None)
         if words and step_s:
             from ssm_study.certificates.theorems.integral_action import internal_model
 
@@ -108,7 +104,8 @@ class Specification:
     def refuse_sizes(self) -> None:
         """Raise `BadRequest` for what no memory holds, and for more states than there are, before
         any is allocated."""
-        order, kept = self.configuration["model"].get("order"), self.reduction.truncate_to
+        order = self.configuration["model"].get("order")
+        kept = self.reduction.truncate_to
         fits = kept is None or not isinstance(order, int) or kept <= order
         require(
             fits,
@@ -121,10 +118,8 @@ class Specification:
             return
         assert isinstance(self.data, SimulatedData)
         one = not self.plant.real or (self.loop.initial_conditions == 1 and not self.data.trials)
-        problem, remedy = (
-            "a device runs one case, from where it is",
-            "use loop.initial_conditions=1 +data.trials=false",
-        )
+        problem = "a device runs one case, from where it is"
+        remedy = "use loop.initial_conditions=1 +data.trials=false"
         require(one, "plant", type(self.plant).__name__, problem, remedy)
         samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
         counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
@@ -146,11 +141,10 @@ class Specification:
         The loop of a log whose reference begins elsewhere need not hold its rest.
         """
         ends = [np.asarray(end) for end in self.loop.limits]
-        names, shown = "loop.input_lower, loop.input_upper", tuple(end.tolist() for end in ends)
-        fits, whose = (
-            all(end.shape in ((), rest.shape) for end in ends),
-            "plant" if self.plant else "log",
-        )
+        names = "loop.input_lower, loop.input_upper"
+        shown = tuple(end.tolist() for end in ends)
+        fits = all(end.shape in ((), rest.shape) for end in ends)
+        whose = "plant" if self.plant else "log"
         require(
             fits,
             names,

@@ -80,17 +80,13 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
     columns: Columns = data if isinstance(data, Columns) else data.training[0]  # type: ignore[attr-defined]
     found: list[Trajectory] = []
     both = set(listed(columns.input)) & set(listed(columns.output))
-    problem, remedy = (
-        "names an input and an output, in files of their own",
-        "give the two columns different names",
-    )
+    problem = "names an input and an output, in files of their own"
+    remedy = "give the two columns different names"
     require(not both, "data.output", sorted(both), problem, remedy)
     for path in paths:
         record = columns.read_from(Path(path))
-        problem, remedy = (
-            f"the model's sampling time is {step_s:g} s",
-            "log the trial at that sampling time",
-        )
+        problem = f"the model's sampling time is {step_s:g} s"
+        remedy = "log the trial at that sampling time"
         require(
             abs(record.step_s - step_s) <= AGREEMENT * step_s,
             f"{path} (step_s)",
@@ -99,10 +95,8 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
             remedy,
         )
         at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
-        problem, remedy = (
-            "the input never moves, so nothing was tried",
-            "log the controller's own input",
-        )
+        problem = "the input never moves, so nothing was tried"
+        remedy = "log the controller's own input"
         require(
             bool(np.ptp(record.u, axis=0).any()),
             f"{path} (input)",
@@ -119,7 +113,8 @@ def repeated(request: "Specification", run: Path) -> Trajectories:
     simulated."""
     if request.refine is None:
         return ()
-    model, plant = read_model(run), request.plant
+    model = read_model(run)
+    plant = request.plant
     if isinstance(request.refine, list) or plant is None:
         return read_logs(request.refine, request.data, model.step_s)  # type: ignore[arg-type]  # recorded, as checked
     designs = [Design.from_json(content) for content in read_json(run / TRIED)]

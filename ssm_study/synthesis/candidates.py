@@ -34,7 +34,8 @@ class Candidates:
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
         """The request whose solutions are the gains of this pair."""
-        feedback, observing = self.feedback[pair[0]], self.observing[pair[1]]
+        feedback = self.feedback[pair[0]]
+        observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
         taken: Any = {name: getattr(observing, name) for name in names}
         return replace(feedback, near={**feedback.near, **observing.near}, **taken)

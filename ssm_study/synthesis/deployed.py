@@ -59,7 +59,8 @@ def with_gain_certificates(
     """
     model, balls = of_commands(design, model, balls)
     limits = None if design.inverts else limits
-    feedback, observer = design.state_feedback, design.observer
+    feedback = design.state_feedback
+    observer = design.observer
     found: dict[str, Theorem | None] = {}
     for side, part in (("state_feedback", feedback), ("observer", observer)):
         if not isinstance(part, Infeasible) and part.certified:
@@ -159,11 +160,10 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
     answers it at once.
     """
     design.parts()
-    rest, limits = model.scale.input_equilibrium, (lower.tolist(), upper.tolist())
-    problem, remedy = (
-        "do not enclose the input at rest",
-        "widen them or choose another operating point",
-    )
+    rest = model.scale.input_equilibrium
+    limits = (lower.tolist(), upper.tolist())
+    problem = "do not enclose the input at rest"
+    remedy = "widen them or choose another operating point"
     require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
     found = WithinLimits.of(model, with_limits(model, design, lower, upper))
     if found is None:

@@ -66,7 +66,8 @@ class DesignAttempt:
     def refused(self) -> Infeasible | None:
         """What no method can do, with the number that decides; None if the request lies inside the
         frontier."""
-        ball, limit = self.ball, self.frontier.rate_limit
+        ball = self.ball
+        limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
             reason = (
                 f"the slopes [{ball.lower:.4g}, {ball.upper:.4g}] include zero, so no input is sure to have an effect; "
@@ -175,7 +176,8 @@ def failed_checks(
         if not all(np.array_equal(gain, design.gains.get(letter, np.nan)) for letter, gain in own):
             broken.append(f"{label}: the gain is not the one that is deployed")
     for side in SIDES:
-        stated, derived = content[side].get("certified_rate"), design.certified_rate(side)
+        stated = content[side].get("certified_rate")
+        derived = design.certified_rate(side)
         if stated != derived:
             broken.append(f"{side}.certified_rate = {stated!r}: what is proved is {derived!r}")
     return broken
@@ -183,8 +185,10 @@ def failed_checks(
 
 def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str]:
     theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
-    ball, limit = theorem.ball(known), theorem.rate_limit_of(known)
-    broken, stated = [], getattr(part, "rate_limit", np.nan)
+    ball = theorem.ball(known)
+    limit = theorem.rate_limit_of(known)
+    broken = []
+    stated = getattr(part, "rate_limit", np.nan)
     if limit is not None and not abs(stated - limit) <= FRONTIER_ROUNDING:
         broken.append(f".rate_limit = {stated!r}: the frontier is {limit!r}")
     if isinstance(part, Infeasible):
@@ -195,7 +199,8 @@ def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str
             broken.append(f".proved: the rate {part.rate:g} is inside the frontier {limit:g}")
         return broken
     if Fraction(ball.beta) + abs(Fraction(ball.alpha) - Fraction(part.alpha)) > Fraction(part.beta):
-        stated, filled = f"{part.alpha!r}, {part.beta!r}", f"{ball.alpha!r}, {ball.beta!r}"
+        stated = f"{part.alpha!r}, {part.beta!r}"
+        filled = f"{ball.alpha!r}, {ball.beta!r}"
         broken.append(
             f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside"
         )
@@ -284,10 +289,8 @@ class Synthesis(ABC):
             return designed(replace(self, invert_input=False), model, validation, shown)
         system = getattr(model, "system", model.linear)
         controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
-        feedback, observer = (
-            self.state_feedback(controlled, balls.input),
-            self.observer(system, balls.output),
-        )
+        feedback = self.state_feedback(controlled, balls.input)
+        observer = self.observer(system, balls.output)
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
@@ -340,9 +343,7 @@ class Synthesis(ABC):
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate
         with room."""
-        r, floor = (
-            problem.contraction,
-            max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction),
-        )
+        r = problem.contraction
+        floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
         return [partial(self.solve, problem.at(rate)) for rate in rates]

@@ -71,7 +71,8 @@ def beside(a, b):
 @no_type_check
 def solved(a, b):
     """`a^{-1} b` by elimination with partial pivots; raises for a singular a, or NaN."""
-    n, rows = len(a), beside(a, b)
+    n = len(a)
+    rows = beside(a, b)
     width = rows.shape[1]
     for i in range(n):
         best = i
@@ -94,7 +95,9 @@ def solved(a, b):
 @no_type_check
 def log_det(a):
     """Of a positive definite a, by Cholesky's lower factor; raises for any other."""
-    n, total, lower = len(a), 0.0, np.zeros(a.shape)
+    n = len(a)
+    total = 0.0
+    lower = np.zeros(a.shape)
     for i in range(n):
         for j in range(i + 1):
             left = a[i, j]
@@ -121,7 +124,8 @@ def _grown(total, step):
             total[i, j] = total[j, i] = (total[i, j] + total[j, i]) / 2 + middle
             if not abs(total[i, j]) < 1e200:  # and NaN, before a square overflows
                 return -1
-            largest, change = max(largest, abs(total[i, j])), max(change, abs(middle))
+            largest = max(largest, abs(total[i, j]))
+            change = max(change, abs(middle))
     return 1 if change <= CONVERGED * largest else 0
 
 
@@ -130,11 +134,14 @@ def _grown(total, step):
 def doubled(a, g, h):
     """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises where there is none. G and H are used
     up."""
-    n, ended = len(a), 0
+    n = len(a)
+    ended = 0
     for _ in range(DOUBLINGS):
         # One elimination serves both: the closed-loop matrix, and what it adds to G.
         both = solved(plus(np.eye(n), times(g, h), 1.0), beside(a, g))
-        left, right, across = both[:, :n].copy(), both[:, n:].copy(), turned(a)
+        left = both[:, :n].copy()
+        right = both[:, n:].copy()
+        across = turned(a)
         ended = _grown(h, times(times(across, h), left))
         if ended:
             break
@@ -173,11 +180,9 @@ def _costs(f, moved, state_weight, input_weight, m, r, logs):
     for i in range(q):
         for j in range(inputs + n):
             weighted[i, j] = rows[i, j] * exp(logs[i]) / 2
-    every, own, s = (
-        times(turned(rows), weighted),
-        np.zeros((inputs + q, inputs + q)),
-        np.zeros((inputs + q, n)),
-    )
+    every = times(turned(rows), weighted)
+    own = np.zeros((inputs + q, inputs + q))
+    s = np.zeros((inputs + q, n))
     for i in range(inputs):
         for j in range(inputs):
             own[i, j] = every[i, j] / r**2
@@ -222,8 +227,10 @@ def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     """
     (q, n), inputs = f.shape, moved.shape[1]
     z = plus(f, times(moved, saddle[:inputs].copy()), 1.0)  # what drives each neuron there
-    driven, played = times(z, reach), times(saddle, reach)
-    held, gradient = times(moved, shadow[:inputs, :inputs].copy()), np.full(len(logs), barrier)
+    driven = times(z, reach)
+    played = times(saddle, reach)
+    held = times(moved, shadow[:inputs, :inputs].copy())
+    gradient = np.full(len(logs), barrier)
     for i in range(q):
         flow = barrier * -shadow[inputs + i, inputs + i]
         for j in range(n):
@@ -250,19 +257,22 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     cost, own, s = _costs(f, moved, state_weight, input_weight, m, r, logs)
     across = turned(b)
     inverse = solved(own, beside(s, across))
-    first, second = inverse[:, :n].copy(), inverse[:, n:].copy()
+    first = inverse[:, :n].copy()
+    second = inverse[:, n:].copy()
     x = doubled(
         plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0)
     )
     log_det(x)
     into = times(across, x)
-    h, toward = plus(own, times(into, b), 1.0), plus(s, times(into, a), 1.0)
+    h = plus(own, times(into, b), 1.0)
+    toward = plus(s, times(into, a), 1.0)
     t = _constraint(h, m, inputs, injects)
     room = times(turned(t), times(h, t))
     for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
         for j in range(len(room)):
             room[i, j] = -room[i, j]
-    trace, known = 0.0, 0.0
+    trace = 0.0
+    known = 0.0
     for i in range(n):
         trace += x[i, i]
     for i in range(len(logs)):

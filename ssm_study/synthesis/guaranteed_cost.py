@@ -83,7 +83,8 @@ class GuaranteedCost:
 def guaranteed_cost(problem: Problem) -> Solution:
     """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is
     admissible."""
-    alpha, beta = problem.ball.alpha, problem.ball.beta
+    alpha = problem.ball.alpha
+    beta = problem.ball.beta
     if abs(alpha) <= beta:
         raise NoSolution("the slopes include zero, so no input is sure to have an effect")
     tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
@@ -99,7 +100,9 @@ def guaranteed_cost(problem: Problem) -> Solution:
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if
     inadmissible."""
-    ball, ah, bh = problem.ball, problem.a_hat, problem.b_hat
+    ball = problem.ball
+    ah = problem.a_hat
+    bh = problem.b_hat
     rt_over_tau = problem.input_weight / tau + ball.beta**2  # all over tau, see the statement
     kappa_times_tau = ball.alpha**2 / rt_over_tau - 1
     if not kappa_times_tau > 0:
@@ -108,7 +111,8 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
         s = solve_riccati(ah, bh, problem.state_weight / tau, float(kappa_times_tau))
     except NoSolution:
         return None
-    m, energy = bh.shape[1], bh.T @ s @ bh
+    m = bh.shape[1]
+    energy = bh.T @ s @ bh
     if not np.linalg.eigvalsh(energy)[-1] < 1:  # Bh^T S Bh < tau I, the hypothesis
         return None
     k = -(ball.alpha / rt_over_tau) * np.linalg.solve(

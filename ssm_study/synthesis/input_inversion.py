@@ -31,11 +31,10 @@ INVERTED = {
 
 def commanded(model: Model) -> Model:
     """The model with input v. Raises `BadRequest` where `S_u` has no inverse by channel."""
-    problem, remedy = (
-        "is not strictly monotone in each channel",
-        "use scaffold@model.scaffold_in=monotone",
-    )
-    kind, known = model.scaffold_in.kind, inverse_of(model.scaffold_in.portable()) is not None
+    problem = "is not strictly monotone in each channel"
+    remedy = "use scaffold@model.scaffold_in=monotone"
+    kind = model.scaffold_in.kind
+    known = inverse_of(model.scaffold_in.portable()) is not None
     require(known, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
     scale = {"input_scale": np.ones(channels), "input_equilibrium": np.zeros(channels)}

@@ -56,7 +56,8 @@ class CompiledLmi:
         input_weight: float,
     ) -> None:
         n, m = b.shape
-        p, x = cp.Variable((n, n), symmetric=True), cp.Variable((m, n))
+        p = cp.Variable((n, n), symmetric=True)
+        x = cp.Variable((m, n))
         y = cp.Variable((n, n)) if full else p
         self.parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
         self.parts |= {
@@ -74,10 +75,8 @@ class CompiledLmi:
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
-        parts, known = (
-            self.parts,
-            {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta},
-        )
+        parts = self.parts
+        known = {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
         for name, value in known.items():
             parts[name].value = value
         status = solved(self.problem, solver)
@@ -92,7 +91,8 @@ class CompiledLmi:
 
 def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
     """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
-    matrix, g = cp.bmat(full(upper)), cp.Variable(nonneg=True)
+    matrix = cp.bmat(full(upper))
+    g = cp.Variable(nonneg=True)
     bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
     return g, [matrix >> STRICTNESS * np.eye(matrix.shape[0]), p >> np.eye(p.shape[0]), bound >> 0]
 
@@ -151,7 +151,8 @@ def paper_lmi(
         "objective": "feasibility",
         "full": True,
     }
-    method, started = LmiSynthesis(**asked), time.perf_counter()
+    method = LmiSynthesis(**asked)
+    started = time.perf_counter()
     limit = Frontier(contraction_limit=0.0, decided_by="not asked")
     request = DesignAttempt(
         theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started

@@ -197,7 +197,8 @@ class ConeProgram:
 def _triangle(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t"]:
     """Upper triangles, column by column, of the real symmetric matrices `[Re, -Im; Im, Re]`, as
     Clarabel takes them."""
-    real, imaginary = hermitian.real, hermitian.imag
+    real = hermitian.real
+    imaginary = hermitian.imag
     top = np.concatenate([real, -imaginary], axis=2)
     whole = np.concatenate([top, np.concatenate([imaginary, real], axis=2)], axis=1)
     size = whole.shape[1]

@@ -235,7 +235,8 @@ def metrics(
     form = theorem.disc_form(of, rows)
     for multiplier, positive in theorem.map_forms(of, rows):
         form = form + multiplier * positive
-    a, b = rows.step[:, :order], rows.step[:, order:]
+    a = rows.step[:, :order]
+    b = rows.step[:, order:]
     own = np.abs(np.diagonal(form)[order:])
     root = np.sqrt(np.maximum(own, 1e-9 * own.max()))
     driven = b / root
@@ -376,7 +377,8 @@ class WeightProgram:
         """The largest nu, and x, y, multipliers; raises `NoSolution`."""
         linear = self.linear
         scale = normalised(linear)
-        count, weights = len(scale), 2 * (self.basis.order + 1)
+        count = len(scale)
+        weights = 2 * (self.basis.order + 1)
         rows_xy, least_xy = self.weight_rows()
         seen = self.item_rows()
         top = np.zeros((len(seen) + len(rows_xy), 1 + count))
@@ -439,7 +441,8 @@ class WeightProgram:
         """Filters of the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
         `NoSolution`."""
         size = self.basis.order + 1
-        x, y = unknowns[:size] / nu, unknowns[size : 2 * size] / nu
+        x = unknowns[:size] / nu
+        y = unknowns[size : 2 * size] / nu
         floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
         if floor == 0:
             floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))

@@ -24,7 +24,8 @@ OPINION = "another solver's opinion, which decides nothing"
 
 def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
     said = side.capitalize()
-    setting, reason = f"synthesis.rate_{side}", f"Why there is no {side}"
+    setting = f"synthesis.rate_{side}"
+    reason = f"Why there is no {side}"
     return (
         Column(
             f"rate_{side}",
@@ -206,7 +207,8 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
     `shown` is relative to what the law commands (`synthesis.commanded.shown_behind`).
     """
     model, balls = of_commands(design, model, balls)
-    feedback, observer = design.state_feedback, design.observer
+    feedback = design.state_feedback
+    observer = design.observer
     facts = part_facts("controller", feedback) | part_facts("observer", observer)
     facts |= {"controller_certified_rate": design.certified_rate("state_feedback")}
     facts |= {"observer_certified_rate": design.certified_rate("observer")}
@@ -260,7 +262,8 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = of_commands(design, model, balls)
-    feedback, observer = design.state_feedback, design.observer
+    feedback = design.state_feedback
+    observer = design.observer
     neurons = isinstance(
         getattr(model, "system", None), StructuredSystem
     )  # of which [Z26] says nothing

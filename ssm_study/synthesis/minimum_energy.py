@@ -80,14 +80,16 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
     m = modes.b_fast.shape[1]
     if modes.fast == 0:
         return FastGain(k=np.zeros((m, len(modes.left))), p=np.zeros((0, 0)))
-    ah, bh = modes.a_fast / contraction, modes.b_fast / contraction
+    ah = modes.a_fast / contraction
+    bh = modes.b_fast / contraction
     root = energy_root(ah, bh)
     b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
     energy = b_balanced.T @ b_balanced
     k0_root = -np.linalg.solve(
         np.eye(m) + energy, b_balanced.T @ scipy.linalg.solve_triangular(root, ah, lower=True)
     )
-    delta, widest = ball.relative_radius, 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
+    delta = ball.relative_radius
+    widest = 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
     k = k0_root @ modes.left[: modes.fast] / ((1 - delta**2) * ball.alpha)
@@ -130,7 +132,8 @@ def whole_solution(problem: Problem, share: float, scale: float) -> Solution:
 
 
 def _gain_at(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
-    ball, r = problem.ball, problem.contraction
+    ball = problem.ball
+    r = problem.contraction
     limit = max(frontier(problem.a, problem.b, ball).contraction_limit, FASTEST * r)
     faster = float(r * (limit / r) ** share)
     modes = split_modes(problem.a, problem.b, faster)

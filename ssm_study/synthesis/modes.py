@@ -69,8 +69,11 @@ def split_modes(
     except np.linalg.LinAlgError as error:
         raise NoSolution("fast and slow modes cannot be separated") from error
     lower = t.T  # z^T A z, block lower triangular
-    a_fast, a_slow, coupling = lower[:k, :k], lower[k:, k:], lower[k:, :k]
-    left, right = z.T.copy(), z.copy()  # orthogonal so far; the Sylvester solution shears them
+    a_fast = lower[:k, :k]
+    a_slow = lower[k:, k:]
+    coupling = lower[k:, :k]
+    left = z.T.copy()
+    right = z.copy()  # orthogonal so far; the Sylvester solution shears them
     if 0 < k < len(a):
         x = scipy.linalg.solve_sylvester(a_slow, -a_fast, -coupling)
         left[k:] -= x @ left[:k]
@@ -94,7 +97,9 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     if not np.abs(np.linalg.eigvals(ah)).max() < 1:
         raise NoSolution(ON_CIRCLE)
     slow = symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
-    k, a, b = fast.k @ modes.right, modes.left @ problem.a @ modes.right, modes.left @ problem.b
+    k = fast.k @ modes.right
+    a = modes.left @ problem.a @ modes.right
+    b = modes.left @ problem.b
     candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
     told = {
         "alpha": problem.ball.alpha,

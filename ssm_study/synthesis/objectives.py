@@ -24,7 +24,8 @@ def aim(
     Source: [Z26]; docs/theory.md, "With neurons".
     """
     if objective != "guaranteed_cost":
-        matrix, t = cp.bmat(full(upper)), cp.Variable()
+        matrix = cp.bmat(full(upper))
+        t = cp.Variable()
         one = np.eye(matrix.shape[0])
         if objective == "feasibility":
             return cp.Constant(0), [matrix >> one]
@@ -33,5 +34,6 @@ def aim(
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]
     bordered += [[np.eye(rows.shape[0]), *zeros[i + 1 :]] for i, rows in enumerate(performance)]
-    one, z = np.eye(p.shape[0]), cp.Variable(p.shape, symmetric=True)
+    one = np.eye(p.shape[0])
+    z = cp.Variable(p.shape, symmetric=True)
     return cp.trace(z), [cp.bmat(full(bordered)) >> 0, cp.bmat([[z, one], [one, p]]) >> 0]

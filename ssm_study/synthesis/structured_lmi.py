@@ -45,7 +45,8 @@ class StructuredLmi:
     """
 
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
-        self.problem, self.fixed = problem, fixed
+        self.problem = problem
+        self.fixed = fixed
         neurons, ball, (n, m) = problem.of_neurons.scaled(), problem.ball, problem.b.shape
         k = cp.Parameter((m, n), value=None if fixed is None else fixed.k)
         self.of = of = SimpleNamespace(
@@ -91,15 +92,15 @@ class StructuredLmi:
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
         """Raises `NoSolution` with the solver's status when it returns no matrices."""
-        of, fixed, neurons = self.of, self.fixed, self.problem.of_neurons
+        of = self.of
+        fixed = self.fixed
+        neurons = self.problem.of_neurons
         of.rate.value = rate
         status = solved(self.program, solver)
         p = symmetric(of.p.value)
         k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else of.k.value
-        weights, k_w = (
-            of.t.value if neurons.observes else 1 / of.t.value,
-            np.zeros((len(k), len(of.t.value))),
-        )
+        weights = of.t.value if neurons.observes else 1 / of.t.value
+        k_w = np.zeros((len(k), len(of.t.value)))
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
         sigma = (
@@ -149,7 +150,9 @@ def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Sol
     """That rate, by bisection on the exact verdict, and its matrices, from which a search may
     start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
-    low, high, best = 0.0, 1.0, None
+    low = 0.0
+    high = 1.0
+    best = None
     for _ in range(RATE_STEPS):
         rate = (low + high) / 2
         try:
@@ -174,10 +177,8 @@ def at_largest_rate(part: Any) -> Side | None:
         ).solve(rate)
     except NoSolution:
         return None
-    numbers, told = (
-        part.numbers_of(problem.at(rate), again),
-        {"rate_limit": part.rate_limit, "method": part.method},
-    )
+    numbers = part.numbers_of(problem.at(rate), again)
+    told = {"rate_limit": part.rate_limit, "method": part.method}
     status = f"{again.status}, {INSIDE:.1%} inside the largest rate"
     proved: Side = part.proved(numbers, status=status, started=started, **told)
     return proved if proved.certified else None

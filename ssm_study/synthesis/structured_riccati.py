@@ -39,10 +39,10 @@ from ssm_study.synthesis.game_kernel import saddle_point
 
 Matrix = Float[np.ndarray, "_ _"]
 Vector = Float[np.ndarray, "_"]
-SLOWER, SLOWEST = (
-    1.5,
-    1e3,
-)  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
+SLOWER = 1.5
+SLOWEST = (
+    1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
+)
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r,
 # below which the
 # search has come to its end; each where the one before gets stuck.
@@ -82,11 +82,10 @@ class Game:
         """
         of, neurons, half = self.problem, self.neurons, self.neurons.e / 2
         shares = (of.ball.alpha, of.ball.beta)[: 1 + (of.ball.beta > 0)]
-        drive, moved = (
-            of.b + neurons.e @ neurons.g / 2,
-            np.hstack([share * neurons.g for share in shares]),
-        )
-        a, b = of.a + half @ neurons.f, np.hstack([*(share * drive for share in shares), half])
+        drive = of.b + neurons.e @ neurons.g / 2
+        moved = np.hstack([share * neurons.g for share in shares])
+        a = of.a + half @ neurons.f
+        b = np.hstack([*(share * drive for share in shares), half])
         matrices = (a / self.r, b / self.r, neurons.f, moved, of.state_weight)
         # numba would compile everything once more for any other layout or kind of number
         contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
@@ -122,11 +121,15 @@ def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
 def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
     """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The
     best logs found."""
-    at, metric, left, gained = evaluate(game, logs, barrier), np.eye(len(logs)), evaluations, np.inf
+    at = evaluate(game, logs, barrier)
+    metric = np.eye(len(logs))
+    left = evaluations
+    gained = np.inf
     while np.isfinite(at.goal) and left > 0 and gained >= FLAT:
         step = -(metric @ at.gradient)
         step *= min(1.0, STRIDE / max(np.abs(step).max(), 1e-300))
-        there, lower = at, False
+        there = at
+        lower = False
         while left > 0 and not lower and np.abs(step).max() > 1e-6:
             left -= 1
             there = evaluate(game, logs + step, barrier)
@@ -134,8 +137,11 @@ def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vecto
             step = step if lower else step / 3
         if not lower:
             break
-        logs, change, gained = logs + step, there.gradient - at.gradient, at.goal - there.goal
-        along, at = step @ change, there
+        logs = logs + step
+        change = there.gradient - at.gradient
+        gained = at.goal - there.goal
+        along = step @ change
+        at = there
         if (
             along > 1e-12
         ):  # BFGS's curvature condition: without it the metric would lose definiteness
@@ -155,7 +161,8 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     """
     if near is not None and near.logs is None:
         return near  # it is the solution itself
-    game, known = Game(problem=problem, r=problem.contraction), None if near is None else near.logs
+    game = Game(problem=problem, r=problem.contraction)
+    known = None if near is None else near.logs
     for logs in () if known is None else known + ROOM[:, None]:
         if np.isfinite(evaluate(game, logs, 0.0).goal):
             return solution(game, cheapest(game, logs))
@@ -171,14 +178,16 @@ def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tupl
     the way."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
     # step
-    of, e = game.problem, game.neurons.e
+    of = game.problem
+    e = game.neurons.e
     logs = np.log(2 * np.einsum("nq,nj,jq->q", e, of.state_weight, e) + 1e-9)
     if of.ball.beta > 0:
         logs = np.append(
             logs,
             np.log(1 + 4 * of.ball.beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)),
         )
-    slow, share = game, 1.0
+    slow = game
+    share = 1.0
     while np.isinf(evaluate(slow, logs, 0.0).goal):
         slow = replace(slow, r=slow.r * SLOWER)
         if slow.r > SLOWEST:
@@ -189,7 +198,8 @@ def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tupl
             share /= 2
             if share < shortest:
                 return logs, slow.r
-        slow, share = _between(game, slow, share), min(1.0, 4 * share)
+        slow = _between(game, slow, share)
+        share = min(1.0, 4 * share)
     return cheapest(game, logs), game.r
 
 
@@ -204,7 +214,9 @@ def logs_of(problem: Problem, found: Solution) -> Vector:
     """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of
     them."""
     assert found.multipliers is not None
-    units, r2, beta = problem.of_neurons.units, 1 - problem.rate, problem.ball.beta
+    units = problem.of_neurons.units
+    r2 = 1 - problem.rate
+    beta = problem.ball.beta
     observes = problem.of_neurons.observes
     weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
     bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
@@ -217,20 +229,29 @@ def _between(game: Game, slow: Game, share: float) -> Game:
 
 def solution(game: Game, logs: Vector) -> Solution:
     """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
-    saddle, problem, neurons = evaluate(game, logs, 0.0), game.problem, game.neurons
+    saddle = evaluate(game, logs, 0.0)
+    problem = game.problem
+    neurons = game.neurons
     if np.isinf(saddle.goal):
         raise NoSolution("the game has no saddle point at these multipliers")
-    x, h, toward = saddle.x, saddle.h, saddle.toward
-    m, q = problem.b.shape[1], neurons.e.shape[1]
+    x = saddle.x
+    h = saddle.h
+    toward = saddle.toward
+    m = problem.b.shape[1]
+    q = neurons.e.shape[1]
     if neurons.injects:
         inputs = len(h) - q
         known = np.linalg.solve(
             h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]])
         )[:m]
-        k, k_w = known[:, len(x) :] @ neurons.f - known[:, : len(x)], -2 * known[:, len(x) :]
+        k = known[:, len(x) :] @ neurons.f - known[:, : len(x)]
+        k_w = -2 * known[:, len(x) :]
     else:
-        k, k_w = -np.linalg.solve(h, toward)[:m], np.zeros((m, q))
-    p, weights, beta = symmetric(np.linalg.inv(x)), np.exp(logs[:q]), problem.ball.beta
+        k = -np.linalg.solve(h, toward)[:m]
+        k_w = np.zeros((m, q))
+    p = symmetric(np.linalg.inv(x))
+    weights = np.exp(logs[:q])
+    beta = problem.ball.beta
     sigma = float(np.exp(-logs[-1])) if beta > 0 else without_ball(problem, p, k)
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
@@ -238,7 +259,8 @@ def solution(game: Game, logs: Vector) -> Solution:
         # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2
         # sigma`.
         r2 = 1 - problem.rate
-        weights, sigma = r2 / weights, r2 * beta**2 * sigma if beta > 0 else sigma
+        weights = r2 / weights
+        sigma = r2 * beta**2 * sigma if beta > 0 else sigma
     found = Solution(
         p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
     )

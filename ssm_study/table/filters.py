@@ -93,7 +93,8 @@ class _Prepared(ast.NodeTransformer):
             remedy = "write e.g. order in [4, 8]"
             raise BadRequest("where", ast.unparse(right), "'in' needs a list", remedy)
         self._refuse_mixed(left, right)
-        left, right = self.visit(left), self.visit(right)
+        left = self.visit(left)
+        right = self.visit(right)
         comparison = ast.Compare(left, [operator], [right])
         if not isinstance(operator, ast.NotEq | ast.NotIn):
             return comparison

@@ -24,7 +24,9 @@ from ssm_study.engine.records import LOST, RECORD, RUNNING, read_record
 from ssm_study.refusal import require
 from ssm_study.table.columns import BY_NAME, declared
 
-PARQUET, CSV, MARKS = "runs.parquet", "runs.csv", ".gathered.json"
+PARQUET = "runs.parquet"
+CSV = "runs.csv"
+MARKS = ".gathered.json"
 # Of a column that nobody declares, as pandas infers it; all else is text.
 KINDS: dict[str, Kind] = {
     "boolean": "boolean", "integer": "Int64", "floating": "Float64", "mixed-integer-float": "Float64",

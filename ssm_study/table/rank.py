@@ -58,7 +58,8 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     without the plant. Settling times are relative to the plant left alone where that is known, so
     plants compare.
     """
-    time, alone = column(table, "settling_time_mean_s"), column(table, "settling_time_open_loop_s")
+    time = column(table, "settling_time_mean_s")
+    alone = column(table, "settling_time_open_loop_s")
     time = time / alone if alone[time.notna()].notna().all() else time
     keys = {
         "class": outcome_class(table),

@@ -108,7 +108,8 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
     saved."""
     rows: dict[str, tuple[float, ...]] = {}
     for match in filter(None, (re.fullmatch(r"stage_(\w+)_key", str(column)) for column in table)):
-        key, seconds = match[0], f"stage_{match[1]}_seconds"
+        key = match[0]
+        seconds = f"stage_{match[1]}_seconds"
         uses = table[[key, seconds]].dropna()
         once = uses.drop_duplicates(key)  # the store computes what has this key once
         spent_s = float(once[seconds].sum())
@@ -149,7 +150,8 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     name only its digits,
     both certificates in one word, and how many starts settled of how many.
     """
-    controller, observer = table["controller_certified"], table["observer_certified"]
+    controller = table["controller_certified"]
+    observer = table["observer_certified"]
     pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
     certified = pd.Series(
         [CERTIFIED[bool(one), bool(other)] for one, other in pairs], table.index, dtype="string"
@@ -161,11 +163,10 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     varied, telling = _varied_settings(table)
     table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
     table = table.assign(predicted_stable=predictions(table))
-    first, outcomes = (
-        ["run", *([by] if by else []), "status"],
-        [n for n in OUTCOMES if table[n].notna().any()],
-    )
-    columns, taken = dict[str, list[str]](), 0
+    first = ["run", *([by] if by else []), "status"]
+    outcomes = [n for n in OUTCOMES if table[n].notna().any()]
+    columns = dict[str, list[str]]()
+    taken = 0
     for name in dict.fromkeys(
         [*first, *telling, *outcomes, *varied]
     ):  # what the table is sorted by stands once
@@ -206,7 +207,8 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
         finer = pd.DataFrame({"before": alike, "now": values[name].astype("string")})
         groups = finer.groupby(["before", "now"], dropna=False).ngroup()
         if groups.nunique() > alike.nunique():
-            telling, alike = [*telling, name], groups
+            telling = [*telling, name]
+            alike = groups
     return varied, telling
 
 

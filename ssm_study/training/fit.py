@@ -108,7 +108,8 @@ class InitialStates(nn.Module):
 
     def __init__(self, cut: Cut, rows: Sequence[int], values: States, weight: float) -> None:
         super().__init__()
-        self.cut, self.weight = cut, weight
+        self.cut = cut
+        self.weight = weight
         for name, places in (("rows", rows), ("later", cut.later)):
             self.register_buffer(name, torch.tensor(places, dtype=torch.int64), persistent=False)
         self.free = nn.Parameter(values[self.rows].clone())
@@ -162,26 +163,24 @@ class Fit(pl.LightningModule):
         training, validation = (
             Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation)
         )
-        self.model, self.data, self.settings = model, data, settings
+        self.model = model
+        self.data = data
+        self.settings = settings
         self.training_records = Records(cut, data, sorts, settings.integrated_share)
         self.validation_records = Records(validation, data, sorts)
         self.whole = Records(training, data, sorts) if cut.later else self.training_records
         self.starts = self._free_starts(cut)
 
     def _free_starts(self, cut: Cut) -> InitialStates | None:
-        model, weight, how = (
-            self.model,
-            self.settings.windows.continuity_weight,
-            self.settings.initial_state,
-        )
+        model = self.model
+        weight = self.settings.windows.continuity_weight
+        how = self.settings.initial_state
         moving = how == "estimated" or (how == "auto" and self.data.start_up_samples > 0)
         moving = moving and isinstance(
             model, TorchSSM
         )  # whose stored model estimates it, too (`free_run`)
-        problem, remedy = (
-            "this model has no state to start a window from",
-            "use training.windows.samples=null",
-        )
+        problem = "this model has no state to start a window from"
+        remedy = "use training.windows.samples=null"
         able = model.states > 0 or not cut.later
         require(able, "training.windows.samples", self.settings.windows.samples, problem, remedy)
         rows = [*(cut.first if moving else ()), *cut.later]
@@ -260,7 +259,8 @@ class Fit(pl.LightningModule):
         validation would then
         stop a training, or choose among several, by the error of the initial state.
         """
-        like, records = next(self.model.parameters()), self.data.validation
+        like = next(self.model.parameters())
+        records = self.data.validation
         if not all(torch.isfinite(parameter).all() for parameter in self.model.parameters()):
             return like.new_full((len(records), self.model.states), torch.nan)
         stored = self.model.freeze(self.data)

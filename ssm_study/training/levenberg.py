@@ -87,13 +87,14 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
-        residual, group = self.residual, self.param_groups[0]
+        residual = self.residual
+        group = self.param_groups[0]
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
-        r, j = (
-            residual(flat),
-            jacfwd(residual)(flat),
-        )  # P + 1 forward passes, those of the Jacobian in one batch
-        loss, gradient, normal = float(r @ r), j.T @ r, j.T @ j
+        r = residual(flat)
+        j = jacfwd(residual)(flat)  # P + 1 forward passes, those of the Jacobian in one batch
+        loss = float(r @ r)
+        gradient = j.T @ r
+        normal = j.T @ j
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
         def solved(damping: float) -> Tensor:

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from ssm_study.training.structured_fit import StructuredFit
 
 SEAL_BYTES = hashlib.sha256().digest_size
-LAST, BEST = "last.ckpt", "best.ckpt"
+LAST = "last.ckpt"
+BEST = "best.ckpt"
 FITS = ("fit_training_percent", "fit_validation_percent")
 # One epoch without a change may be a line search that started over; two cannot leave a kink.
 STILL_EPOCHS = 2
@@ -60,7 +61,8 @@ class DurableCheckpointIO(CheckpointIO):
         path: str | Path,
         storage_options: Any | None = None,  # noqa: ARG002
     ) -> None:
-        target, memory = Path(path), io.BytesIO()
+        target = Path(path)
+        memory = io.BytesIO()
         target.parent.mkdir(parents=True, exist_ok=True)
         torch.save(
             checkpoint, memory
@@ -74,7 +76,8 @@ class DurableCheckpointIO(CheckpointIO):
     ) -> dict[str, Any]:  # fmt: skip
         del weights_only  # never anything else: a checkpoint must not be able to run code
         whole = Path(path).read_bytes()
-        content, seal = whole[:-SEAL_BYTES], whole[-SEAL_BYTES:]
+        content = whole[:-SEAL_BYTES]
+        seal = whole[-SEAL_BYTES:]
         if hashlib.sha256(content).digest() != seal:
             raise ValueError("not what was written")
         return torch.load(
@@ -175,7 +178,8 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
     try:
         return pl.Trainer(accelerator=settings.accelerator, **told)
     except (ImportError, MisconfigurationException, RuntimeError, ValueError) as error:
-        problem, remedy = "not available on this machine", "use training.accelerator=cpu"
+        problem = "not available on this machine"
+        remedy = "use training.accelerator=cpu"
         raise BadRequest("training.accelerator", settings.accelerator, problem, remedy) from error
 
 
@@ -277,17 +281,18 @@ class BestModelCheckpoint(Callback):
         belongs_to: str = "",
         every_s: float = math.inf,
     ) -> None:
-        self.tolerance, self.folder, self.belongs_to, self.every_s = (
-            tolerance,
-            folder,
-            belongs_to,
-            every_s,
-        )
+        self.tolerance = tolerance
+        self.folder = folder
+        self.belongs_to = belongs_to
+        self.every_s = every_s
         self.curve: list[dict[str, float]] = []
-        self.began, self.saved_at = time.perf_counter(), time.monotonic()
+        self.began = time.perf_counter()
+        self.saved_at = time.monotonic()
         self.best_validation = self.kept_training = self.kept_validation = -math.inf
         self.kept: dict[str, Tensor] | None = None
-        self.ended, self.seen, self.still = "", (-math.inf, -math.inf), 0
+        self.ended = ""
+        self.seen = (-math.inf, -math.inf)
+        self.still = 0
 
     def state_dict(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self.remembered}
@@ -339,4 +344,5 @@ class BestModelCheckpoint(Callback):
         least = self.best_validation - self.tolerance
         if self.kept_validation < least or (validation >= least and training > self.kept_training):
             self.kept = copy.deepcopy(module.state_dict())
-            self.kept_training, self.kept_validation = training, validation
+            self.kept_training = training
+            self.kept_validation = validation

@@ -14,7 +14,10 @@ from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_fit import StructuredFit
 
 FOLDS = 4
-ORDERS, NEURONS, PATHS, RIDGES = (2, 3, 4, 6), (2, 4), ("none", "staged"), (1e-6, 1e-4)
+ORDERS = (2, 3, 4, 6)
+NEURONS = (2, 4)
+PATHS = ("none", "staged")
+RIDGES = (1e-6, 1e-4)
 STEPS = 30  # inside the contracting set, each start of each fold
 START_UP = 20  # samples of a held-out piece that estimate its state, where a data set names none
 NEARLY = 0.3  # percent points: within so much of the best fit the smallest model is taken
@@ -78,10 +81,8 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
     unscored = data.start_up_samples or START_UP
     for k in range(FOLDS):
         parts = [without_fold(record, k, FOLDS) for record in data.training]
-        kept, out = (
-            tuple(piece for pieces, _ in parts for piece in pieces),
-            tuple(piece for _, piece in parts),
-        )
+        kept = tuple(piece for pieces, _ in parts for piece in pieces)
+        out = tuple(piece for _, piece in parts)
         yield replace(data, training=kept, validation=kept, test=out, start_up_samples=unscored)
 
 

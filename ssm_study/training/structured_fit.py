@@ -53,7 +53,9 @@ class StructuredFit(pl.LightningModule):
     def __init__(self, spec: StructuredSpec, data: DataSet, seed: int) -> None:
         super().__init__()
         self.automatic_optimization = False
-        self.spec, self.data, self.seed = spec, data, seed
+        self.spec = spec
+        self.data = data
+        self.seed = seed
         lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
         told: dict[str, Any] = {
             name: getattr(spec, name) for name in ("rate", "integrated", "ridge")
@@ -64,7 +66,9 @@ class StructuredFit(pl.LightningModule):
         self.estimates = data.start_up_samples > 0
         self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
         self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
-        n, q, p = int(spec.order), spec.neurons, data.scale.outputs
+        n = int(spec.order)
+        q = spec.neurons
+        p = data.scale.outputs
         sizes: dict[str, tuple[int, ...]] = shapes(n, data.scale.inputs, p, q)
         if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
@@ -109,7 +113,8 @@ class StructuredFit(pl.LightningModule):
     def _started(self) -> Theta:
         """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw
         starts the training."""
-        spec, rng = self.spec, np.random.default_rng(self.seed)
+        spec = self.spec
+        rng = np.random.default_rng(self.seed)
         stretch = self.problem.records.moving_stretch(START_SAMPLES)
         short = replace(self.problem, records=stretch)
         linear = replace(short, neurons=(), rate=None)
@@ -144,7 +149,8 @@ class StructuredFit(pl.LightningModule):
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
         """Random neurons, a few steps without the constraint, the nearest contracting model, a few
         steps as one."""
-        spec, free = self.spec, replace(short, rate=None)
+        spec = self.spec
+        free = replace(short, rate=None)
         theta = with_neurons(free, theta, spec.neurons, rng)
         unbound, inside = (
             self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE)
@@ -180,13 +186,15 @@ class StructuredFit(pl.LightningModule):
 
     def stored(self) -> StructuredSSM:
         """The explicit numbers; with `integrated` the running sum is one more state per output."""
-        theta, spec = self.theta, self.spec
+        theta = self.theta
+        spec = self.spec
         k = self.problem.matrices(theta)
         told = {"neurons": spec.each, "scale": self.data.scale, "step_s": self.data.step_s}
         parts: dict[str, Any] = k._asdict() | told
         del parts["kinds"]
         if spec.integrated:
-            n, p = len(k.a), len(k.c)
+            n = len(k.a)
+            p = len(k.c)
             parts["a"] = np.block([[k.a, np.zeros((n, p))], [k.c, np.eye(p)]])
             parts["b"], parts["e"] = np.vstack([k.b, k.d]), np.vstack([k.e, k.h])
             parts["f"] = np.hstack([k.f, np.zeros((len(k.f), p))])
@@ -239,7 +247,10 @@ def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]
     lifted = [model.lift(u) for u in inputs]
     z = [model.run(v)[1][:-1] @ model.f.T + v @ model.g.T + model.bias for v in lifted]
     s = float(np.concatenate([phi(model.neurons, one, "slope")[:, i] for one in z]).mean())
-    e, f, g, h = model.e[:, [i]], model.f[[i]], model.g[[i]], model.h[:, [i]]
+    e = model.e[:, [i]]
+    f = model.f[[i]]
+    g = model.g[[i]]
+    h = model.h[:, [i]]
     parts = {
         "a": model.a + s * e @ f,
         "b": model.b + s * e @ g,

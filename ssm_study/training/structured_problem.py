@@ -20,7 +20,8 @@ from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_m
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out,
 # x0.
 Theta = dict[str, Float[np.ndarray, "..."]]
-FREE_CORE, CORE = ("x_e", "x_g", "log_d"), ("a", "e", "f")
+FREE_CORE = ("x_e", "x_g", "log_d")
+CORE = ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 STILL = 0.1  # of the records' deviation: where they move less, no start is made
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
@@ -166,7 +167,8 @@ class Residuals:
         own = [name for name in free if name not in FREE_CORE]
         turn = np.eye(sum(columns[name].shape[-1] for name in own))
         if len(own) < len(free):
-            own, turn = [*CORE, *own], block_diag(self._by_free_core(theta), turn)
+            own = [*CORE, *own]
+            turn = block_diag(self._by_free_core(theta), turn)
         jacobian = np.concatenate([columns[name] for name in own], axis=-1)
         jacobian *= weight[..., None]  # in place: it is the largest array of a training
         return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1), turn
@@ -227,7 +229,8 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
         [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
     )  # R, its diagonal
     with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
-        normal, gradient = turn.T @ (j.T @ j) @ turn, turn.T @ (j.T @ r) + weights * flat
+        normal = turn.T @ (j.T @ j) @ turn
+        gradient = turn.T @ (j.T @ r) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
@@ -246,7 +249,8 @@ def minimise(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int)
     """At most so many steps, until one has `ended` the descent."""
     at = Descent(theta=theta, loss=loss(problem, theta, free))
     for _ in range(most):
-        before, at = at.loss, step(problem, at, free)
+        before = at.loss
+        at = step(problem, at, free)
         if ended(before, at.loss, at.damping):
             break
     return at

@@ -89,7 +89,8 @@ def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n
     pair."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
-        radius, turn = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST)))), np.eye(1)
+        radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
+        turn = np.eye(1)
         if left > 1 and rng.uniform() < 0.5:
             angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
             turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
@@ -109,7 +110,9 @@ def _residues(
     (count, samples, _), rest = u.shape, begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
     x = problem.simulated(rest | {"a": a, "b": b})[2][:, :-1]
     size = np.sqrt(np.mean(x**2, axis=(0, 1))) + 1e-12
-    x, a, b = x / size, a * size / size[:, None], b / size[:, None]
+    x = x / size
+    a = a * size / size[:, None]
+    b = b / size[:, None]
     y = y / problem.read.freeze(begun["scaffold_out"])(
         np.ones_like(y)
     )  # all slopes of S_y are equal here
@@ -131,9 +134,11 @@ def _residues(
 
 def _powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
     """`A^k` for k below `count`, by doubling."""
-    powers, ahead = np.eye(len(a))[None], a
+    powers = np.eye(len(a))[None]
+    ahead = a
     while len(powers) < count:
-        powers, ahead = np.concatenate([powers, powers @ ahead]), ahead @ ahead
+        powers = np.concatenate([powers, powers @ ahead])
+        ahead = ahead @ ahead
     return powers[:count]
 
 
@@ -151,7 +156,8 @@ def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Ge
     (n, m), p = theta["b"].shape, len(theta["c"])
     f = rng.normal(size=(count, n))
     f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
-    e, bias = SMALL * rng.normal(size=(n, count)), RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
+    e = SMALL * rng.normal(size=(n, count))
+    bias = RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
     e *= np.linalg.norm(theta["b"])
     return theta | {
         "e": e,
@@ -170,7 +176,8 @@ def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
     found = projected(
         Core(*(theta[name] for name in CORE)), phi(problem.neurons, z, "slope").mean(axis=0), rate
     )
-    free, n = parameters(in_metric(found), rate), len(theta["a"])
+    free = parameters(in_metric(found), rate)
+    n = len(theta["a"])
     x0 = theta["x0"].copy()
     x0[:, :n] = x0[:, :n] @ found.t.T
     moved = {"b": found.t @ theta["b"], "c": linalg.solve(found.t.T, theta["c"].T).T, "x0": x0}

@@ -42,7 +42,8 @@ def held_levels(rng: np.random.Generator, samples: int, hold: int) -> np.ndarray
 def data_set(
     noise: float = 0.0, samples: int = 400, hold: int = 8, seed: int = 0, records: int = 3
 ) -> DataSet:
-    rng, system = np.random.default_rng(seed), true_system()
+    rng = np.random.default_rng(seed)
+    system = true_system()
 
     def record(name: str) -> Trajectory:
         u = held_levels(rng, samples, hold) + system.scale.input_equilibrium

@@ -125,7 +125,8 @@ def test_python_control_takes_model_and_controller(design: Design, log: pd.DataF
     """The linearised pair in python-control's hands settles as fast as `simulate` says of small
     deviations."""
     model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
-    inner, controller = model.to_control(), design.to_control()
+    inner = model.to_control()
+    controller = design.to_control()
     assert inner.dt == controller.dt == STEP_S
     from_rest = log[["valve's voltage"]] * 0 + design.model.scale.input_equilibrium[0] + 1e-6
     output = (model.predict(from_rest).to_numpy() - design.model.scale.output_equilibrium)[:100]
@@ -153,7 +154,8 @@ def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
 
 def test_other_channels_than_were_fitted_are_refused(design: Design, log: pd.DataFrame) -> None:
     model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
-    u, y = np.zeros((50, 1)), np.zeros((50, 1))
+    u = np.zeros((50, 1))
+    y = np.zeros((50, 1))
     for refused, said in (
         (
             lambda: model.predict(np.zeros((50, 2))),
@@ -324,7 +326,8 @@ def test_certify_proves_what_sampled_slopes_do() -> None:
 def test_certify_agrees_with_the_deployed_rate(design: Design) -> None:
     """Two routes to one number: the design's own largest rate, and gains given from outside."""
     feedback, observer = design.certificate.parts()
-    lower, upper = feedback.alpha - feedback.beta, feedback.alpha + feedback.beta
+    lower = feedback.alpha - feedback.beta
+    upper = feedback.alpha + feedback.beta
     proof = st.certify(feedback.a, feedback.b, observer.c, K=feedback.k, L=observer.l,
                        slopes=(lower, upper))  # fmt: skip
     rates = (proof.controller.rate, proof.observer.rate)

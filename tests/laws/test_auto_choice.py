@@ -65,7 +65,8 @@ FEW = {
 
 def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
     """A model with neurons, and a record that misses it by noise."""
-    stand, rng = model(), np.random.default_rng(0)
+    stand = model()
+    rng = np.random.default_rng(0)
     u = 0.5 + 2.0 * np.repeat(rng.uniform(-1, 1, size=(80, 1)), 5, axis=0)
     y = stand.simulate(u) + 4.0 * rng.standard_normal(u.shape)
     return stand, certified_balls(stand), Trajectory(u=u, y=y, step_s=0.01)
@@ -78,7 +79,8 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     """The search looks at few; here is every pair, each predicted by itself on the fine grid."""
     given, balls, record = case()
     auto = replace(SMALL, **FEW) if isinstance(given, StructuredSSM) else SMALL
-    candidates, shown = auto.candidates(given, balls), measure_mismatch(given, (record,))
+    candidates = auto.candidates(given, balls)
+    shown = measure_mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
     areas = relative_areas(given, candidates.gains(pairs), (record,))
     found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]
@@ -165,7 +167,8 @@ def test_a_caution_without_any_mismatch_takes_the_largest_margin():
 
 def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeypatch):
     """Not the largest margin, and with it hardly any control, while slower candidates pass."""
-    refused, judged = 12, []
+    refused = 12
+    judged = []
 
     def hard_to_please(*asked: Any) -> Prediction:
         judged.append(found := predict(*asked))

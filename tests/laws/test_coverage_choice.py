@@ -23,7 +23,8 @@ from ssm_study.synthesis.measured_discs_choice import (
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
 
 SSM_MODEL = SSM.of(MODEL, 0.01)
-FAST, SLOW = design(input_weight=1e-3), design(input_weight=30.0)
+FAST = design(input_weight=1e-3)
+SLOW = design(input_weight=30.0)
 
 
 def chosen(known, cover: float = 1.0, designs=(FAST, SLOW)):

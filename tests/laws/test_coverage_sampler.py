@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-import coverage as sampler
+import coverage_samples as sampler
 
 
 def test_random_models_lose_no_loop_at_the_edge_and_some_beyond() -> None:

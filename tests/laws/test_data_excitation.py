@@ -71,10 +71,8 @@ def test_a_prbs_is_a_maximum_length_sequence() -> None:
 
 
 def test_coverage_tells_two_levels_from_many() -> None:
-    plant, data = (
-        from_yaml("plant", "dc_motor"),
-        from_yaml("data", "simulated", "trajectories=4", "test_samples=400"),
-    )
+    plant = from_yaml("plant", "dc_motor")
+    data = from_yaml("data", "simulated", "trajectories=4", "test_samples=400")
     many = data.build(plant, from_yaml("excitation", "aprbs"), 0)
     two = data.build(plant, from_yaml("excitation", "prbs"), 0)
     assert input_coverage(many) > 0.8
@@ -96,10 +94,8 @@ ONE = SignalRequest(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
 
 def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
     u = Multisine(band_low_hz=1.0, band_high_hz=5.0).signal(ONE, np.random.default_rng(0))
-    frequencies, amplitude = (
-        np.fft.rfftfreq(len(u), ONE.step_s),
-        2 * np.abs(np.fft.rfft(u[:, 0])) / len(u),
-    )
+    frequencies = np.fft.rfftfreq(len(u), ONE.step_s)
+    amplitude = 2 * np.abs(np.fft.rfft(u[:, 0])) / len(u)
     inside = (frequencies > 0.99) & (frequencies < 5.01)
     assert inside.sum() == 41
     np.testing.assert_allclose(amplitude[inside], amplitude[inside].mean(), rtol=1e-9)

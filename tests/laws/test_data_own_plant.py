@@ -41,7 +41,8 @@ LEVEL = st.floats(-1e3, 1e3)
 def test_the_signal(
     lower: float, width: float, share: float, step_s: float, samples: int, seed: int
 ) -> None:
-    upper, rest = lower + width, lower + share * width
+    upper = lower + width
+    rest = lower + share * width
     settle_s = samples * step_s * (1 + 1e-9)
     record = OwnPlantRecord(
         lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed
@@ -54,7 +55,8 @@ def test_the_signal(
     reaches = []
     for part in range(len(AMPLITUDES)):
         start = 2 * samples * (part + 1) + part * PERIODS * period
-        first, again = u[start : start + period], u[start + period : start + 2 * period]
+        first = u[start : start + period]
+        again = u[start + period : start + 2 * period]
         assert np.array_equal(first, again)
         assert len(np.unique(first)) > 30
         reaches.append(np.abs(first - rest).max())
@@ -128,7 +130,8 @@ def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
 
 def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) -> None:
     """Its own range with rest, its sampling time, and holds that its model's response asks for."""
-    file, known = tmp_path / "input.csv", RunFiles(path=smoke_run, record={}).excitation
+    file = tmp_path / "input.csv"
+    known = RunFiles(path=smoke_run, record={}).excitation
     assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
     table = pd.read_csv(file)
     assert (

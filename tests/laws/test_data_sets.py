@@ -33,14 +33,17 @@ def test_parts_have_the_sizes_asked_for() -> None:
 
 
 def test_equal_seeds_give_equal_numbers_and_parts_differ() -> None:
-    a, b, c = built(1), built(1), built(2)
+    a = built(1)
+    b = built(1)
+    c = built(2)
     np.testing.assert_array_equal(a.training[0].y, b.training[0].y)
     assert not np.array_equal(a.training[0].y, c.training[0].y)
     assert not np.array_equal(a.validation[0].u[:100], a.test[0].u)
 
 
 def test_noise_has_the_variance_asked_for_and_the_test_record_has_none() -> None:
-    data, plant = built(), from_yaml("plant", "dc_motor")
+    data = built()
+    plant = from_yaml("plant", "dc_motor")
     residuals = [r.y - plant.simulate(r.u[None])[1][0] for r in (*data.training, *data.validation)]
     assert np.var(np.concatenate(residuals)) == pytest.approx(
         0.02, rel=0.2
@@ -59,8 +62,10 @@ def test_scales_are_pure_gains_about_the_equilibrium() -> None:
 
 
 def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_says_so() -> None:
-    small, plant = from_yaml("excitation", "aprbs", "amplitude=1.0"), from_yaml("plant", "dc_motor")
-    data, usual = from_yaml("data", "simulated", *SMALL).build(plant, small, 0), built()
+    small = from_yaml("excitation", "aprbs", "amplitude=1.0")
+    plant = from_yaml("plant", "dc_motor")
+    data = from_yaml("data", "simulated", *SMALL).build(plant, small, 0)
+    usual = built()
     assert max(np.abs(one.u).max() for one in data.training) <= 1.0
     for one, other in zip(
         *([*made.validation, *made.test, *made.mismatch_records] for made in (data, usual)),

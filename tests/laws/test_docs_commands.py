@@ -74,10 +74,8 @@ def trial() -> pd.DataFrame:
 
 def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
     """A lag whose input saturates softly; `gain` feeds its measured output back."""
-    temperature, noise = (
-        np.zeros(len(power)),
-        0.02 * np.random.default_rng(0).standard_normal(len(power)),
-    )
+    temperature = np.zeros(len(power))
+    noise = 0.02 * np.random.default_rng(0).standard_normal(len(power))
     temperature[0] = start
     for k in range(len(power)):
         power[k] = np.clip(power[k] - gain * (temperature[k] + noise[k]), -3, 3)

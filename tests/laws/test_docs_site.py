@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def site(shared_folder: Path) -> Path:
     pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
-    folder, built = shared_folder / "site", shared_folder / "site.built"
+    folder = shared_folder / "site"
+    built = shared_folder / "site.built"
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
     with FileLock(f"{folder}.lock"):
         if not built.exists():

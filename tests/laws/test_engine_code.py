@@ -29,7 +29,8 @@ TARGETS = {
 @pytest.fixture(autouse=True, scope="module")
 def _each_text_is_scanned_once() -> Iterator[None]:
     """The same file is read a score of times, before and after each edit."""
-    scan, known = code._scanned, dict[tuple[bytes, str, bool], code.Module]()
+    scan = code._scanned
+    known = dict[tuple[bytes, str, bool], code.Module]()
 
     def scanned(path: Path, module: str) -> code.Module:
         key = path.read_bytes(), module, path.name == "__init__.py"
@@ -45,7 +46,8 @@ def _each_text_is_scanned_once() -> Iterator[None]:
 def versions(folder: Path) -> dict[str, str]:
     """By stage: the version of what computes it, and of what measures it, over the sources in
     `folder`."""
-    sources, found = Code({"ssm_study": folder}), {}
+    sources = Code({"ssm_study": folder})
+    found = {}
     for stage in STAGES:
         targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
         found[stage.name] = sources.version(symbol_of(stage.compute), *targets)
@@ -65,7 +67,8 @@ def scratch(tmp_path: Path) -> Path:
 def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
     """What an edit makes stale: the first match of `pattern` in `file` becomes `instead`."""
     path = folder / file
-    before, text = versions(folder), path.read_text()
+    before = versions(folder)
+    text = path.read_text()
     edited, count = re.subn(pattern, instead, text, count=1, flags=re.MULTILINE)
     assert count == 1, f"{pattern} is not in {file}"
     path.write_text(edited)
@@ -133,7 +136,8 @@ def test_what_a_cache_knows_of_a_file_ends_with_its_content(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And is not read twice while that stays the same."""
-    file, scans = tmp_path / "one.py", list[Path]()
+    file = tmp_path / "one.py"
+    scans = list[Path]()
     scan = code._scanned
     monkeypatch.setattr(code, "CACHE", tmp_path / "cache")
     monkeypatch.setattr(

@@ -29,7 +29,9 @@ class FailingDisk:
     """Counts every operation that can meet a full or broken disk and lets the n-th fail."""
 
     def __init__(self, nth: int, code: int) -> None:
-        self.left, self.code, self.failed = nth, code, ""
+        self.left = nth
+        self.code = code
+        self.failed = ""
 
     def count(self, operation: str) -> None:
         self.left -= 1
@@ -68,7 +70,8 @@ class TornStream:
     """A stream whose failing write leaves half of what it was given."""
 
     def __init__(self, stream: Any, disk: FailingDisk) -> None:
-        self._stream, self._disk = stream, disk
+        self._stream = stream
+        self._disk = disk
 
     def write(self, content: Any) -> int:
         try:
@@ -118,7 +121,8 @@ def test_an_atomic_write_is_old_or_new(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     path = tmp_path / "record.json"
-    old, new = {"status": "running"}, {"status": "ok"}
+    old = {"status": "running"}
+    new = {"status": "ok"}
 
     def judge(_: int) -> None:
         content = path.read_bytes()

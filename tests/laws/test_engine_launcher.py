@@ -306,10 +306,8 @@ def test_shared_compositions_are_hydras_own() -> None:
         HydraConfig.instance().set_config(sweep_config)
         composer = Composer(loader, sweep_config, refuse=lambda _: None)
         for overrides in jobs * 2:
-            settings, theirs = (
-                composer.settings(overrides, 0),
-                loader.load_sweep_config(sweep_config, overrides),
-            )
+            settings = composer.settings(overrides, 0)
+            theirs = loader.load_sweep_config(sweep_config, overrides)
             adopt(theirs)
             with open_dict(theirs):
                 theirs.hydra.job.id = theirs.hydra.job.num = 0

@@ -207,7 +207,8 @@ def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path
 
 
 def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_path: Path) -> None:
-    source, target = tmp_path / "a", tmp_path / "b"
+    source = tmp_path / "a"
+    target = tmp_path / "b"
     source.write_bytes(b"x" * 100_000)
     target.write_bytes(b"old")
     link_or_copy(source, target)
@@ -218,7 +219,8 @@ def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_pa
 
 
 def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
-    image, disk = tmp_path / "image", tmp_path / "disk"
+    image = tmp_path / "image"
+    disk = tmp_path / "disk"
     disk.mkdir()
     try:
         with image.open("wb") as made:

@@ -145,7 +145,8 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     local.update_parameters(timeout_min=10)
     local._executor.max_num_timeout = 1
     running = local.submit(Requeued(), tmp_path)
-    begun, deadline = tmp_path / "begun", time.monotonic() + 60
+    begun = tmp_path / "begun"
+    deadline = time.monotonic() + 60
     # There before it is written: the signal must find it counted.
     while not (begun.exists() and begun.read_text()):
         assert time.monotonic() < deadline, "the job never began"
@@ -162,7 +163,8 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
 class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
     """A job cancelled while it waited, where Slurm keeps no accounts."""
 
-    job_id, state = "1_3", "PENDING"
+    job_id = "1_3"
+    state = "PENDING"
 
     def __init__(self) -> None:
         self._cancel_at_deletion = False

@@ -106,7 +106,8 @@ def harm(path: Path, damage: str) -> None:
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
     stage = Store(tmp_path).keyed("model", KEY, {}, write_content)
-    rng, silent = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    silent = []
     for name in [*CONTENT, MANIFEST]:
         original = (stage.path / name).read_bytes()
         for bit in rng.choice(8 * len(original), size=min(150, 8 * len(original)), replace=False):
@@ -177,7 +178,8 @@ for key in keys:
 def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path: Path) -> None:
     """Six stages, taken from both ends, then the same ones by both at once: most are computed once,
     none is torn."""
-    store, ledger = tmp_path / "store", tmp_path / "ledger"
+    store = tmp_path / "store"
+    ledger = tmp_path / "ledger"
 
     def nodes(**keys: str) -> list[str]:
         ledger.write_text("")
@@ -313,7 +315,8 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
 ) -> None:
     """Three missing stages of 14 s, two at a time; a stage that was never timed makes of it a lower
     bound."""
-    store, known = Store(tmp_path), {"model": 14.0}
+    store = Store(tmp_path)
+    known = {"model": 14.0}
     monkeypatch.setattr(planning, "each", lambda _, stage: known.get(stage))
 
     def walk(name: str, number: int) -> object:

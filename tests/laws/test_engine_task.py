@@ -81,7 +81,8 @@ def test_a_failure_is_a_row_and_a_wrong_request_starts_nothing(folder: Path) -> 
 def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path: Path) -> None:
     """Read by every job for itself they were three quarters of what the engine costs a run."""
     settings = Settings(seed=1, do="work", rate=1, study="s", run="r", results_dir=str(tmp_path))
-    task, job = Badly(), Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
+    task = Badly()
+    job = Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
     code.code_version.cache_clear()
     preload(task, [job])
     read = code.code_version.cache_info().misses

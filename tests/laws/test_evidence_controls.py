@@ -22,10 +22,13 @@ def answer(
     u: np.ndarray, slow: float = 0.9, fast: float = 0.6, seed: int = 1, noise: float = 0.01
 ) -> np.ndarray:
     """Two lags behind a saturating input, and a little sensor noise."""
-    y, lag, out = np.zeros(len(u)), 0.0, 0.0
+    y = np.zeros(len(u))
+    lag = 0.0
+    out = 0.0
     for k, level in enumerate(np.tanh(1.5 * u)):
         y[k] = out
-        out, lag = slow * out + (1 - slow) * lag, fast * lag + (1 - fast) * level
+        out = slow * out + (1 - slow) * lag
+        lag = fast * lag + (1 - fast) * level
     return y + noise * np.random.default_rng(seed).standard_normal(len(u))
 
 
@@ -38,7 +41,9 @@ def unstable(u: np.ndarray) -> np.ndarray:
 
 def oscillating(u: np.ndarray) -> np.ndarray:
     """A van der Pol oscillator: its own motion is ten times what the input makes of it."""
-    y, v, out = 1.0, 0.0, np.zeros(len(u))
+    y = 1.0
+    v = 0.0
+    out = np.zeros(len(u))
     for k, level in enumerate(u):
         out[k] = y
         for _ in range(10):

@@ -51,7 +51,8 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sources."""
     if importlib.util.find_spec("setuptools") is None or importlib.util.find_spec("pip") is None:
         pytest.skip("pip and setuptools are needed to install the example")
-    place, copy = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("source")
+    place = tmp_path_factory.mktemp("site")
+    copy = tmp_path_factory.mktemp("source")
     for file in (
         path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".yaml", ".toml", ".md")
     ):
@@ -94,7 +95,8 @@ def fingerprint() -> str:
 def test_an_installed_package_goes_the_whole_way(
     installed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    before, asked = fingerprint(), ["run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
+    before = fingerprint()
+    asked = ["run", "experiment=tclab", *SMALL, f"results_dir={tmp_path}"]
     assert main(asked) == 2
     assert "there is no experiment/tclab" in capsys.readouterr().err
     done = python("-c", UNDRAWN, *asked, PYTHONPATH=str(installed))

@@ -10,7 +10,8 @@ ROOT = Path(__file__).resolve().parents[2] / "ssm_study"
 FILES = sorted(p for p in ROOT.rglob("*.py") if p != ROOT / "__init__.py")
 
 
-LONGEST_FILE, LONGEST_FUNCTION = 500, 70  # until every room is unpacked: then 400, 40
+LONGEST_FILE = 500
+LONGEST_FUNCTION = 70  # until every room is unpacked: then 400, 40
 
 
 def lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:

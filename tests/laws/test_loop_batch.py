@@ -45,11 +45,14 @@ def test_a_batch_is_its_rows(reference):
 def test_the_loop_is_the_equations_written_out():
     """One case, sample by sample, from the model's numbers alone: the second route to every
     signal."""
-    model, design = motor_model(), motor_design()
-    k, observer_gain = design.state_feedback.k, design.observer.l
+    model = motor_model()
+    design = motor_design()
+    k = design.state_feedback.k
+    observer_gain = design.observer.l
     y0, noise = LOOP.draw(motor(), seed=3)
     run = LOOP.simulate(motor(), controller(), y0[:1], noise[:1])
-    x, x_hat = motor().states_at(y0[:1]), np.zeros(model.order)
+    x = motor().states_at(y0[:1])
+    x_hat = np.zeros(model.order)
     for sample in range(run.u.shape[1]):
         y = x[0, 2] + noise[0, sample, 0]
         u = 1.7 * float((k @ x_hat)[0])
@@ -129,7 +132,8 @@ def test_the_units_of_input_and_output_change_nothing():
                 scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale
             ),
         )
-        plant, loop = IdentifiedPlant.of(model), Loop(initial_conditions=3, horizon_s=1.0)
+        plant = IdentifiedPlant.of(model)
+        loop = Loop(initial_conditions=3, horizon_s=1.0)
         law = ObserverFeedback.of(model, motor_design())
         kept = loop.on_plant(plant, law, 0).controlled
         assert (kept.left_at_sample == STAYED).all()
@@ -142,7 +146,8 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     model = random_model(0, order=3)
     model = replace(model, scale=replace(model.scale, input_equilibrium=np.array([0.7])))
     plant = IdentifiedPlant.of(model)
-    x0, noise = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]]), np.full((2, 5, 1), 0.01)
+    x0 = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    noise = np.full((2, 5, 1), 0.01)
     asked = {
         "x0": x0,
         "reference": np.zeros((5, 1)),

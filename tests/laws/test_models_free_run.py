@@ -63,14 +63,15 @@ def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
     """For a fast system the Lyapunov solution; with a mode on the unit circle still finite, and the
     plain sum."""
     rng = np.random.default_rng(3)
-    fast, b = (
-        np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3)),
-        rng.standard_normal((3, 2)),
-    )
+    fast = np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3))
+    b = rng.standard_normal((3, 2))
     np.testing.assert_allclose(
         reachability_gramian(fast, b, 4000), solve_discrete_lyapunov(fast, b @ b.T), rtol=1e-9
     )
-    slow, total, reached = np.diag([1.0, 0.99, 0.5]), np.zeros((3, 3)), b
+    slow = np.diag([1.0, 0.99, 0.5])
+    total = np.zeros((3, 3))
+    reached = b
     for _ in range(128):
-        total, reached = total + reached @ reached.T, slow @ reached
+        total = total + reached @ reached.T
+        reached = slow @ reached
     np.testing.assert_allclose(reachability_gramian(slow, b, 100), total, rtol=1e-9)

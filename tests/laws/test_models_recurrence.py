@@ -47,8 +47,11 @@ def unit(
 
 @st.composite
 def cases(draw: st.DrawFn) -> tuple[int, int, int, int, int, int]:
-    seed, m, p = draw(st.integers(0, 10_000)), draw(st.integers(1, 3)), draw(st.integers(1, 3))
-    pairs, real = draw(st.integers(0, 3)), draw(st.integers(0, 3))
+    seed = draw(st.integers(0, 10_000))
+    m = draw(st.integers(1, 3))
+    p = draw(st.integers(1, 3))
+    pairs = draw(st.integers(0, 3))
+    real = draw(st.integers(0, 3))
     return (
         seed,
         max(2 * pairs + real, 1),
@@ -64,7 +67,8 @@ def drawn(
 ) -> tuple[LRU, torch.Tensor, torch.Tensor]:
     """Unit, input and initial state; outside the strategy, because what torch loads at its first
     use draws numbers."""
-    lru, rng = unit(seed, order, real, m, p), np.random.default_rng(seed + 1)
+    lru = unit(seed, order, real, m, p)
+    rng = np.random.default_rng(seed + 1)
     with torch.no_grad():
         lru.d += torch.from_numpy(rng.normal(size=(p, m)))
     u = torch.from_numpy(rng.normal(size=(2, samples, m)))
@@ -76,7 +80,8 @@ def drawn(
 def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[int, ...]) -> None:
     lru, u, x0 = drawn(*case)
     with torch.no_grad():
-        modes, start = lru.modes(), lru.initial_state(x0)
+        modes = lru.modes()
+        start = lru.initial_state(x0)
         expected = by_steps(modes, u, start)
         torch.testing.assert_close(
             EVALUATIONS[name](modes, u, start), expected, rtol=1e-9, atol=1e-9
@@ -182,7 +187,8 @@ def test_the_derivatives_written_out_are_those_of_the_law(
 
 def test_forward_derivatives_are_those_of_the_law() -> None:
     """Vectorised, where `respond` is told so, against stepping."""
-    at, rng = _operands(2, 3, 520), torch.Generator().manual_seed(1)
+    at = _operands(2, 3, 520)
+    rng = torch.Generator().manual_seed(1)
     push = [torch.randn(4, *part.shape, generator=rng, dtype=part.dtype) for part in at]
 
     def pushed(law: Evaluation) -> torch.Tensor:

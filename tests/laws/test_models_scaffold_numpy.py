@@ -68,7 +68,8 @@ def test_zero_maps_to_zero_exactly(kind: str, seed: int, channels: int) -> None:
 def test_the_jacobian_is_the_derivative(kind: str, seed: int, channels: int) -> None:
     scaffold = random_scaffold(kind, seed, channels)
     rng = np.random.default_rng(seed + 1)
-    v, direction = rng.normal(size=channels), rng.normal(size=channels)
+    v = rng.normal(size=channels)
+    direction = rng.normal(size=channels)
     step = 1e-7  # far smaller than the distance to the next break point, almost surely
     slope = (scaffold(v + step * direction) - scaffold(v - step * direction)) / (2 * step)
     np.testing.assert_allclose(scaffold.jacobian(v) @ direction, slope, atol=1e-5)
@@ -96,7 +97,8 @@ def test_a_monotone_scaffold_is_the_integral_of_its_slopes(seed: int, channels: 
 
 @pytest.mark.parametrize("gain", [0.5, 3.0, -0.5, -3.0])
 def test_gains_around_a_monotone_scaffold_become_part_of_it(gain: float) -> None:
-    scaffold, v = random_scaffold("monotone", 0, 1), np.linspace(-3, 3, 41)[:, None]
+    scaffold = random_scaffold("monotone", 0, 1)
+    v = np.linspace(-3, 3, 41)[:, None]
     m = np.array([[gain]])
     np.testing.assert_allclose(scaffold.before(m)(v), scaffold(gain * v), atol=1e-12)
     np.testing.assert_allclose(scaffold.after(m)(v), gain * scaffold(v), atol=1e-12)
@@ -136,7 +138,8 @@ def test_a_model_rests_at_its_equilibrium_and_survives_json(kind_out: str) -> No
 def test_stepping_the_pieces_is_the_simulation() -> None:
     model = random_model(4)
     u = np.random.default_rng(1).normal(size=(25, 2))
-    x, y = np.random.default_rng(2).normal(size=4), []
+    x = np.random.default_rng(2).normal(size=4)
+    y = []
     expected = model.simulate(u, x)
     for sample in u:
         ubar = model.lift(sample)

@@ -36,7 +36,8 @@ SPECS = FROM_YAML | {
     "residual deep": Residual(depth=2),
 }
 CERTIFIED = [name for name in SPECS if not name.startswith(("linear", "mlp_free"))]
-LOWER, UPPER = 0.1, 1.5
+LOWER = 0.1
+UPPER = 1.5
 
 
 def test_every_yaml_is_under_the_laws() -> None:
@@ -125,7 +126,8 @@ def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, channels: int) -> None:
     frozen = shaken(SPECS[name], seed, channels).freeze()
-    alpha, beta = (UPPER + LOWER) / 2, (UPPER - LOWER) / 2
+    alpha = (UPPER + LOWER) / 2
+    beta = (UPPER - LOWER) / 2
     for v in np.random.default_rng(seed).normal(size=(20, channels)) * 4:
         offset = frozen.jacobian(v) - alpha * np.eye(channels)
         assert np.linalg.norm(offset, 2) <= beta * (1 + 1e-9)
@@ -136,8 +138,10 @@ def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, chann
 def test_every_kind_answers_every_question(name: str, seed: int, channels: int) -> None:
     """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported
     is the same map."""
-    scaffold, rng = shaken(SPECS[name], seed, channels).freeze(), np.random.default_rng(seed)
-    v, step = 3 * rng.normal(size=(8, channels)), 1e-7
+    scaffold = shaken(SPECS[name], seed, channels).freeze()
+    rng = np.random.default_rng(seed)
+    v = 3 * rng.normal(size=(8, channels))
+    step = 1e-7
     again = Scaffold.from_json(json.loads(json.dumps(scaffold.to_json())))
     assert np.array_equal(again(v), scaffold(v))
     np.testing.assert_allclose(scaffold.portable()(v), scaffold(v), rtol=1e-9, atol=1e-9)
@@ -152,7 +156,8 @@ def test_every_kind_answers_every_question(name: str, seed: int, channels: int) 
 
 @pytest.mark.parametrize("name", [name for name in SPECS if "mlp" not in name])
 def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
-    scaffold, v = shaken(SPECS[name], 3, 2).freeze(), np.random.default_rng(0).normal(size=(9, 2))
+    scaffold = shaken(SPECS[name], 3, 2).freeze()
+    v = np.random.default_rng(0).normal(size=(9, 2))
     centre = scaffold.centre()
     if centre is None:
         with pytest.raises(NotImplementedError):
@@ -216,7 +221,8 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
     if channels == 1:
         assert low**depth == pytest.approx(ratio)
         assert high**depth == pytest.approx(1.0)
-    centre, relative = (high + low) / 2, (high - low) / (high + low)
+    centre = (high + low) / 2
+    relative = (high - low) / (high + low)
     if channels > 1 and depth > 1:  # the ball of products: centre a^L, radius a^L ((1 + d)^L - 1)
         assert centre**depth == pytest.approx((1 + ratio) / 2)
         assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx((1 - ratio) / 2)

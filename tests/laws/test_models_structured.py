@@ -27,7 +27,8 @@ def monotone(rng: np.random.Generator, channels: int) -> MonotoneScaffold:
 def drawn(
     seed: int, n: int = 3, m: int = 2, p: int = 2, kinds: tuple[str, ...] = KINDS
 ) -> StructuredSSM:
-    rng, q = np.random.default_rng(seed), len(kinds)
+    rng = np.random.default_rng(seed)
+    q = len(kinds)
     shapes = {
         "b": (n, m),
         "c": (p, n),
@@ -60,7 +61,8 @@ def drawn(
 def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) -> None:
     rng = np.random.default_rng(seed)
     model = drawn(seed, n, m, p, tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist()))
-    u, x = model.scale.input_equilibrium + rng.normal(size=(2, 40, m)), rng.normal(size=(2, n))
+    u = model.scale.input_equilibrium + rng.normal(size=(2, 40, m))
+    x = rng.normal(size=(2, n))
     compiled = model.simulate(u, x)
     for k in range(40):
         ubar = model.lift(u[:, k])
@@ -78,10 +80,8 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     rich = drawn(1, kinds=())
     names = ("scaffold_in", "scaffold_out", "scale")
     plain = SSM(linear=rich.linear, step_s=0.01, **{name: getattr(rich, name) for name in names})
-    same, u = (
-        StructuredSSM.from_json(plain.to_json()),
-        np.random.default_rng(1).normal(size=(200, 2)),
-    )
+    same = StructuredSSM.from_json(plain.to_json())
+    u = np.random.default_rng(1).normal(size=(200, 2))
     assert same.neurons == ()
     np.testing.assert_allclose(same.simulate(u), plain.simulate(u), atol=1e-12, rtol=1e-12)
 
@@ -89,10 +89,8 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
 @pytest.mark.parametrize("kinds", [KINDS, ()])
 def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     model = drawn(2, kinds=kinds)
-    back, u = (
-        model_from_json(json.loads(json.dumps(model.to_json()))),
-        np.random.default_rng(2).normal(size=(50, 2)),
-    )
+    back = model_from_json(json.loads(json.dumps(model.to_json())))
+    u = np.random.default_rng(2).normal(size=(50, 2))
     assert isinstance(back, StructuredSSM)
     assert np.array_equal(back.simulate(u), model.simulate(u))
 

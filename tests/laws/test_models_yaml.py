@@ -47,10 +47,8 @@ def brief(**changes: Any) -> Training:
 def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path) -> None:
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
-    data, spec = (
-        data_set(noise=0.02, samples=120, records=2),
-        read("model", choice, *FEWER.get(choice, ())),
-    )
+    data = data_set(noise=0.02, samples=120, records=2)
+    spec = read("model", choice, *FEWER.get(choice, ()))
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
     assert np.isfinite(mean_fit(found.model, data.training, data))
@@ -64,7 +62,8 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
 def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
-    data, spec = data_set(samples=60, records=2), read("model", choice)
+    data = data_set(samples=60, records=2)
+    spec = read("model", choice)
     if isinstance(spec, SolvedSpec):
         pytest.skip("solved, not trained")
     net = (spec.one_layer() if isinstance(spec, StructuredSpec) else spec).build(data, 0)
@@ -88,7 +87,8 @@ def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: P
 
 @pytest.mark.parametrize("choice", TRAININGS)
 def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
-    training, data = read("training", choice, "training.max_epochs=3"), data_set(samples=120)
+    training = read("training", choice, "training.max_epochs=3")
+    data = data_set(samples=120)
     found = training.identify(read("model", "ssm", "model.order=2"), data, 0, tmp_path)
     assert mean_fit(found.model, data.training, data) > 30
 

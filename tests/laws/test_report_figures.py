@@ -117,7 +117,8 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     studies: dict[str, Path], monkeypatch
 ) -> None:
     """Until another run's stand in their place: then the run is told again, and drawn again."""
-    folder, names = studies["runs"], ("closed_loop_responses",)
+    folder = studies["runs"]
+    names = ("closed_loop_responses",)
     runs = STUDIES["runs"]
     best = best_first(runs).iloc[0]["run"]
     record = (

@@ -34,7 +34,8 @@ def designs(count: int = 60) -> pd.DataFrame:
 
 def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     table = designs()
-    good, score = table["kind"].eq("settled").to_numpy(float), table["mismatch_margin"].to_numpy()
+    good = table["kind"].eq("settled").to_numpy(float)
+    score = table["mismatch_margin"].to_numpy()
     false, true = loop_margin_figures.roc_points(score, good)
     pairs = np.sign(score[good == 1][:, None] - score[good == 0][None, :])
     assert np.trapezoid(true, false) == pytest.approx((0.5 + 0.5 * pairs).mean(), rel=1e-12)
@@ -43,10 +44,8 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
 
 def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_margin():
     table = designs()
-    score, stable = (
-        loop_margin_figures.prediction_score(table),
-        (table.controller_radius < 1) & (table.noise_peak < 1),
-    )
+    score = loop_margin_figures.prediction_score(table)
+    stable = (table.controller_radius < 1) & (table.noise_peak < 1)
     assert ((score > 0.5) == (stable & (table.resolved_margin > 1))).all()
     assert score[stable].min() >= score[~stable].max()
     assert (
@@ -58,7 +57,8 @@ def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_marg
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     table = designs()
     with style.paper():
-        roc, settling = loop_margin_figures.roc(table), loop_margin_figures.settling(table)
+        roc = loop_margin_figures.roc(table)
+        settling = loop_margin_figures.settling(table)
     drawn = sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections)
     assert drawn == len(table)
     assert len(settling.axes) == 2
@@ -71,7 +71,8 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
 def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
     table = designs().assign(kind="settled")
     with style.paper():
-        roc, settling = loop_margin_figures.roc(table), loop_margin_figures.settling(table)
+        roc = loop_margin_figures.roc(table)
+        settling = loop_margin_figures.settling(table)
     assert len(roc.axes[0].lines) == 1  # the diagonal
     assert sum(
         len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections

@@ -42,7 +42,8 @@ def test_plain_in_a_pipe_and_coloured_on_a_terminal() -> None:
 
 
 def test_an_outcome_that_cannot_be_judged_is_no_success_in_its_colour() -> None:
-    bold_yellow, run = "\x1b[1;33m", a_run("ok")
+    bold_yellow = "\x1b[1;33m"
+    run = a_run("ok")
     run |= {"stable_count": run["initial_conditions"], "stable_fraction": 1.0}
     assert bold_yellow not in printed(run | {"evidence": "sound"}, terminal=True)
     assert bold_yellow in printed(run | {"evidence": "cannot judge"}, terminal=True)

@@ -202,10 +202,8 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
     )
     by, metric = opened.execute_script("return [state.group.by, state.group.metric]")
     table = opened.execute_script("return COLUMNS")
-    place, groups = (
-        head.index(opened.execute_script("return DATA.words[arguments[0]]", metric)),
-        groups_shown(opened),
-    )
+    place = head.index(opened.execute_script("return DATA.words[arguments[0]]", metric))
+    groups = groups_shown(opened)
     assert head[0] == " · ".join(
         opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by)
     )
@@ -318,7 +316,8 @@ def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
     opened.find_element("css selector", "[data-column=fit_test_percent]").click()
     wait_for(opened, "document.querySelectorAll('#side thead th').length === 3")
     wait_for(opened, "location.hash.includes('fit_test_percent')")
-    link, picked = opened.current_url, opened.execute_script("return [...state.picked].sort()")
+    link = opened.current_url
+    picked = opened.execute_script("return [...state.picked].sort()")
     opened.get("about:blank")
     opened.get(link)
     wait_for(opened, "document.body.dataset.ready === 'yes'")

@@ -18,10 +18,8 @@ def row(**values: object) -> dict[str, object]:
 
 
 def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
-    slow, quick = (
-        row(run="slow", settling_time_mean_s=0.3),
-        row(run="quick", settling_time_mean_s=0.2),
-    )
+    slow = row(run="slow", settling_time_mean_s=0.3)
+    quick = row(run="quick", settling_time_mean_s=0.2)
     bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=False)
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}

@@ -23,14 +23,17 @@ def trained(of: StructuredSSM, fit: float) -> SimpleNamespace:
 
 def slower(of: StructuredSSM) -> StructuredSSM:
     """The same with a mode that no input reaches."""
-    a, b = of.a.copy(), of.b.copy()
+    a = of.a.copy()
+    b = of.b.copy()
     a[0], a[:, 0], b[0] = 0.0, 0.0, 0.0
     a[0, 0] = 0.99
     return replace(of, a=a, b=b, e=np.vstack([0.0 * of.e[:1], of.e[1:]]))
 
 
 def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_not() -> None:
-    fast, slow, rule = model(), slower(model()), LargestCertifiableRate(within_percent=0.3)
+    fast = model()
+    slow = slower(model())
+    rule = LargestCertifiableRate(within_percent=0.3)
     found = [trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.6)]
     assert rule(found) is found[1]
     assert rule([trained(slow, 98.0), trained(fast, 97.6)]).model is slow
@@ -40,7 +43,8 @@ def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_no
 def test_neurons_must_gain_a_percent_point() -> None:
     """A model without them is kept where it fits nearly as well and is faster to control, not where
     they gain more."""
-    slow, rule = slower(model()), LargestCertifiableRate()
+    slow = slower(model())
+    rule = LargestCertifiableRate()
     none = {
         "e": slow.e[:, :0],
         "f": slow.f[:0],
@@ -71,8 +75,11 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
 
 
 def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
-    fast, slow = model(), slower(model())
-    best, first, second = trained(slow, 98.0), trained(fast, 97.8), trained(fast, 97.9)
+    fast = model()
+    slow = slower(model())
+    best = trained(slow, 98.0)
+    first = trained(fast, 97.8)
+    second = trained(fast, 97.9)
     limits = [fastest(one.system, certified_balls(one).input) for one in (slow, fast)]
     assert limits[0] < limits[1]
     found = [best, first, second]

@@ -96,9 +96,11 @@ def test_the_smallest_tau_itself_is_not_admissible() -> None:
 
 def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> None:
     """Of `(A/r, alpha B/r)`: a ball without radius is a known linear input."""
-    ball, r = JacobianBall(alpha=2.0, beta=0.0), np.sqrt(0.9)
+    ball = JacobianBall(alpha=2.0, beta=0.0)
+    r = np.sqrt(0.9)
     asked = problem(ball)
-    a, b = asked.a / r, 2.0 * asked.b / r
+    a = asked.a / r
+    b = 2.0 * asked.b / r
     s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
     gain = -np.linalg.solve(np.eye(1) + b.T @ s @ b, b.T @ s @ a)
     np.testing.assert_allclose(guaranteed_cost(asked).k, gain, rtol=1e-6)

@@ -70,14 +70,17 @@ def closed_loop(
     """States and estimates of the noise-free model under `u = K xh`, as [Z26] eq. (14) writes
     it."""
     rng = np.random.default_rng(seed)
-    x, xh = rng.normal(size=(cases, 4)), rng.normal(size=(cases, 4))
-    states, estimates = [], []
+    x = rng.normal(size=(cases, 4))
+    xh = rng.normal(size=(cases, 4))
+    states = []
+    estimates = []
     for _ in range(steps):
         states.append(x)
         estimates.append(xh)
         ubar = model.scaffold_in(xh @ design.state_feedback.k.T)
         innovation = model.read_scaled(xh, ubar) - model.read_scaled(x, ubar)
-        x, xh = model.advance(x, ubar), model.advance(xh, ubar) + innovation @ design.observer.l.T
+        x = model.advance(x, ubar)
+        xh = model.advance(xh, ubar) + innovation @ design.observer.l.T
     return np.stack(states, axis=1), np.stack(estimates, axis=1)
 
 
@@ -127,7 +130,8 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
     root = np.linalg.cholesky(metric).T
     ratios = []
     for _ in range(count):
-        v, slope = rng.normal(size=len(metric)), part.alpha + part.beta * rng.choice([-1, 1])
+        v = rng.normal(size=len(metric))
+        slope = part.alpha + part.beta * rng.choice([-1, 1])
         ratios.append(
             np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v)))
             / np.linalg.norm(root @ v)
@@ -170,9 +174,11 @@ def test_singular_values_are_not_enough() -> None:
     linear = StateSpace(
         a=np.array([[0.99]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
     )
-    rising, falling = JacobianBall.from_slopes(0.5, 1.0), JacobianBall.from_slopes(-1.0, -0.5)
+    rising = JacobianBall.from_slopes(0.5, 1.0)
+    falling = JacobianBall.from_slopes(-1.0, -0.5)
     method = ClosedFormSynthesis(rate_controller=0.5, rate_observer=0.5)
-    up, down = method.state_feedback(linear, rising), method.state_feedback(linear, falling)
+    up = method.state_feedback(linear, rising)
+    down = method.state_feedback(linear, falling)
     assert isinstance(up, StateFeedback)
     assert isinstance(down, StateFeedback)
     assert abs(0.99 - 0.75 * up.k[0, 0]) > 1  # the same gain on the falling map: unstable
@@ -184,15 +190,21 @@ def test_singular_values_are_not_enough() -> None:
 def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channels: int) -> None:
     """`mu^2 W' <= W <= nu^2 W'` for the variational dynamics along a random trajectory ([Z26]
     Propositions 1, 2)."""
-    model, rng, steps = random_ssm(seed, channels), np.random.default_rng(seed), 4
+    model = random_ssm(seed, channels)
+    rng = np.random.default_rng(seed)
+    steps = 4
     balls = certified_balls(model)
-    w, o = np.zeros((4, 4)), np.zeros((4, 4))
+    w = np.zeros((4, 4))
+    o = np.zeros((4, 4))
     power = np.eye(4)
     for _ in range(steps):
         j_in = model.scaffold_in.jacobian(rng.normal(size=channels))
         j_out = model.scaffold_out.jacobian(rng.normal(size=channels))
-        into, out = power @ model.linear.b @ j_in, j_out @ model.linear.c @ power
-        w, o, power = w + into @ into.T, o + out.T @ out, power @ model.linear.a
+        into = power @ model.linear.b @ j_in
+        out = j_out @ model.linear.c @ power
+        w = w + into @ into.T
+        o = o + out.T @ out
+        power = power @ model.linear.a
     for found, linear, ball in (
         (w, gramian(model.linear.a, model.linear.b, steps), balls.input),
         (o, gramian(model.linear.a.T, model.linear.c.T, steps), balls.output),

@@ -37,7 +37,8 @@ class FakeBoard:
     interrupted_at: float = np.inf
 
     def __post_init__(self) -> None:
-        self.state, self.duty = self.plant.states_at(np.array([[40.0]])), 0.0
+        self.state = self.plant.states_at(np.array([[40.0]]))
+        self.duty = 0.0
 
     def Q1(self, percent: float) -> float:
         self.duty = percent
@@ -84,9 +85,12 @@ def plant(board: ModuleType) -> Any:  # noqa: ARG001  which finds the package
 
 @pytest.fixture
 def fake(board: ModuleType, plant: Any, monkeypatch: pytest.MonkeyPatch) -> FakeBoard:
-    made, package, clock = FakeBoard(plant), ModuleType("tclab"), ModuleType("time")
+    made = FakeBoard(plant)
+    package = ModuleType("tclab")
+    clock = ModuleType("time")
     package.TCLab = lambda: made  # type: ignore[attr-defined]
-    clock.monotonic, clock.sleep = lambda: made.now, made.sleep  # type: ignore[attr-defined]
+    clock.monotonic = lambda: made.now
+    clock.sleep = made.sleep  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "tclab", package)
     monkeypatch.setattr(board, "time", clock)
     return made

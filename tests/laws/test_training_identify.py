@@ -199,7 +199,8 @@ def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
 def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
     """`tanh` needs steep slopes in the middle and flat ones on both sides; an ill-placed sector
     would stop at 92 %."""
-    rng, lift = np.random.default_rng(0), np.tanh
+    rng = np.random.default_rng(0)
+    lift = np.tanh
     data = data_set()
 
     def bent(record: Trajectory) -> Trajectory:
@@ -223,7 +224,8 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
 def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:
     """With its share on the running sum, training trades output error for position error; both are
     measured here."""
-    data, spec_ = data_set(noise=0.3, samples=300), spec(Linear())
+    data = data_set(noise=0.3, samples=300)
+    spec_ = spec(Linear())
     drift = {}
     for share in (0.0, 0.9):
         model = (
@@ -236,7 +238,8 @@ def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:
 
 
 def test_the_best_of_several_starts_is_returned(tmp_path: Path) -> None:
-    data, ring = data_set(noise=0.05, samples=200), spec(start="ring", real_modes=0)
+    data = data_set(noise=0.05, samples=200)
+    ring = spec(start="ring", real_modes=0)
     fits = {
         n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n))
         for n in (1, 3)

@@ -39,7 +39,8 @@ class Interrupt(Callback):
 def test_a_killed_training_resumes_to_the_same_model(
     optimiser: OptimiserSpec, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data, settings = data_set(noise=0.05), training(optimiser, max_epochs=8, checkpoint_every_s=0.0)
+    data = data_set(noise=0.05)
+    settings = training(optimiser, max_epochs=8, checkpoint_every_s=0.0)
     whole = settings.identify(spec(), data, 0, tmp_path / "whole")
     make = room.trainer_of
     with monkeypatch.context() as patch:
@@ -64,7 +65,8 @@ def test_a_killed_training_resumes_to_the_same_model(
 def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data, steps = data_set(noise=0.05), iter(range(10_000))
+    data = data_set(noise=0.05)
+    steps = iter(range(10_000))
     objective = Fit.loss
 
     def poisoned(self: Fit) -> torch.Tensor:
@@ -82,14 +84,13 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
 def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    data, settings = (
-        data_set(samples=100, noise=0.05),
-        training(LBFGS, max_epochs=2, checkpoint_every_s=0.0),
-    )
+    data = data_set(samples=100, noise=0.05)
+    settings = training(LBFGS, max_epochs=2, checkpoint_every_s=0.0)
     whole = settings.identify(spec(), data, 0, tmp_path / "whole").model.to_json()
     failed: set[str] = set()
     for nth, code in zip((2, 3, 4, 5, 9, 11), itertools.cycle((errno.ENOSPC, errno.EIO))):
-        disk, folder = FailingDisk(nth, code), tmp_path / f"{nth}"
+        disk = FailingDisk(nth, code)
+        folder = tmp_path / f"{nth}"
         with (
             pytest.raises(OSError, match=os.strerror(code)),
             disk.inserted(monkeypatch),
@@ -103,7 +104,9 @@ def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
 
 
 def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> None:
-    path, rng, seen = tmp_path / "last.ckpt", random.Random(0), set()
+    path = tmp_path / "last.ckpt"
+    rng = random.Random(0)
+    seen = set()
     DurableCheckpointIO().save_checkpoint({"epoch": 0, "weights": torch.zeros(100_000)}, path)
     for _ in range(12):
         writer = os.fork()
@@ -128,7 +131,10 @@ def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> 
 
 
 def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> None:
-    io, path, rng, silent = DurableCheckpointIO(), tmp_path / "last.ckpt", random.Random(0), 0
+    io = DurableCheckpointIO()
+    path = tmp_path / "last.ckpt"
+    rng = random.Random(0)
+    silent = 0
     io.save_checkpoint({"weights": torch.linspace(0, 1, 1000)}, path)
     whole = path.read_bytes()
     assert (
@@ -149,7 +155,8 @@ def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> 
 def test_a_write_that_fails_keeps_the_old_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    io, path = DurableCheckpointIO(), tmp_path / "last.ckpt"
+    io = DurableCheckpointIO()
+    path = tmp_path / "last.ckpt"
     io.save_checkpoint({"epoch": 1}, path)
 
     def full(*_: object) -> None:
@@ -165,7 +172,8 @@ def test_a_write_that_fails_keeps_the_old_checkpoint(
 def test_epochs_that_change_nothing_end_the_training() -> None:
     """Two in a row, to the last bit; a change in either fit starts the count again, and a resumed
     training knows it."""
-    keeper, module = BestModelCheckpoint(tolerance=0.0), torch.nn.Linear(1, 1)
+    keeper = BestModelCheckpoint(tolerance=0.0)
+    module = torch.nn.Linear(1, 1)
     for epoch, fits in enumerate(
         [(80.0, 70.0), (90.0, 75.0), (90.0, 75.0), (90.0, 75.1), (90.0, 75.1)]
     ):

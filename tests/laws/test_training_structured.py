@@ -65,7 +65,8 @@ def free_core(seed: int, n: int, q: int) -> Free:
 def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
     """The smallest eigenvalue of the open-loop inequality of docs/theory.md with `M = I`, as it
     stands there."""
-    n, lam = len(core.a), np.diag(multipliers)
+    n = len(core.a)
+    lam = np.diag(multipliers)
     sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
     moved = np.hstack([core.a, core.e])
     return float(np.linalg.eigvalsh(sector - moved.T @ moved)[0])
@@ -108,10 +109,8 @@ def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
     """A hardly contracting pair: as the neurons' share shrinks, `A + E diag(slope) F` stays what it
     was."""
     rng = np.random.default_rng(3)
-    core, slope = (
-        Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2))),
-        np.array([0.2, 0.3]),
-    )
+    core = Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2)))
+    slope = np.array([0.2, 0.3])
     scaled = core._replace(
         e=core.e * 0.6 / np.abs(np.linalg.eigvals(core.a + (core.e * slope) @ core.f)).max()
     )
@@ -136,7 +135,11 @@ KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a k
 
 
 def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Residuals, Theta]:
-    rng, n, m, p, q = np.random.default_rng(seed), 3, 2, 2, 3
+    rng = np.random.default_rng(seed)
+    n = 3
+    m = 2
+    p = 2
+    q = 3
     pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
     lift = Pieces(m, 4, 0.1, 1.5)
     read = Pieces(p, 0 if integrated else 3, 0.3, 1.0)
@@ -193,7 +196,8 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
 
 def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None:
     one, theta = problem(0, None)
-    free, bare = ("a", "b", "bias", "x0"), loss(one, theta, ())
+    free = ("a", "b", "bias", "x0")
+    bare = loss(one, theta, ())
     squares = float(
         np.square(theta["b"]).sum() + np.square(theta["bias"]).sum()
     )  # coordinates and starts are free
@@ -243,7 +247,9 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     """Time constants of 40 and 25 samples, noise as large as a sample's change, a start far from
     rest."""
     rng = np.random.default_rng(0)
-    u, x, y = rng.normal(size=(600, 1)), np.array([20.0, 10.0]), []
+    u = rng.normal(size=(600, 1))
+    x = np.array([20.0, 10.0])
+    y = []
     for v in u:
         y.append([x[0] + rng.normal()])
         x = np.array([0.975 * x[0] + 0.05 * x[1], 0.96 * x[1] + v[0]])
@@ -326,7 +332,8 @@ def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) ->
 def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(
     data: DataSet, tmp_path: Path
 ) -> None:
-    first, second = trained(data, tmp_path / "a"), trained(data, tmp_path / "b")
+    first = trained(data, tmp_path / "a")
+    second = trained(data, tmp_path / "b")
     assert first.to_json() == second.to_json()
     found = metric(Core(first.a, first.e, first.f), 0.9995)
     assert found is not None

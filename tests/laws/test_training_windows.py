@@ -63,7 +63,8 @@ def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
 def test_two_halves_are_the_whole(model: ModelSpec) -> None:
     """`advance` over a part, then over the rest from where it ended, is the run over both;
     `forward` agrees."""
-    net, u = model.build(unequal(), 0), torch.randn(3, 60, 1, dtype=torch.float64)
+    net = model.build(unequal(), 0)
+    u = torch.randn(3, 60, 1, dtype=torch.float64)
     x0 = torch.randn(3, net.states, dtype=torch.float64)
     (whole, end), (head, middle) = net.advance(u, x0), net.advance(u[:, :23], x0)
     tail, end_of_tail = net.advance(u[:, 23:], middle)
@@ -88,7 +89,8 @@ def test_a_window_as_long_as_the_record_is_the_record(model: ModelSpec) -> None:
 @each_model
 def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     data = unequal()
-    fit, whole = fit_of(model, data, SHOOTING), fit_of(model, data)
+    fit = fit_of(model, data, SHOOTING)
+    whole = fit_of(model, data)
     y_hat, defects = fit.run()
     assert defects.shape == (4, fit.model.states)  # 100 and 83 samples in windows of 40: three each
     assert defects.abs().max() < 1e-9
@@ -101,10 +103,8 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
 @pytest.mark.parametrize("windows", [Windows(samples=30), SHOOTING])
 def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
     data = dataclasses.replace(unequal(), start_up_samples=start_up)
-    cut, whole = (
-        fit_of(MODELS["gru"], data, windows).training_records,
-        fit_of(MODELS["gru"], data).training_records,
-    )
+    cut = fit_of(MODELS["gru"], data, windows).training_records
+    whole = fit_of(MODELS["gru"], data).training_records
     scored = [records.y[records.scored.bool()].sort().values for records in (cut, whole)]
     torch.testing.assert_close(*scored, rtol=0, atol=0)
     torch.testing.assert_close(cut.weight.max(), whole.weight.max())
@@ -192,7 +192,8 @@ def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
 
 
 def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
-    data, settings = data_set(noise=0.05, samples=120), training(windows=SHOOTING, max_epochs=3)
+    data = data_set(noise=0.05, samples=120)
+    settings = training(windows=SHOOTING, max_epochs=3)
     one, two = (
         settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in ("one", "two")
     )

@@ -30,7 +30,8 @@ def test_a_bias_of_minus_one_is_negative() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -> None:
     """Cold, its Jacobian is the network's; warm, it lies between the slopes."""
-    rng, widths = np.random.default_rng(seed), (4, 5, 3)
+    rng = np.random.default_rng(seed)
+    widths = (4, 5, 3)
     net = Network(
         weights=tuple(rng.normal(size=shape) for shape in ((4, 2), (5, 4), (3, 5), (2, 3))),
         biases=tuple(rng.normal(size=h) for h in widths),

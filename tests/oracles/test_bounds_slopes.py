@@ -151,11 +151,9 @@ def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
     """The solver stops just outside its own inequality on most of these; no worse than interval
     arithmetic beyond."""
     net = network(seed, 1, (32,))
-    found, interval, exact = (
-        lipsdp_bound(net),
-        interval_bound(net),
-        jacobian_ball(MlpScaffold(network=net)),
-    )
+    found = lipsdp_bound(net)
+    interval = interval_bound(net)
+    exact = jacobian_ball(MlpScaffold(network=net))
     assert found.lower <= exact.lower <= exact.upper <= found.upper
     assert found.upper - found.lower <= (interval.upper - interval.lower) * (1 + 1e-3)
 
@@ -163,14 +161,16 @@ def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
 @pytest.mark.parametrize("widths", [(7,), (5, 4), (3, 4, 3)])
 def test_interval_arithmetic_goes_through_every_layer(widths: tuple[int, ...]) -> None:
     scaffold = MlpScaffold(network=network(1, 1, widths))
-    interval, exact = interval_bound(scaffold.network), jacobian_ball(scaffold)
+    interval = interval_bound(scaffold.network)
+    exact = jacobian_ball(scaffold)
     assert interval.lower <= exact.lower <= exact.upper <= interval.upper
 
 
 def test_the_interval_of_one_neuron_behind_two_inputs_by_hand() -> None:
     """`J = s e1 [1 1]`, s in [0.1, 1]: centre at s = 0.55, and a radius whose 2-norm its largest
     column is not."""
-    one, slope = (np.zeros(1),), np.array([[1.0, 1.0], [0.0, 0.0]])
+    one = (np.zeros(1),)
+    slope = np.array([[1.0, 1.0], [0.0, 0.0]])
     weights = (np.array([[1.0, 1.0]]), np.array([[1.0], [0.0]]))
     net = Network(
         weights=weights,
@@ -210,11 +210,9 @@ def test_the_ball_of_a_matrix_holds_it_in_exact_arithmetic(seed: int) -> None:
         Fraction(float(entry)) - Fraction(ball.alpha) * (k in (0, 3))
         for k, entry in enumerate(gain.flat)
     )
-    left, across, right = (
-        Fraction(ball.beta) ** 2 - a * a - c * c,
-        a * b + c * d,
-        Fraction(ball.beta) ** 2 - b * b - d * d,
-    )
+    left = Fraction(ball.beta) ** 2 - a * a - c * c
+    across = a * b + c * d
+    right = Fraction(ball.beta) ** 2 - b * b - d * d
     assert left + right >= 0
     assert left * right - across**2 >= 0
     assert ball.beta == pytest.approx(np.linalg.norm(gain - ball.alpha * np.eye(2), 2), rel=1e-11)
@@ -398,7 +396,8 @@ def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
     """Two decoupled states, one a thousandth as strong; what unit the output has does not
     matter."""
 
-    a, b = np.diag([0.5, -0.5]), np.array([[1.0], [1.0]])
+    a = np.diag([0.5, -0.5])
+    b = np.array([[1.0], [1.0]])
     linear = StateSpace(a=a, b=b, c=scale * np.array([[1.0, 1e-3]]), d=np.zeros((1, 1)))
     assert Reduction(drop_below=1e-1).reduce(Model(linear)).linear.order == 1
     assert Reduction(drop_below=1e-6).reduce(Model(linear)).linear.order == 2

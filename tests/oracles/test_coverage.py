@@ -24,7 +24,8 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
-ONE, ZERO = np.ones((1, 1)), np.zeros((1, 1))
+ONE = np.ones((1, 1))
+ZERO = np.zeros((1, 1))
 UNIT = JacobianBall(alpha=1.0, beta=0.0)
 BALLS = Balls(input=UNIT, output=UNIT)
 PERIOD = 512
@@ -126,7 +127,8 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
         output=np.array([[0.7, 1.0], [0.2, 0.1]]),
         input=np.array([[0.5, 1.0], [0.1, 0.05]]),
     )
-    centre, kappa = -0.25, 1.3
+    centre = -0.25
+    kappa = 1.3
     one = period(np.random.default_rng(1))
     u = np.concatenate([one, one, one])
     m = MODEL.simulate(u)[0]
@@ -149,7 +151,8 @@ def test_a_model_that_is_a_little_wrong_is_covered() -> None:
 
 def resonance(size: float) -> StateSpace:
     """A mode of ratio 0.995 a sample at 2.26 rad/sample."""
-    angle, radius = 2.26, 0.995
+    angle = 2.26
+    radius = 0.995
     turn = radius * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     return StateSpace(a=turn, b=np.array([[size], [0.0]]), c=np.array([[1.0, 0.5]]), d=ZERO)
 

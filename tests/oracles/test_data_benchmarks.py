@@ -82,7 +82,9 @@ def test_the_drives_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-
 
 
 def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
-    tanks, drives, servo = built("cascaded_tanks"), built("ced"), built("emps")
+    tanks = built("cascaded_tanks")
+    drives = built("ced")
+    servo = built("emps")
     assert [len(r) for r in tanks.training] == [1024]
     assert [len(r) for r in tanks.test] == [1024]
     assert [len(r) for r in drives.training] == [400, 400]
@@ -95,7 +97,8 @@ def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
 def test_the_silverbox_is_cut_where_its_loader_cuts_it(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
     """Multisine: 86,750 samples, three quarters of them before the test; the arrow's first 32,000
     stay in range."""
-    data, raw = built("silverbox"), loadmat(benchmark_data / "silverbox" / "SNLS80mV.mat")["V2"][0]
+    data = built("silverbox")
+    raw = loadmat(benchmark_data / "silverbox" / "SNLS80mV.mat")["V2"][0]
     trained = np.concatenate([record.y[:, 0] for record in (*data.training, *data.validation)])
     np.testing.assert_array_equal(trained, raw[40650:127400][: round(0.75 * 86750)])
     tests = [record.y[:, 0] for record in data.test]
@@ -137,7 +140,8 @@ def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -
 
 
 def test_scales_and_equilibria_of_records(built) -> None:  # type: ignore[no-untyped-def]
-    tanks, servo = built("cascaded_tanks"), built("emps")
+    tanks = built("cascaded_tanks")
+    servo = built("emps")
     np.testing.assert_allclose(tanks.scale.output_equilibrium, tanks.training[0].y.mean(axis=0))
     np.testing.assert_array_equal(servo.scale.input_equilibrium, [-0.0923])
     np.testing.assert_array_equal(servo.scale.output_equilibrium, [0.0])
@@ -189,7 +193,8 @@ class TestWhereRecordsLie:
 def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-untyped-def]
     """A position error of 1 mm everywhere, once as a position and once as the velocity that
     integrates to it."""
-    position, velocity = built("emps_position"), built("emps")
+    position = built("emps_position")
+    velocity = built("emps")
     assert benchmark_rmse(position, (position.test[0].y + 1e-3,))[0] == pytest.approx(1.0)
     kicked = velocity.test[0].y.copy()
     kicked[velocity.start_up_samples] += 1e-3 / velocity.step_s

@@ -13,7 +13,10 @@ from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
-GAIN, INTEGRAL_S, STEP_S, SAMPLES = 3.0, 0.8, 0.1, 3000
+GAIN = 3.0
+INTEGRAL_S = 0.8
+STEP_S = 0.1
+SAMPLES = 3000
 
 
 def loop(
@@ -21,8 +24,13 @@ def loop(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """`x+ = 0.9 x + 0.1 u` under a PI, y with noise half as large as what the input moves."""
     rng = np.random.default_rng(seed)
-    r, w = rng.uniform(-1, 1, SAMPLES // 10).repeat(10), 0.2 * rng.standard_normal(SAMPLES)
-    u, y, x, i, slow = np.zeros(SAMPLES), np.zeros(SAMPLES), 0.0, 0.0, 0.0
+    r = rng.uniform(-1, 1, SAMPLES // 10).repeat(10)
+    w = 0.2 * rng.standard_normal(SAMPLES)
+    u = np.zeros(SAMPLES)
+    y = np.zeros(SAMPLES)
+    x = 0.0
+    i = 0.0
+    slow = 0.0
     for k in range(SAMPLES):
         slow = drift * slow + np.sqrt(1 - drift**2) * w[k]
         y[k] = x + slow
@@ -69,7 +77,8 @@ def test_the_set_point_of_a_pi_is_found_again() -> None:
 def test_the_bias_of_a_slow_drift_is_gone() -> None:
     """From the applied input a drift makes the gain too small at every seed; from the set point's
     share it scatters."""
-    direct, staged = [], []
+    direct = []
+    staged = []
     for seed in range(6):
         r, u, y = loop(seed, integral_s=1e9)
         by_set_point, share = from_set_points([log(u, y)], [r[:, None]])
@@ -93,7 +102,8 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
             {"controller": [-GAIN, 100.0]},
         )
     )
-    a, b = named.training[0].u[300:, 0], pi.training[0].u[300:, 0]
+    a = named.training[0].u[300:, 0]
+    b = pi.training[0].u[300:, 0]
     assert np.abs(a - b).max() < 0.05 * np.ptp(a)
     found = {
         name: fed_back(data, 0)

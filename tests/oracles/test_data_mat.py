@@ -33,7 +33,8 @@ def test_version_5(
     matrix = data.draw(arrays(np.dtype(kind), shape))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     savemat(path, {"matrix_1": matrix, "b": np.arange(3.0)}, do_compression=compressed)
-    mine, theirs = parse(path), loadmat(path)
+    mine = parse(path)
+    theirs = loadmat(path)
     assert list(mine) == ["matrix_1", "b"]
     np.testing.assert_array_equal(mine["matrix_1"], theirs["matrix_1"])
     np.testing.assert_array_equal(mine["b"], theirs["b"])
@@ -110,7 +111,8 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
 def test_the_servo_files(benchmark_data: Path, name: str) -> None:
     path = benchmark_data / "emps" / f"{name}.mat"
-    mine, theirs = parse(path), loadmat(path)
+    mine = parse(path)
+    theirs = loadmat(path)
     for variable in ("t", "vir", "qm", "kp"):
         np.testing.assert_array_equal(mine[variable], theirs[variable])
 

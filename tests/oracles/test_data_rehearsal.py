@@ -18,7 +18,8 @@ sys.path.append(str(FOLDER.parent))
 from rehearsal.servo import Servo, fitted, tracked  # noqa: E402 - of a folder that `--with` names
 
 SERVO = Servo(mass=95.0, viscous=200.0, coulomb=20.0, offset=-3.0, force_per_volt=35.0)
-STEP_S, GAINS = 1e-3, (160.0, 243.0)
+STEP_S = 1e-3
+GAINS = (160.0, 243.0)
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +62,8 @@ def test_a_step_is_what_an_integrator_finds(volt: float) -> None:
 
 def test_it_sticks_exactly_and_steps_add_up() -> None:
     assert SERVO.step(0.2, 0.0, 0.4, 1.0) == (0.2, 0.0)
-    q, v = 0.0, -0.1
+    q = 0.0
+    v = -0.1
     for _ in range(100):
         q, v = SERVO.step(q, v, 2.0, 0.01)
     np.testing.assert_allclose((q, v), SERVO.step(0.0, -0.1, 2.0, 1.0), rtol=1e-12)
@@ -80,7 +82,8 @@ def test_the_servo_of_the_record_is_the_published_one(rehearsed) -> None:  # typ
     """Janot, Gautier & Brunot (2019): 95.1 kg, 203.5 N s/m, 20.4 N, -3.16 N; and it asks for the
     recorded voltage."""
     source = rehearsed()
-    fine, reference = source._record(), source._record(output="qg").y[:, 0]
+    fine = source._record()
+    reference = source._record(output="qg").y[:, 0]
     servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, source.force_per_volt)
     np.testing.assert_allclose(
         (servo.mass, servo.viscous, servo.coulomb), (95.1, 203.5, 20.4), rtol=0.02

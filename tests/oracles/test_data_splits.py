@@ -70,7 +70,8 @@ def test_what_a_fold_leaves_and_holds_out_is_the_record(samples, folds):
 
 
 def test_stretches_between_rests_count_where_each_repeats_itself():
-    rest, period = np.zeros(40), np.random.default_rng(0).uniform(-1, 1, size=40)
+    rest = np.zeros(40)
+    period = np.random.default_rng(0).uniform(-1, 1, size=40)
     twice = np.concatenate([rest, period, period, rest, 2 * period, 2 * period, rest])
     moved = Trajectory(u=twice[:, None], y=twice[:, None], step_s=0.1)
     assert [len(piece) for piece in periodic_segments(moved, 0)] == [

@@ -29,7 +29,8 @@ def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
     edges = [0, *cuts, len(u)]
     pieces = [replace(log[first:end], log=1, first=first) for first, end in pairwise(edges)]
-    rest, channel = np.zeros(1), Channel(name="a", unit="")
+    rest = np.zeros(1)
+    channel = Channel(name="a", unit="")
     parts = (pieces[0::3], pieces[1::3], pieces[2::3])
     return assemble(parts, (rest, rest), ((channel,), (replace(channel, name="b"),)), 0)
 

@@ -16,7 +16,9 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
-SAMPLES, SKIP, ANGLE = 1500, 20, 0.1
+SAMPLES = 1500
+SKIP = 20
+ANGLE = 0.1
 RNG = np.random.default_rng(0)
 U = RNG.uniform(-1, 1, 300).repeat(5)
 

@@ -29,7 +29,8 @@ LEVELS = np.repeat(RNG.uniform(-1, 1, 1200), RNG.integers(1, 12, 1200))[:6000]
 def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorded") -> Case:
     """The log of one input and one output with the model `y[k] = slow y[k-1] + 0.1 u[k-1]`."""
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
-    rest, channel = np.zeros(1), Channel(name="a", unit="")
+    rest = np.zeros(1)
+    channel = Channel(name="a", unit="")
     data = assemble(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
         ((channel,), (replace(channel, name="b"),)), 0, metadata={"source": source},
@@ -162,7 +163,8 @@ def test_a_test_input_where_training_has_no_power_is_a_doubt():
 def test_coherence_is_the_share_of_power_that_the_inputs_explain():
     """`y = u_1 + u_2 + n`, all white: two thirds with unit variances, of either output the
     least."""
-    u, n = RNG.standard_normal((100_000, 2)), RNG.standard_normal((100_000, 1))
+    u = RNG.standard_normal((100_000, 2))
+    n = RNG.standard_normal((100_000, 1))
     y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
     np.testing.assert_allclose(coherence([(u, y)], 64), 2 / 3, atol=0.05)
 
@@ -176,8 +178,11 @@ def test_where_the_input_rests_in_one_record_the_others_tell():
 
 def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """The same lag under `u = r - y + 0.05 sum (r - y)`, the law `delay` samples late."""
-    y, whole, rng = 0.0, 0.0, np.random.default_rng(7)
-    log, late = np.zeros((len(reference), 2)), [0.0] * delay
+    y = 0.0
+    whole = 0.0
+    rng = np.random.default_rng(7)
+    log = np.zeros((len(reference), 2))
+    late = [0.0] * delay
     for k, asked in enumerate(reference):
         measured = y + noise * rng.standard_normal()
         whole += 0.05 * (asked - measured)
@@ -222,7 +227,9 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
 @pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(pole, noise):
-    asked, rng, x = LEVELS.repeat(10)[:6000], np.random.default_rng(1), 0.0
+    asked = LEVELS.repeat(10)[:6000]
+    rng = np.random.default_rng(1)
+    x = 0.0
     log = np.zeros((6000, 2))
     for k in range(6000):
         y = x + noise * rng.standard_normal()
@@ -256,7 +263,8 @@ def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
 
 def test_a_model_with_neurons_is_judged():
     """One that has nothing to do with the log: no judgement of the plant."""
-    data, other = case(LEVELS, answer(LEVELS)).data, model()
+    data = case(LEVELS, answer(LEVELS)).data
+    other = model()
     validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
     assert (
         judge(data, other, validation, test, measure_mismatch(other, data.validation)).level
@@ -267,7 +275,8 @@ def test_a_model_with_neurons_is_judged():
 def test_inputs_that_oppose_each_other_have_their_own_response():
     """Of `x+ = 0.9 x + u_1 - u_2` as of either input alone: 90 % of the sum of `0.9^k` are over
     after 22 samples."""
-    a, c = np.array([[0.9]]), np.ones((1, 1))
+    a = np.array([[0.9]])
+    c = np.ones((1, 1))
     for b in ([[1.0]], [[1.0, -1.0]]):
         linear = StateSpace(a=a, b=np.array(b), c=c, d=np.zeros((1, len(b[0]))))
         assert linear.response_samples() == 23  # the first answers at sample 1
@@ -285,7 +294,8 @@ def test_a_short_record_is_said_to_have_the_lags_it_has():
 @pytest.mark.parametrize("moved", ["input", "output"])
 def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is(moved):
     """Twice the input far away; or the same input, and an output that something else has lifted."""
-    u, y = LEVELS.copy(), answer(LEVELS)
+    u = LEVELS.copy()
+    y = answer(LEVELS)
     if moved == "input":
         u[5000:] *= 2.0
     else:

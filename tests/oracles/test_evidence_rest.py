@@ -35,7 +35,8 @@ def said(u: np.ndarray, y: np.ndarray) -> list[str]:
 def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     """The stem follows where it is pushed by more than `stick`; the input ends at less, the output
     stays there."""
-    stem, out = 0.0, np.zeros(len(THEN_REST))
+    stem = 0.0
+    out = np.zeros(len(THEN_REST))
     u = THEN_REST.copy()
     u[5300:5400] = 0.25
     u[5200:5300] = -0.1
@@ -76,10 +77,8 @@ def fitted_log(
     known = case(LEVELS, answer(LEVELS), slow).model
     model = replace(known, scale=data.scale)
     parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
-    log, shown = (
-        Case(data=data, model=model, **parts),
-        measure_mismatch(model, data.validation, 20, data.mismatch_records),
-    )
+    log = Case(data=data, model=model, **parts)
+    shown = measure_mismatch(model, data.validation, 20, data.mismatch_records)
     told = [found.sentence for found in findings(log, shown)]
     return log, shown, " ".join(one for one in told if "rest input" in one)
 
@@ -96,7 +95,8 @@ def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow
 
 
 def test_a_log_that_ends_moving_or_rests_once_is_told_so(tmp_path):
-    moving, once = EXCITED[:-90], np.concatenate([EXCITED[90:1890] + 0.01, np.full(90, 0.1)])
+    moving = EXCITED[:-90]
+    once = np.concatenate([EXCITED[90:1890] + 0.01, np.full(90, 0.1)])
     for u in (moving, once):
         _, shown, told = fitted_log(tmp_path, u, answer(u))
         assert shown.left_at_rest is None
@@ -131,7 +131,8 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
 def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     """A burner that hunts by a hundredth of its range was sound, and no loop settled in a band
     narrower than that."""
-    log, k = case(LEVELS, answer(LEVELS)), np.arange(600)[:, None]
+    log = case(LEVELS, answer(LEVELS))
+    k = np.arange(600)[:, None]
     y = log.model.scale.output_scale * (
         hunts * np.sin(0.2 * k) + 0.001 * np.random.default_rng(0).standard_normal(k.shape)
     )
@@ -189,7 +190,8 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
 def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, stick):
     """A slow model makes them short; a valve that sticks leaves each elsewhere, and the log was
     called sound."""
-    stem, out = 0.1, np.zeros(len(EXCITED))
+    stem = 0.1
+    out = np.zeros(len(EXCITED))
     for k, pushed in enumerate(EXCITED):
         stem = pushed if abs(pushed - stem) > stick else stem
         out[k] = stem

@@ -24,7 +24,8 @@ UNITS = {
     "no unit": ["-mfloat-abi=soft"],
     "unit for float": ["-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"],
 }
-COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
+COMPILER = "arm-none-eabi-gcc"
+EMULATOR = "qemu-system-arm"
 
 
 def emulated(kind: str, real: str, unit: str, folder: Path) -> str:

@@ -110,7 +110,8 @@ def test_the_law_is_the_python_loop(
     points = set_points(model, r)
     targets[:, : points.shape[1]] = points
     targets[:, points.shape[1] :] = r
-    memory, expected = made.start(y[0])[None], []
+    memory = made.start(y[0])[None]
+    expected = []
     for seen, target in zip(y, targets, strict=True):
         expected.append(np.clip(law.input(memory, seen[None], target), made.lower, made.upper))
         memory = law.advance(memory, expected[-1], seen[None], target)
@@ -171,11 +172,9 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     """float64 changes nothing; float32 has its own verdict; float32 of a spoilt gain, or of a huge
     rate, has none."""
-    design, controller, none = (
-        Design.load(certified / "certificate.json"),
-        load(certified),
-        np.array([np.inf]),
-    )
+    design = Design.load(certified / "certificate.json")
+    controller = load(certified)
+    none = np.array([np.inf])
     exact = deployed_rates(Device.of(controller, "double", -none, none), design)
     assert exact == {"state_feedback": 0.3, "observer": 0.4}
     single = Device.of(controller, "float", -none, none)
@@ -195,8 +194,10 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
 def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path) -> None:
     """As if 0.99 were stored, which its matrices do not prove: what they do prove, to a 4096th of
     that."""
-    design, none = Design.load(certified / "certificate.json"), np.array([np.inf])
-    part, device = design.state_feedback, Device.of(load(certified), "double", -none, none)
+    design = Design.load(certified / "certificate.json")
+    none = np.array([np.inf])
+    part = design.state_feedback
+    device = Device.of(load(certified), "double", -none, none)
     faster = replace(design, state_feedback=replace(part, rate=0.99), extra_certificates={})
     found = deployed_rates(device, faster)["state_feedback"]
     assert 0.3 < found < 0.99

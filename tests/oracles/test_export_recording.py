@@ -18,10 +18,8 @@ RUNS = {"order4-seed0-0a1b2c3d4e": 30, "order4-seed1-9f8e7d6c5b": 40}  # name: s
 def study(tmp_path: Path) -> Path:
     """Two runs with two cases each, one run that failed, and a folder that is no run."""
     for seed, (name, samples) in enumerate(RUNS.items()):
-        values, time_s = (
-            np.random.default_rng(seed).standard_normal((2, 2, samples, 1)),
-            0.01 * np.arange(samples),
-        )
+        values = np.random.default_rng(seed).standard_normal((2, 2, samples, 1))
+        time_s = 0.01 * np.arange(samples)
         groups = [
             SignalGroup(
                 topic=f"/case_{k}/{what}",

@@ -51,12 +51,11 @@ MAIN_LIMITED_C = MAIN_C.replace(
 
 
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
-    model, design = (
-        model_from_json(json.loads((run / "model.json").read_text())),
-        Design.load(run / "certificate.json"),
-    )
+    model = model_from_json(json.loads((run / "model.json").read_text()))
+    design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
-    memory, m = law.start(1), model.scale.inputs
+    memory = law.start(1)
+    m = model.scale.inputs
     target = np.concatenate([np.zeros(model.order + m), model.scale.output_equilibrium])
     u = np.empty((len(y), m))
     for k, seen in enumerate(y):
@@ -69,7 +68,8 @@ def c_replay(folder: Path, y: np.ndarray, main: str = MAIN_C) -> np.ndarray:
     if shutil.which("gcc") is None:
         pytest.skip("no gcc on this machine")
     numbers = json.loads((folder / "controller.json").read_text())
-    m, p = len(numbers["input_scale"]), len(numbers["output_scale"])
+    m = len(numbers["input_scale"])
+    p = len(numbers["output_scale"])
     (folder / "main.c").write_text(main % (p, m, p, m))
     strict = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O2"]
     subprocess.run(["gcc", *strict, "main.c", "-o", "main", "-lm"], cwd=folder, check=True)
@@ -83,7 +83,8 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     session = runtime.InferenceSession(
         folder / "controller.onnx", providers=["CPUExecutionProvider"]
     )
-    state, u = np.zeros((1, session.get_inputs()[1].shape[1])), []
+    state = np.zeros((1, session.get_inputs()[1].shape[1]))
+    u = []
     for seen in y:
         given, state = session.run(["u", "next_state"], {"y": seen[None], "state": state})
         u.append(given[0])
@@ -115,7 +116,8 @@ def test_export_replays_the_python_loop(
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01  # a controller that does nothing would agree with anything
     for replay, tolerance in REPLAYS.items():
-        replayed, size = replay(tmp_path / "out", y), max(1.0, float(np.abs(expected).max()))
+        replayed = replay(tmp_path / "out", y)
+        size = max(1.0, float(np.abs(expected).max()))
         assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
 
 
@@ -190,7 +192,8 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
         assert np.abs(aimed["x"] - x).max() < 20 * missed
         assert aimed["v"] == pytest.approx(u, abs=20 * missed)
-        state, truth = device.start(model.scale.output_equilibrium), np.zeros(model.order)
+        state = device.start(model.scale.output_equilibrium)
+        truth = np.zeros(model.order)
         assert not state.any()
         for _ in range(200):
             y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
@@ -256,7 +259,8 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
         > 100 * max(REPLAYS.values()) * np.abs(expected).max()
     )
     for replay, tolerance in REPLAYS.items():
-        replayed, size = replay(tmp_path / "out", y), max(1.0, float(np.abs(expected).max()))
+        replayed = replay(tmp_path / "out", y)
+        size = max(1.0, float(np.abs(expected).max()))
         assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
 
 

@@ -66,7 +66,8 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     idle[:, 1] = 0.0
     model = model.with_linear(replace(model.linear, b=idle))
     x0, load, _ = release(model, (record(model),), loaded=True)
-    loads, states = load[12:], x0[12:]
+    loads = load[12:]
+    states = x0[12:]
     assert not load[:12].any()
     assert not states.any()
     assert len(loads) == 4 * 2
@@ -84,17 +85,19 @@ def by_hand(
 ) -> float:
     """Plant and observer are the model; integrators sum the output; the load enters behind the
     scaffolding."""
-    linear, n = model.linear, model.order
-    x, x_hat, z, sizes = x0, np.zeros(n), np.zeros(k.shape[1] - n), []
+    linear = model.linear
+    n = model.order
+    x = x0
+    x_hat = np.zeros(n)
+    z = np.zeros(k.shape[1] - n)
+    sizes = []
     for _ in range(horizon):
         drive = model.scaffold_in(k[:, :n] @ x_hat + k[:, n:] @ z)
         y = model.scaffold_out(linear.c @ x + linear.d @ (drive + load))
         seen = model.scaffold_out(linear.c @ x_hat + linear.d @ drive)
         sizes.append(float(np.linalg.norm(y)))
-        x, x_hat = (
-            linear.a @ x + linear.b @ (drive + load),
-            linear.a @ x_hat + linear.b @ drive + gain @ (seen - y),
-        )
+        x = linear.a @ x + linear.b @ (drive + load)
+        x_hat = linear.a @ x_hat + linear.b @ drive + gain @ (seen - y)
         z = z + y[: len(z)]
     settled = next(after for after in range(horizon + 1) if max(sizes[after:], default=0.0) <= 0.05)
     return sum(sizes) + settled
@@ -106,7 +109,8 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     rng = np.random.default_rng(0)
     linear = replace(model.linear, d=0.3 * rng.normal(size=(2, 2)))
     model, n = model.with_linear(linear), model.order
-    ks, ls = 0.05 * rng.normal(size=(2, 2, n + integrators)), 0.05 * rng.normal(size=(2, n, 2))
+    ks = 0.05 * rng.normal(size=(2, 2, n + integrators))
+    ls = 0.05 * rng.normal(size=(2, n, 2))
     pairs = np.array([[1, 0], [0, 1]])
     given = record(model)
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
@@ -123,9 +127,12 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
 
 
 def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> None:
-    model, design = motor_model(), motor_design()
-    k, gain = design.state_feedback.k, design.observer.l
-    ks, ls = np.stack([0 * k, k, 1e3 * k]), np.stack([gain, -1e3 * gain])
+    model = motor_model()
+    design = motor_design()
+    k = design.state_feedback.k
+    gain = design.observer.l
+    ks = np.stack([0 * k, k, 1e3 * k])
+    ls = np.stack([gain, -1e3 * gain])
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
     none, own, wild, blind = relative_areas(
         model, Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (motor_record(),)

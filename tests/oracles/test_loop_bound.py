@@ -32,17 +32,16 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
     )
     limit = controller_frontier(model.linear, ball).rate_limit
     synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
-    feedback, observer = (
-        synthesis.state_feedback(model.linear, ball),
-        synthesis.observer(model.linear, IDENTITY),
-    )
+    feedback = synthesis.state_feedback(model.linear, ball)
+    observer = synthesis.observer(model.linear, IDENTITY)
     assert feedback.certified
     assert observer.certified
     return feedback, observer
 
 
 def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
-    m, p = model.scale.inputs, model.scale.outputs
+    m = model.scale.inputs
+    p = model.scale.outputs
     return close_loop(
         IdentifiedPlant.of(model),
         ObserverFeedback(model=model, gains=Gains(k=feedback.k, l=observer.l)),
@@ -79,7 +78,8 @@ def test_the_estimate_decays_at_least_as_certified_and_stays_within_its_bound(se
 def test_decay_of_a_known_error_is_that_decay():
     """The error shrinks by 0.8 and 0.7 per sample, so the slowest case decays at `1 - 0.8^2`."""
     feedback, observer = certified(random_model(1))
-    x, direction = np.zeros((2, 200, 4)), np.random.default_rng(0).standard_normal(4)
+    x = np.zeros((2, 200, 4))
+    direction = np.random.default_rng(0).standard_normal(4)
     shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
     assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(
         1 - 0.64, rel=1e-9
@@ -92,7 +92,8 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     model = random_model(3)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, 3)
-    pushed, x0 = np.zeros_like(run.estimate), run.states[:, 0]
+    pushed = np.zeros_like(run.estimate)
+    x0 = run.states[:, 0]
     d, e = distances(run.states[:, :1], pushed[:, :1], feedback, observer)
     root_p, root_q = (np.linalg.cholesky(matrix) for matrix in (feedback.p, observer.q))
     kappa = np.linalg.norm(np.linalg.inv(root_p) @ np.linalg.inv(root_q).T, 2)
@@ -107,7 +108,8 @@ def test_a_rate_that_is_not_certified_is_caught():
     model = random_model(2)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, 0)
-    boast, boast_observer = replace(feedback, rate=0.9), replace(observer, rate=0.99)
+    boast = replace(feedback, rate=0.9)
+    boast_observer = replace(observer, rate=0.99)
     assert violations(run.states, run.estimate, boast, boast_observer) > 0
     assert decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
 
@@ -115,8 +117,10 @@ def test_a_rate_that_is_not_certified_is_caught():
 def test_the_bound_is_the_sum_it_says():
     model = random_model(5)
     feedback, observer = certified(model)
-    d0, e0 = np.array([2.0]), np.array([3.0])
-    r_c, r_o = feedback.contraction, observer.contraction
+    d0 = np.array([2.0])
+    e0 = np.array([3.0])
+    r_c = feedback.contraction
+    r_o = observer.contraction
     into = np.linalg.norm(np.linalg.cholesky(np.linalg.inv(feedback.p)).T @ model.linear.b, 2)
     out = np.linalg.norm(feedback.k @ np.linalg.inv(np.linalg.cholesky(observer.q).T), 2)
     c = float(model.scaffold_in.slopes.max()) * into * out

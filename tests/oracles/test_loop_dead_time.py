@@ -45,7 +45,8 @@ def test_the_output_is_the_same_later(inputs: int) -> None:
         0.1,
     )
     u = rng.standard_normal((80, inputs))
-    y, late = model.simulate(u), model.delayed(5).simulate(u)
+    y = model.simulate(u)
+    late = model.delayed(5).simulate(u)
     assert not late[:5].any()
     assert np.allclose(late[5:], y[:-5], atol=1e-12)
     assert model.delayed(5).order == 3 + 5 * inputs

@@ -52,15 +52,19 @@ def design() -> Design:
 
 def test_the_augmented_pair_is_the_equations_written_out():
     model = random_model(1, inputs=2, outputs=2)
-    system, rng = with_modes(model), np.random.default_rng(0)
-    x, z, v = rng.standard_normal(4), rng.standard_normal(2), rng.standard_normal(2)
+    system = with_modes(model)
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(4)
+    z = rng.standard_normal(2)
+    v = rng.standard_normal(2)
     after = system.a @ np.concatenate([x, z]) + system.b @ v
     np.testing.assert_allclose(after[:4], model.linear.a @ x + model.linear.b @ v)
     np.testing.assert_allclose(after[4:], z + model.read_scaled(x, v))
 
 
 def test_the_certificate_is_the_theorem_on_the_augmented_pair(design):
-    part, system = design.state_feedback, controlled_system(motor_model(), design.state_feedback)
+    part = design.state_feedback
+    system = controlled_system(motor_model(), design.state_feedback)
     assert system.order == motor_model().order + 1
     np.testing.assert_array_equal(part.a, system.a)
     ball = {"alpha": INPUT_BALL.alpha, "beta": INPUT_BALL.beta}
@@ -74,7 +78,8 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
     factor r / 1."""
     model = motor_model()
     r = 0.97
-    alone, with_it = ratio_limit(model.linear.a, model.linear.b, r), ratio_limit(*_pair(model), r)
+    alone = ratio_limit(model.linear.a, model.linear.b, r)
+    with_it = ratio_limit(*_pair(model), r)
     assert with_it == pytest.approx(alone * r / 1.0, rel=1e-6)
     limit = integral().design(model, BALLS).state_feedback.rate_limit
     beyond = integral(limit * 1.001).design(model, BALLS).state_feedback
@@ -152,7 +157,9 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
 
 
 def test_the_margin_with_integrators_by_two_routes(design):
-    model, k, gain = motor_model(), design.state_feedback.k, design.observer.l
+    model = motor_model()
+    k = design.state_feedback.k
+    gain = design.observer.l
     angles = np.geomspace(1e-3, np.pi, 200)
     by_space = max(
         gains(sensitivity(model.linear, Gains(k=k, l=gain), i, 1.0), angles).max()
@@ -199,7 +206,8 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     """`|C z|^2 = |G C x|^2 + weight |z|^2`, and a larger one removes an error sooner."""
     model = random_model(1, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
-    x, z = rng.standard_normal(4), rng.standard_normal(2)
+    x = rng.standard_normal(4)
+    z = rng.standard_normal(2)
     cost = (with_modes(model, weight=0.09).c @ np.concatenate([x, z])) ** 2
     assert cost.sum() == pytest.approx(
         (model.read_scaled(x, np.zeros(2)) ** 2).sum() + 0.09 * (z**2).sum()

@@ -30,7 +30,8 @@ from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import StateSpace
 
-HERTZ, STEP_S = 0.5, 0.01
+HERTZ = 0.5
+STEP_S = 0.01
 LOADS = {
     ("step", "sine(0.5Hz)"): PeriodicDisturbance(amplitude=0.005, frequency_hz=HERTZ),
     ("ramp",): RampDisturbance(slope_per_s=0.002, from_s=1.0, until_s=100.0),
@@ -55,7 +56,8 @@ def simulated(loop: Loop, design: Design) -> Rollouts:
 def test_the_modes_are_those_of_the_signals():
     """Free, each copy makes the signals that it is for: `w[k+1] = A_z w[k]` annihilates nothing
     else."""
-    modes, k = internal_model(["sine(0.5Hz)", "ramp", "step"], STEP_S, outputs=2), np.arange(60)
+    modes = internal_model(["sine(0.5Hz)", "ramp", "step"], STEP_S, outputs=2)
+    k = np.arange(60)
     angle = 2 * np.pi * HERTZ * STEP_S
     roots = [1, 1, np.exp(1j * angle), np.exp(-1j * angle)]
     np.testing.assert_allclose(np.poly(modes[::2, ::2]), np.poly(roots).real, atol=1e-12)
@@ -68,8 +70,10 @@ def test_the_modes_are_those_of_the_signals():
 
 @pytest.mark.parametrize("words", LOADS)
 def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
-    design, model = made(*words), motor_model()
-    part_, system = design.state_feedback, with_modes(model, words)
+    design = made(*words)
+    model = motor_model()
+    part_ = design.state_feedback
+    system = with_modes(model, words)
     np.testing.assert_array_equal(part_.a, system.a)
     numbers = {name: getattr(part_, name) for name in ("rate", "p", "y", "k", "sigma")}
     assert part_.certified
@@ -99,18 +103,24 @@ def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, 
 def test_at_its_frequency_the_model_passes_no_load():
     """Route two: the linear loop from a load at the input to the output, at constant slopes of S_u,
     by hand."""
-    model, angle = motor_model(), np.array([2 * np.pi * HERTZ * STEP_S])
+    model = motor_model()
+    angle = np.array([2 * np.pi * HERTZ * STEP_S])
     passed = {}
     for words in (("step", "sine(0.5Hz)"), ("step",)):
-        pair, found = made(*words).pair, []
-        n, z = model.order, len(pair.modes)
+        pair = made(*words).pair
+        found = []
+        n = model.order
+        z = len(pair.modes)
         for slope in (INPUT_BALL.lower, INPUT_BALL.upper):
-            a, b, c = model.linear.a, slope * model.linear.b, model.linear.c
+            a = model.linear.a
+            b = slope * model.linear.b
+            c = model.linear.c
             fed = np.ones((z, 1)) @ c
             rows = [[a, b @ pair.k[:, :n], b @ pair.k[:, n:]]]
             rows += [[-pair.l @ c, a + b @ pair.k[:, :n] + pair.l @ c, b @ pair.k[:, n:]]]
             rows += [[fed, np.zeros((z, n)), pair.modes]]
-            into, read = np.vstack([b, np.zeros((n + z, 1))]), np.hstack([c, np.zeros((1, n + z))])
+            into = np.vstack([b, np.zeros((n + z, 1))])
+            read = np.hstack([c, np.zeros((1, n + z))])
             loop = StateSpace(a=np.block(rows), b=into, c=read, d=np.zeros((1, 1)))
             assert loop.spectral_radius < 1
             found.append(float(np.abs(frequency_response(loop, angle)).max()))
@@ -120,11 +130,9 @@ def test_at_its_frequency_the_model_passes_no_load():
 
 
 def test_the_margin_by_two_routes():
-    model, pair, angles = (
-        motor_model(),
-        made("ramp", "sine(0.5Hz)").pair,
-        np.geomspace(1e-3, np.pi, 200),
-    )
+    model = motor_model()
+    pair = made("ramp", "sine(0.5Hz)").pair
+    angles = np.geomspace(1e-3, np.pi, 200)
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     by_space = max(
         gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
@@ -147,7 +155,8 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
 
 
 def test_the_certified_bound_holds_with_a_sine():
-    run, design = Loop(initial_conditions=3, horizon_s=2.0), made("step", "sine(0.5Hz)")
+    run = Loop(initial_conditions=3, horizon_s=2.0)
+    design = made("step", "sine(0.5Hz)")
     assert (
         certified(run.run(motor(), motor_model(), design, seed=1), design)[
             "certified_bound_violations"
@@ -182,7 +191,8 @@ def test_a_sine_beyond_half_the_sampling_rate_is_refused():
 def test_a_mode_at_a_zero_of_the_model_is_refused():
     """`x+ = 0.9 x + ...` behind a notch at 2 Hz: nothing that the input does shows in the output
     there."""
-    angle, poles = 2 * np.pi * 2.0 * STEP_S, np.poly([0.9, 0.5, 0.3])
+    angle = 2 * np.pi * 2.0 * STEP_S
+    poles = np.poly([0.9, 0.5, 0.3])
     numerator = np.array([[1.0, -2 * np.cos(angle), 1.0]])
     a = np.vstack([-poles[1:], np.eye(2, 3)])
     linear = StateSpace(a=a, b=np.eye(3, 1), c=numerator, d=np.zeros((1, 1)))

@@ -78,7 +78,8 @@ def test_the_norm_agrees_with_python_control():
     for _ in range(10):
         a = rng.standard_normal((5, 5))
         a *= 0.95 / np.abs(np.linalg.eigvals(a)).max()
-        b, c = rng.standard_normal((5, 2)), rng.standard_normal((2, 5))
+        b = rng.standard_normal((5, 2))
+        c = rng.standard_normal((2, 5))
         theirs = control.system_norm(control.ss(a, b, c, np.zeros((2, 2)), True), "inf", tol=1e-8)
         assert hinf_norm(StateSpace(a=a, b=b, c=c, d=np.zeros((2, 2)))) == pytest.approx(
             theirs, rel=1e-5
@@ -93,8 +94,10 @@ def test_an_unstable_system_has_no_finite_norm():
 
 
 def test_the_peak_by_state_space_and_by_factors():
-    design, model = motor_design(), motor_model()
-    k, gain = design.state_feedback.k, design.observer.l
+    design = motor_design()
+    model = motor_model()
+    k = design.state_feedback.k
+    gain = design.observer.l
     exact = sensitivity_peak(model.linear, Gains(k=k, l=gain), BALLS)
     angles = np.concatenate([ANGLES[1:], np.linspace(1e-4, np.pi, 5000)])
     grid = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
@@ -109,7 +112,8 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     linear = StateSpace(
         a=a, b=rng.standard_normal((4, 2)), c=rng.standard_normal((3, 4)), d=np.zeros((3, 2))
     )
-    k, gain = 0.05 * rng.standard_normal((2, 4)), 0.05 * rng.standard_normal((4, 3))
+    k = 0.05 * rng.standard_normal((2, 4))
+    gain = 0.05 * rng.standard_normal((4, 3))
     balls = Balls(
         input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
     )
@@ -127,17 +131,23 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
 def test_the_sensitivity_is_the_loops_own_response_to_output_error():
     """Time domain: the loop written out with a sine added to the output answers with the gain of
     T_ue."""
-    model, design = motor_model(), motor_design()
-    k, gain, angle = design.state_feedback.k, design.observer.l, 0.4
-    a, b, c, slope = model.linear.a, model.linear.b, model.linear.c, INPUT_BALL.alpha
-    x, x_hat, u = np.zeros(2), np.zeros(2), []
+    model = motor_model()
+    design = motor_design()
+    k = design.state_feedback.k
+    gain = design.observer.l
+    angle = 0.4
+    a = model.linear.a
+    b = model.linear.b
+    c = model.linear.c
+    slope = INPUT_BALL.alpha
+    x = np.zeros(2)
+    x_hat = np.zeros(2)
+    u = []
     for sample in range(3000):
         u.append(float((k @ x_hat)[0]))
         y = c @ x + np.sin(angle * sample)
-        x, x_hat = (
-            a @ x + b[:, 0] * slope * u[-1],
-            a @ x_hat + b[:, 0] * slope * u[-1] + gain @ (c @ x_hat - y),
-        )
+        x = a @ x + b[:, 0] * slope * u[-1]
+        x_hat = a @ x_hat + b[:, 0] * slope * u[-1] + gain @ (c @ x_hat - y)
     amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
     expected = gains(sensitivity(model.linear, Gains(k=k, l=gain), slope, 1.0), np.array([angle]))[
         0
@@ -146,7 +156,8 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
 
 
 def test_the_gain_is_the_ratio_of_what_the_record_shows():
-    model, record = motor_model(), motor_record()
+    model = motor_model()
+    record = motor_record()
     error = (record.y - model.simulate(record.u)) / 5.0
     assert measure_mismatch(model, (record,)).gain == pytest.approx(
         np.linalg.norm(error) / np.linalg.norm(record.u / 1.7)
@@ -159,7 +170,8 @@ def test_the_gain_is_the_ratio_of_what_the_record_shows():
 
 
 def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
-    model, design = motor_model(), motor_design()
+    model = motor_model()
+    design = motor_design()
     shown = measure_mismatch(model, (motor_record(),))
     found = predict(model, Gains(k=50 * design.state_feedback.k, l=design.observer.l), BALLS, shown)
     assert (found.mismatch_margin, found.resolved_margin) == (0.0, 0.0)
@@ -173,7 +185,8 @@ def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
 def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0) -> Mismatch:
     """The mismatch of white inputs whose output is the model's plus `filtered` of the scaled input,
     both scaled."""
-    model, made = motor_model(), []
+    model = motor_model()
+    made = []
     for seed in range(records):
         u = np.random.default_rng(seed).standard_normal((samples, 1))
         y = model.simulate(u) + 5.0 * filtered(u / 1.7)
@@ -204,7 +217,8 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
 def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(period):
     """A slow sine under white noise, whether it repeats or not: without input the noise counts, and
     it is said."""
-    model, k = motor_model(), np.arange(4000)
+    model = motor_model()
+    k = np.arange(4000)
     u = np.sin(2 * np.pi * k / period)[:, None]
     noise = np.random.default_rng(0).standard_normal(u.shape)
     shown = measure_mismatch(model, (Trajectory(u=u, y=model.simulate(u) + noise, step_s=0.01),))
@@ -221,7 +235,8 @@ def test_samples_that_start_the_state_do_not_count():
         return error
 
     assert shown_by(lambda u: 0.3 * u, start_up=40).gain == pytest.approx(0.3, rel=0.05)
-    model, u = motor_model(), np.random.default_rng(0).standard_normal((400, 1))
+    model = motor_model()
+    u = np.random.default_rng(0).standard_normal((400, 1))
     still = np.where(np.arange(400)[:, None] < 40, u, 0.0)
     with pytest.raises(BadRequest, match="validation"):
         measure_mismatch(model, (Trajectory(u=still, y=model.simulate(still), step_s=0.01),), 40)
@@ -247,10 +262,14 @@ def test_a_design_keeps_the_plant_strictly_inside_both_bounds():
 
 
 def several_channels():
-    rng, model = np.random.default_rng(2), random_model(2, inputs=2, outputs=3)
-    a, b, c = model.linear.a, model.linear.b, model.linear.c
+    rng = np.random.default_rng(2)
+    model = random_model(2, inputs=2, outputs=3)
+    a = model.linear.a
+    b = model.linear.b
+    c = model.linear.c
     linear = StateSpace(a=0.7 * a, b=b, c=c, d=rng.standard_normal((3, 2)))
-    ks, ls = 0.1 * rng.standard_normal((3, 2, 4)), 0.1 * rng.standard_normal((3, 4, 3))
+    ks = 0.1 * rng.standard_normal((3, 2, 4))
+    ls = 0.1 * rng.standard_normal((3, 4, 3))
     balls = Balls(
         input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
     )
@@ -275,7 +294,8 @@ def test_the_controller_alone_is_the_equation_written_out():
     wider = Gains(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
     np.testing.assert_allclose(controller_radius(linear, wider, balls), expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
-    narrow, wide = Balls(input=known, output=known), Balls(input=balls.input, output=known)
+    narrow = Balls(input=known, output=known)
+    wide = Balls(input=balls.input, output=known)
     assert (
         controller_radius(linear, pairs, narrow) <= controller_radius(linear, pairs, wide)
     ).all()

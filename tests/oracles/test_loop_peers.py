@@ -38,7 +38,8 @@ SMALL = Auto(
 
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
-    model, limit = motor_model(), ultimate(motor_model())
+    model = motor_model()
+    limit = ultimate(motor_model())
     plain = lqg(model, RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)).model
     b = plain.linear.b @ plain.scaffold_in.jacobian(np.zeros(1))
     scaled = limit.gain * model.scale.output_scale[0] / model.scale.input_scale[0]
@@ -68,11 +69,9 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     """Differences are the second route; the gains are those of that linear system, and not of A and
     B alone."""
     model = with_neurons()
-    known, n, m = (
-        Identified(model=model, balls=BALLS, validation=(motor_record(),)),
-        model.order,
-        model.b.shape[1],
-    )
+    known = Identified(model=model, balls=BALLS, validation=(motor_record(),))
+    n = model.order
+    m = model.b.shape[1]
     points = 1e-6 * np.eye(n + m)
     moved = (
         model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])
@@ -96,9 +95,11 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
 def test_lqg_is_optimal_for_the_linear_part():
     """Policy iteration as the second route: the gain's own cost cannot be improved by one greedy
     step."""
-    model, weights = random_model(1), replace(WEIGHTS, input_weight=0.3)
+    model = random_model(1)
+    weights = replace(WEIGHTS, input_weight=0.3)
     law = lqg(model, weights)
-    a, b = law.model.linear.a, law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
+    a = law.model.linear.a
+    b = law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
     q = model.linear.c.T @ model.linear.c + weights.state_weight * np.eye(4)
     cost = scipy.linalg.solve_discrete_lyapunov(
         (a + b @ law.gains.k).T, q + 0.3 * law.gains.k.T @ law.gains.k
@@ -108,8 +109,10 @@ def test_lqg_is_optimal_for_the_linear_part():
 
 
 def test_a_grid_of_gains_is_its_designs_one_by_one():
-    design, model = motor_design(), motor_model()
-    k, l_ = design.pair.k, design.pair.l
+    design = motor_design()
+    model = motor_model()
+    k = design.pair.k
+    l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw(motor(), seed=2)
     grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))

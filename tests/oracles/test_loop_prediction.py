@@ -70,8 +70,12 @@ def recorded(model: SSM, taps: np.ndarray, samples: int = 4_000) -> Trajectory:
 def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> float:
     """Spectral radius of the loop of plant = model + taps, written out: states (x, past inputs,
     estimate)."""
-    a, b, c, d = model.linear.a, model.linear.b, model.linear.c, model.linear.d
-    n, t = len(a), len(taps) - 1
+    a = model.linear.a
+    b = model.linear.b
+    c = model.linear.c
+    d = model.linear.d
+    n = len(a)
+    t = len(taps) - 1
     shift = np.eye(t, k=-1)
     first = np.eye(t, 1)
     injected = gain @ (c + d @ k) - gain @ (d + taps[:1, None]) @ k
@@ -97,7 +101,8 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
     of gain g(w)."""
     model = linear_model(seed)
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
-    k, gain = design.state_feedback.k, design.observer.l
+    k = design.state_feedback.k
+    gain = design.observer.l
     taps = size * np.random.default_rng(seed).standard_normal(length + 1)
     found = predict(
         model, Gains(k=k, l=gain), ONES, measure_mismatch(model, (recorded(model, taps),))
@@ -119,7 +124,8 @@ def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
 def test_what_pairs_share_changes_no_number(seed):
     """Two pairs one after the other, each with slopes and modes of its own, against each by
     itself."""
-    model, shared = linear_model(seed), Responses(angles=FINE_ANGLES)
+    model = linear_model(seed)
+    shared = Responses(angles=FINE_ANGLES)
     shown = measure_mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
     for rate in (0.1, 0.3):
         pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
@@ -137,8 +143,10 @@ def test_what_pairs_share_changes_no_number(seed):
 
 def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     """The record's mismatch sits in a tenth of the band, where the loop is most sensitive."""
-    model, design = motor_model(), motor_design()
-    k, gain = design.state_feedback.k, design.observer.l
+    model = motor_model()
+    design = motor_design()
+    k = design.state_feedback.k
+    gain = design.observer.l
     angles = ANGLES
     loops = [sensitivity(*end) for end in ends(model.linear, Gains(k=k, l=gain), BALLS)]
     largest = np.max(
@@ -161,10 +169,13 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
     sample."""
     model = linear_model(seed)
     rng = np.random.default_rng(seed)
-    k, gain = rng.standard_normal((1, 3)), rng.standard_normal((3, 1))
+    k = rng.standard_normal((1, 3))
+    gain = rng.standard_normal((3, 1))
     law = ObserverFeedback(model=model, gains=Gains(k=k, l=gain))
-    memory, still = 1e-8 * rng.standard_normal((1, 3)), np.zeros((1, 1))
-    target, grown = law.targets(still)[0], []
+    memory = 1e-8 * rng.standard_normal((1, 3))
+    still = np.zeros((1, 1))
+    target = law.targets(still)[0]
+    grown = []
     for _ in range(200):
         following = law.advance(memory, law.input(memory, still, target), still, target)
         grown.append(np.log(np.linalg.norm(following) / np.linalg.norm(memory)))
@@ -174,8 +185,10 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
 
 
 def test_the_integrator_does_not_count():
-    model, design = motor_model(), motor_design()
-    k, gain = design.state_feedback.k[None], design.observer.l[None]
+    model = motor_model()
+    design = motor_design()
+    k = design.state_feedback.k[None]
+    gain = design.observer.l[None]
     with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
     assert controller_radius(
         model.linear, Gains(k=with_integral, l=gain), BALLS
@@ -216,11 +229,10 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     limit = MonotoneScaffold(
         breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]])
     )
-    model, balls = (
-        replace(motor_model(), scaffold_in=limit),
-        replace(ONES, input=limit.bound().ball),
-    )
-    pair, ones = motor_design().pair, np.ones(len(ANGLES))
+    model = replace(motor_model(), scaffold_in=limit)
+    balls = replace(ONES, input=limit.bound().ball)
+    pair = motor_design().pair
+    ones = np.ones(len(ANGLES))
 
     def seen(amplitude: float, gain: float) -> View:
         parts = {"by_frequency": gain * ones, "linear": 0j * ones, "rest": gain * ones}
@@ -263,14 +275,16 @@ def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(
     It is given in standard deviations of the input; a sinusoid with the peak of the noise has 4.5 /
     sqrt(2) of them.
     """
-    model, samples = linear_model(3), 200_000
+    model = linear_model(3)
+    samples = 200_000
     pair = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES).pair
     loop = sensitivity(model.linear, pair, 1.0, 1.0)
     drawn = np.random.default_rng(0).standard_normal((samples, 1))
     driven = loop.simulate(drawn)[0]
     moved = float(np.std(model.linear.simulate(driven)[0]))
     strength = sigma * BAND / PEAK / moved
-    noise, none = tuple(np.full(len(ANGLES), strength**2).tolist()), 0 * ANGLES
+    noise = tuple(np.full(len(ANGLES), strength**2).tolist())
+    none = 0 * ANGLES
     held, free = (held_up_to + more for more in (0.0, 0.5))
     views = [
         View(
@@ -313,11 +327,10 @@ def drive() -> StribeckDrive:
 
 def drive_model() -> SSM:
     """The drive without friction, exact but for it: the current's lag, then the inertia."""
-    plant, h = drive(), drive().step_s
-    lag, slip = (
-        np.exp(-h / plant.current_lag_s),
-        np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2),
-    )
+    plant = drive()
+    h = drive().step_s
+    lag = np.exp(-h / plant.current_lag_s)
+    slip = np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
     pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
     unit = LinearScaffold(gain=np.eye(1))
     return replace(
@@ -339,7 +352,8 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     drive, so the controller runs alone. The stable one forgets; the other pushes until the drive
     breaks loose, and the
     input never dies out."""
-    model, plant = drive_model(), drive()
+    model = drive_model()
+    plant = drive()
     weights = (
         {"input_weight": 1.0, "output_noise": 1.0}
         if stable

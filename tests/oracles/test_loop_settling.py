@@ -69,7 +69,9 @@ def test_what_does_not_settle_is_told_apart():
     }
     left = (*(STAYED,) * 4, 100)
     assert motions(rollouts(*[list(y) for y in signals.values()], left=left), 0.2) == tuple(signals)
-    offset, ringing, growing = 0.5 + 0 * k, 3 + np.cos(k), 0.3 * 1.01**k * np.cos(k)
+    offset = 0.5 + 0 * k
+    ringing = 3 + np.cos(k)
+    growing = 0.3 * 1.01**k * np.cos(k)
     run = rollouts(list(offset), list(ringing), list(growing))
     assert motions(run, 0.2) == ("drifting", "oscillating", "oscillating")
 
@@ -129,7 +131,8 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
 
 def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
     """The second half alone, of the cases that stayed; noise of deviation 2 there."""
-    start, rest = [9.0] * 4, [1.0, -1.0, 1.0, -1.0]
+    start = [9.0] * 4
+    rest = [1.0, -1.0, 1.0, -1.0]
     run = rollouts(
         start + rest, start + [3 * y for y in rest], [99.0] * 8, left=(STAYED, STAYED, 3)
     )

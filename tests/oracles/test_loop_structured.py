@@ -36,7 +36,8 @@ def test_an_output_that_saturation_forbids_is_refused() -> None:
 
 
 def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None:
-    stand, k = model(), 0.1 * np.ones((1, 3))
+    stand = model()
+    k = 0.1 * np.ones((1, 3))
     reference = np.repeat([[1.0], [1.8], [0.7]], 200, axis=0)
     plan = guided_trajectory(stand, k, reference)
     replayed = stand.simulate(stand.scale.physical_input(plan[:, 3:]))
@@ -50,7 +51,8 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
 def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool) -> None:
     """Certified with an integrator, on the model itself with a load that the model does not know
     of."""
-    stand, balls = model(), certified_balls(model())
+    stand = model()
+    balls = certified_balls(model())
     asked = RiccatiSynthesis(
         rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone
     )
@@ -78,10 +80,14 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
 @pytest.mark.parametrize("injects", [True, False])
 def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     """One step by hand, from the letters of the theorem."""
-    stand, rng = model(), np.random.default_rng(3)
-    l_, l_z = rng.normal(size=(3, 1)), rng.normal(size=(2, 1)) if injects else None
+    stand = model()
+    rng = np.random.default_rng(3)
+    l_ = rng.normal(size=(3, 1))
+    l_z = rng.normal(size=(2, 1)) if injects else None
     law = ObserverFeedback(model=stand, gains=Gains(k=np.zeros((1, 3)), l=l_, l_z=l_z))
-    x_hat, u, y = rng.normal(size=(1, 3)), np.array([[0.9]]), np.array([[1.3]])
+    x_hat = rng.normal(size=(1, 3))
+    u = np.array([[0.9]])
+    y = np.array([[1.3]])
     v = stand.scaffold_in((u - 0.5) / 2.0)
     error = x_hat @ stand.c.T - (y - 1.0) / 3.0
     z = x_hat @ stand.f.T + v @ stand.g.T + stand.bias + (error @ l_z.T if injects else 0.0)

@@ -67,7 +67,8 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     time_s = np.arange(300) * 0.01
     reference = (4 * np.sin(2 * np.pi * time_s))[:, None]
     plan = feasible_trajectory(model, reference)
-    x, u = plan[:, :2], plan[:, 2:]
+    x = plan[:, :2]
+    u = plan[:, 2:]
     np.testing.assert_allclose(x[1:], model.advance(x[:-1], model.scaffold_in(u[:-1])), atol=1e-9)
     y = model.read(x, model.scaffold_in(u))
     assert np.abs(y - reference)[20:].max() < 1.0

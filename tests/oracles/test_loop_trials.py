@@ -25,13 +25,13 @@ def looped(
 ) -> Trajectory:
     """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks
     at rest."""
-    controller, rng = ObserverFeedback.of(model, design), np.random.default_rng(0)
-    plan, memory, x = (
-        controller.targets(np.zeros((samples, 1))),
-        controller.start(1),
-        np.ones(model.order),
-    )
-    u, y = np.zeros((samples, 1)), np.zeros((samples, 1))
+    controller = ObserverFeedback.of(model, design)
+    rng = np.random.default_rng(0)
+    plan = controller.targets(np.zeros((samples, 1)))
+    memory = controller.start(1)
+    x = np.ones(model.order)
+    u = np.zeros((samples, 1))
+    y = np.zeros((samples, 1))
     for k in range(samples):
         said = model.linear.c @ x
         y[k] = said + relay * np.tanh(50 * said) + noise * rng.standard_normal(1)
@@ -74,11 +74,10 @@ def recorded(noise: float = 0.01) -> Trajectory:
 def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     """Harmonic balance: the gain in the loop times |T_ue| is one at the cycle, so the margin falls
     below one."""
-    trial, record = looped(MODEL, FAST, 0.3, noise), recorded(noise)
-    known, shown = (
-        measure_mismatch(MODEL, (record,)),
-        measure_mismatch(MODEL, (record,), 0, (trial,)),
-    )
+    trial = looped(MODEL, FAST, 0.3, noise)
+    record = recorded(noise)
+    known = measure_mismatch(MODEL, (record,))
+    shown = measure_mismatch(MODEL, (record,), 0, (trial,))
     assert predict(MODEL, FAST.pair, ONES, known).resolved_margin > 1
     assert predict(MODEL, FAST.pair, ONES, shown).resolved_margin < 1
     assert shown.loop is not None
@@ -92,7 +91,8 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
 def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
     """In closed loop e of noise alone is n and u = T_ue n: taken as it stands, g |T_ue| would be
     one everywhere."""
-    record, trial = recorded(), looped(MODEL, FAST, 0.0, noise=0.3)
+    record = recorded()
+    trial = looped(MODEL, FAST, 0.0, noise=0.3)
     record = record if repeats else record[:1500]
     assert measure_mismatch(MODEL, (record,), 0, (trial,)).loop is None
 
@@ -113,7 +113,8 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
 def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     """At its ends, 0 and pi, Welch's density has half of white noise: no more is taken there, and
     an offset stays."""
-    trial, k = looped(MODEL, FAST, 0.0, noise=0.05), np.arange(SAMPLES)[:, None]
+    trial = looped(MODEL, FAST, 0.0, noise=0.05)
+    k = np.arange(SAMPLES)[:, None]
     moved = 2 * np.sin(k / 7)
     y = trial.y + MODEL.simulate(moved) + size * (1 + np.cos(np.pi * k))
     shown = measure_mismatch(
@@ -128,7 +129,8 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
 def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     """The loop's e holds a cycle at one frequency and white noise: the cycle stays, the noise
     goes."""
-    trial, record = looped(MODEL, FAST, 0.3, noise=0.02), recorded()[:1500]
+    trial = looped(MODEL, FAST, 0.3, noise=0.02)
+    record = recorded()[:1500]
     measured = measure_mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
     guessed = measure_mismatch(MODEL, (record,), 0, (trial,)).loop
     assert guessed.gain == pytest.approx(measured.gain, rel=0.05)
@@ -145,11 +147,10 @@ def test_the_start_of_a_loop_is_no_mismatch():
 
 
 def test_the_records_about_the_loop_stay_as_they_are():
-    record, trial = recorded(), looped(MODEL, FAST, 0.3)
-    alone, beside = (
-        measure_mismatch(MODEL, (record,)),
-        measure_mismatch(MODEL, (record,), 0, (trial,)),
-    )
+    record = recorded()
+    trial = looped(MODEL, FAST, 0.3)
+    alone = measure_mismatch(MODEL, (record,))
+    beside = measure_mismatch(MODEL, (record,), 0, (trial,))
     assert alone.gain == beside.gain
     assert alone.spread == beside.spread
     assert len(alone.views) == len(beside.views)
@@ -158,7 +159,8 @@ def test_the_records_about_the_loop_stay_as_they_are():
 
 def test_the_record_with_the_most_power_is_the_largest():
     """Also where its input is negative: its scatter and its bands are those that are told."""
-    rng, falling = np.random.default_rng(0), -1 - np.abs(np.sin(np.arange(900) / 300))[:, None]
+    rng = np.random.default_rng(0)
+    falling = -1 - np.abs(np.sin(np.arange(900) / 300))[:, None]
     weak, strong = (
         Trajectory(u=u, y=MODEL.simulate(u) + 0.01 * rng.standard_normal((900, 1)), step_s=0.01)
         for u in (1 + 0.1 * rng.standard_normal((900, 1)), falling)

@@ -143,16 +143,17 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     model = linear_model(seed)
     model = model.with_linear(replace(model.linear, d=np.zeros((1, 1))))
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
-    design, careful = (
-        moderate.design(model, ONES),
-        RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1),
-    )
+    design = moderate.design(model, ONES)
+    careful = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1)
     a, b, c, d = (getattr(model.linear, name) for name in "abcd")
-    x, x_hat, offset = np.zeros(3), np.zeros(3), 0.04
+    x = np.zeros(3)
+    x_hat = np.zeros(3)
+    offset = 0.04
     for _ in range(3000):
         u = design.pair.k @ x_hat
         y = c @ x + d @ u + offset
-        x, x_hat = a @ x + b @ u, a @ x_hat + b @ u + design.pair.l @ (c @ x_hat + d @ u - y)
+        x = a @ x + b @ u
+        x_hat = a @ x_hat + b @ u + design.pair.l @ (c @ x_hat + d @ u - y)
     view = measure_mismatch(model, (twice(model, lambda u: 1e-9 * u, 0.0),)).views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
@@ -172,7 +173,8 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
 def test_between_two_amplitudes_lies_what_neither_shows():
     """A gain of 0.1 at one amplitude and 6 at another: each loop is stable, the ones between are
     not all."""
-    model, scale = linear_model(1), 3.0
+    model = linear_model(1)
+    scale = 3.0
     design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
     turned = [
         twice(model, lambda u, f=f: f * model.simulate(u), 0.0, a)
@@ -187,7 +189,8 @@ def test_between_two_amplitudes_lies_what_neither_shows():
 
 
 def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
-    model, rng = motor_model(), np.random.default_rng(0)
+    model = motor_model()
+    rng = np.random.default_rng(0)
     record = twice(model, lambda u: 0.01 * u, 0.0)
     still = np.zeros((600, 1))
     k = np.arange(600)[:, None]

@@ -52,13 +52,16 @@ def pair() -> tuple[SSM, Design]:
 
 def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
     """What the unlimited loop asks for from rest at `y0`, noise-free."""
-    law, x = ObserverFeedback.of(model, design), equilibrium(model, np.array([y0]))[0][None]
+    law = ObserverFeedback.of(model, design)
+    x = equilibrium(model, np.array([y0]))[0][None]
     memory = x.copy()
-    target, asked = np.zeros(model.order + 2), []
+    target = np.zeros(model.order + 2)
+    asked = []
     for _ in range(120):
         y = model.read(x, np.zeros((1, 1)))
         u = law.input(memory, y, target)
-        memory, x = law.advance(memory, u, y, target), model.advance(x, model.lift(u))
+        memory = law.advance(memory, u, y, target)
+        x = model.advance(x, model.lift(u))
         asked.append(u[0, 0])
     return np.array(asked)
 
@@ -89,7 +92,8 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
     assert proved is not None
     own = 1 - np.abs(np.linalg.eigvals(feedback.a)).max() ** 2
     assert 0.5 * own < proved.rate <= own < feedback.rate
-    metric, rng = np.linalg.cholesky(np.linalg.inv(proved.p)).T, np.random.default_rng(0)
+    metric = np.linalg.cholesky(np.linalg.inv(proved.p)).T
+    rng = np.random.default_rng(0)
     x = rng.standard_normal((2, 4000))
     for slope in (0.0, 0.3, 1.0, rng.uniform(0, 1, 4000)):
         after = feedback.a @ x + feedback.b * slope * (feedback.k @ x)
@@ -98,7 +102,8 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
 
 
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
-    rng, ball = np.random.default_rng(0), JacobianBall(alpha=-1.0, beta=0.5)
+    rng = np.random.default_rng(0)
+    ball = JacobianBall(alpha=-1.0, beta=0.5)
     wide = limited(ball, inputs=2)
     worst = 0.0
     for _ in range(2000):
@@ -126,7 +131,8 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
     loop = Loop(
         horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0]
     )
-    law, starts = ObserverFeedback.of(model, design), np.array([[-20.0], [-3.0], [0.05], [9.0]])
+    law = ObserverFeedback.of(model, design)
+    starts = np.array([[-20.0], [-3.0], [0.05], [9.0]])
     run = loop.simulate(IdentifiedPlant.of(model), law, starts, np.zeros((4, 80, 1)))
     assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == [[True], [True], [False], [True]]
     assert violations(run.states, run.estimate, saturated, design.observer) == 0
@@ -137,8 +143,10 @@ def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> N
     """No range can be larger than the one whose end asks for the limit at once, or for some slope
     later."""
     model, design = pair
-    found, feedback = within_limits(model, design, -LIMIT, LIMIT), design.state_feedback
-    x, asked = equilibrium(model, np.array([1.0]))[0][:, None], []
+    found = within_limits(model, design, -LIMIT, LIMIT)
+    feedback = design.state_feedback
+    x = equilibrium(model, np.array([1.0]))[0][:, None]
+    asked = []
     for _ in range(40):
         asked.append(abs((feedback.k @ x).item()))
         x = (feedback.a + min(SLOPES) * feedback.b @ feedback.k) @ x
@@ -181,7 +189,8 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     rest = Scale(input_scale=np.ones(1), output_scale=np.ones(1), input_equilibrium=np.zeros(1),
                  output_equilibrium=np.zeros(1))  # fmt: skip
     lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.eye(1), d=np.array([[-0.5]]))
-    model, ball = SSM.of(lag, 0.1, rest), JacobianBall(alpha=1.0, beta=0.0)
+    model = SSM.of(lag, 0.1, rest)
+    ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
     design = wanted.design(model, Balls(input=ball, output=ball))
     assert set(with_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
@@ -206,7 +215,8 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.eye(2), d=np.zeros((2, 2)))
     rest = Scale(input_scale=np.ones(2), output_scale=np.ones(2), input_equilibrium=np.zeros(2),
                  output_equilibrium=np.array([0.0, apart]))  # fmt: skip
-    model, ball = SSM.of(lags, 0.1, rest), JacobianBall(alpha=1.0, beta=0.0)
+    model = SSM.of(lags, 0.1, rest)
+    ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.4, input_weight=0.5)
     design = wanted.design(model, Balls(input=ball, output=ball))
     ends = np.full(2, -0.6), np.full(2, 0.6)

@@ -19,7 +19,8 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import fixed_optimum, largest_kappa
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
 
-ONE, ZERO = np.ones((1, 1)), np.zeros((1, 1))
+ONE = np.ones((1, 1))
+ZERO = np.zeros((1, 1))
 INPUT_ALONE = Weights(floor=1e-9, output=ZERO, input=ONE)
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
 BENT = replace(BALLS, output=JacobianBall(alpha=0.9, beta=0.1))
@@ -119,7 +120,8 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     rows = MeasuredDiscs.signals(of)
     forms = [form for _, form in MeasuredDiscs.map_forms(of, rows)]
     order = len(rows.xi)
-    p, margin = cp.Variable((order, order), symmetric=True), cp.Variable()
+    p = cp.Variable((order, order), symmetric=True)
+    margin = cp.Variable()
     multipliers = cp.Variable(len(forms), nonneg=True)
     form = rows.xi.T @ p @ rows.xi - rows.step.T @ p @ rows.step + MeasuredDiscs.disc_form(of, rows)
     form = form + sum(multipliers[i] * forms[i] for i in range(len(forms)))
@@ -141,7 +143,8 @@ def on_the_plant(
 ) -> np.ndarray:
     """The loop's input on a plant `y = m + e`, `e = Delta(m, u)` with these slopes of S_u, from a
     random start."""
-    system, gains = known.system, known.gains
+    system = known.system
+    gains = known.gains
     alpha_out = known.balls.output.alpha
     rng = np.random.default_rng(seed)
     x, xh = rng.standard_normal((2, system.order))
@@ -176,10 +179,15 @@ def at_the_edge(kappa: float, centre: float, rng: np.random.Generator) -> StateS
     blocks = []
     for (all_pass, size), (weight, gain), column in zip(parts, filters, (0, 0, 1), strict=True):
         order = max(len(weight) - 1, 0)
-        a, b = weight[:order, :order], weight[:order, order:]
-        c, d = weight[order:, :order], weight[order:, order:]
+        a = weight[:order, :order]
+        b = weight[:order, order:]
+        c = weight[order:, :order]
+        d = weight[order:, order:]
         if order == 0:
-            a, b, c, d = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), gain * ONE
+            a = np.zeros((0, 0))
+            b = np.zeros((0, 1))
+            c = np.zeros((1, 0))
+            d = gain * ONE
         aa, ab, ac, ad = all_pass
         whole_a = np.block([[a, np.zeros((order, 1))], [ab @ c, aa]])
         into = np.zeros((1, 2))
@@ -241,12 +249,14 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
     weights = Weights(floor=2.0, output=ZERO, input=1e-3 * ONE)
     proof = largest_kappa(known, weights, 0.0)
     assert proof is not None
-    alpha_out, r = known.balls.output.alpha, proof.kappa
+    alpha_out = known.balls.output.alpha
+    r = proof.kappa
     ahead = (
         alpha_out * system.c @ (system.a - np.eye(3))
     )  # m_(t+1) - m_t, by the state and the drive
     x, xh = np.random.default_rng(0).standard_normal((2, 3))
-    outputs, errors = [], []
+    outputs = []
+    errors = []
     for k in range(4000):
         u = known.gains["k"] @ xh if k < 3000 else np.zeros(1)
         drive = (0.6 if k % 7 else 1.0) * u
@@ -299,7 +309,8 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
     assert proof.certified
     assert not proof.failed_checks(known)
     rng = np.random.default_rng(0)
-    gains, alpha_out = known.gains, known.balls.output.alpha
+    gains = known.gains
+    alpha_out = known.balls.output.alpha
     maps = [np.tanh, lambda z: np.clip(z, -0.3, 0.3), lambda z: np.maximum(z, 0.0), lambda z: z]
     for case in range(8):
         phi = maps[case % 4]

@@ -11,7 +11,8 @@ from ssm_study.models.scaffolds.scaffold import Frame
 def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
     """Fazlyab et al. (2019), eq. (10), at constant one for `G`: semidefinite means `|G(v) - G(w)|
     <= |v - w|`."""
-    weights, multipliers = scaffold.network.weights, scaffold.multipliers
+    weights = scaffold.network.weights
+    multipliers = scaffold.multipliers
     sizes = [w.shape[1] for w in weights]
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     matrix = np.zeros((offsets[-1], offsets[-1]))

@@ -39,7 +39,8 @@ def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMoto
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed: int) -> None:
-    u, d = levels(150, 2.0, seed), levels(150, 3e-3, 100 + seed)
+    u = levels(150, 2.0, seed)
+    d = levels(150, 3e-3, 100 + seed)
     x0 = motor.states_at(np.array([[4.0 - 2 * seed]]))
     exact = simulate_exactly(motor, u, x0[0], d)
     x, _ = motor.simulate(u[None], x0=x0, d=d[None])
@@ -91,11 +92,9 @@ def test_switch_times_are_located(motor: DCMotor) -> None:
     """A free run-down of one rigid speed has its stop time in closed form."""
     rigid = replace(motor, shaft_stiffness_nm_per_rad=1e-15, shaft_damping_nms_per_rad=0.0)
     run = simulate_exactly(rigid, np.zeros((300, 1)), np.array([0.0, 0.0, 2.0, 0.0]))
-    b, inertia, a0 = (
-        rigid.load_viscous_nms_per_rad,
-        rigid.load_inertia_kgm2,
-        rigid.coulomb_torque_nm,
-    )
+    b = rigid.load_viscous_nms_per_rad
+    inertia = rigid.load_inertia_kgm2
+    a0 = rigid.coulomb_torque_nm
     stop = inertia / b * np.log(1 + b * 2.0 / a0)
     assert np.abs(run.switch_times_s - stop).min() < 1e-10
     assert SWITCH_TIME_TOLERANCE_S <= 1e-10
@@ -118,7 +117,8 @@ def test_energy_never_grows_without_input(x0: list[float]) -> None:
 
 
 def test_the_motor_is_odd(motor: DCMotor) -> None:
-    u, d = levels(200, 3.0)[None], levels(200, 2e-3, 1)[None]
+    u = levels(200, 3.0)[None]
+    d = levels(200, 2e-3, 1)[None]
     np.testing.assert_array_equal(motor.simulate(-u, d=-d)[0], -motor.simulate(u, d=d)[0])
 
 

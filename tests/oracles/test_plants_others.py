@@ -30,9 +30,12 @@ def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> 
 
 def test_quadruple_tank_agrees_with_a_general_solver() -> None:
     plant = from_yaml("plant", "quadruple_tank")
-    u, d = np.array([[2.2, 3.7]]), np.array([[3.0, -2.0]])
-    area, out = np.array(plant.area_cm2), np.array(plant.outlet_cm2)
-    k, g = np.array(plant.pump_cm3_per_vs), np.array(plant.share_below)
+    u = np.array([[2.2, 3.7]])
+    d = np.array([[3.0, -2.0]])
+    area = np.array(plant.area_cm2)
+    out = np.array(plant.outlet_cm2)
+    k = np.array(plant.pump_cm3_per_vs)
+    g = np.array(plant.share_below)
 
     def rate(_: float, h: np.ndarray) -> np.ndarray:
         q = out * np.sqrt(2 * 981.0 * h)
@@ -49,7 +52,8 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
 
 def test_quadruple_tank_starts_with_the_upper_levels_at_rest() -> None:
     plant = from_yaml("plant", "quadruple_tank")
-    rest, y0 = plant.equilibrium(), np.array([[5.0, 7.0], [6.0, 6.5]])
+    rest = plant.equilibrium()
+    y0 = np.array([[5.0, 7.0], [6.0, 6.5]])
     np.testing.assert_allclose(plant.states_at(rest.y[None]), rest.x[None])
     x0 = plant.states_at(y0)
     np.testing.assert_allclose(plant.output(x0), y0)
@@ -148,7 +152,8 @@ def test_the_drive_saturates(drive: StribeckDrive) -> None:
 def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plant, close_loop = from_yaml("plant", "quadruple_tank"), Mock(side_effect=InterruptedError)
+    plant = from_yaml("plant", "quadruple_tank")
+    close_loop = Mock(side_effect=InterruptedError)
     monkeypatch.setattr(regulation, "close_loop", close_loop)
     loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
     with pytest.raises(InterruptedError):

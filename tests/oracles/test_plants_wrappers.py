@@ -28,7 +28,8 @@ def inputs(plant: Plant, cases: int = 2) -> np.ndarray:
 
 
 def test_saturation_clips(plant: Plant) -> None:
-    rest, half = plant.equilibrium().u, 0.5 * np.array(plant.input_amplitude)
+    rest = plant.equilibrium().u
+    half = 0.5 * np.array(plant.input_amplitude)
     limited = SaturatedInput(plant=plant, lower=list(rest - half), upper=list(rest + half))
     u = inputs(plant)
     np.testing.assert_array_equal(
@@ -56,7 +57,8 @@ def test_a_random_disturbance_holds_and_repeats() -> None:
 
 
 def test_wrappers_stack(plant: Plant) -> None:
-    rest, reach = plant.equilibrium().u, 2 * np.array(plant.input_amplitude)
+    rest = plant.equilibrium().u
+    reach = 2 * np.array(plant.input_amplitude)
     limited = SaturatedInput(plant=plant, lower=list(rest - reach), upper=list(rest + reach))
     stack = DelayedInput(plant=limited, samples=2)
     x, y = stack.simulate(inputs(plant))

@@ -44,7 +44,9 @@ from ssm_study.table.columns import declared
 from ssm_study.table.gather import MARKS, gather
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
-ONE_FORMULA, DECOMPOSED, ITERATED = 1e-9, 1e-6, 1e-6
+ONE_FORMULA = 1e-9
+DECOMPOSED = 1e-6
+ITERATED = 1e-6
 NUMBERS = {
     **dict.fromkeys(("hankel_largest", "hankel_smallest", "spectral_radius"), DECOMPOSED),
     **{
@@ -295,10 +297,8 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
 ) -> None:
     """The matrices are those of another rate; the reason is the record's, and a claim like any
     other."""
-    run, kept = (
-        RunFiles(path=smoke_run, record=record),
-        read_simulation(smoke_run / "validation.mcap"),
-    )
+    run = RunFiles(path=smoke_run, record=record)
+    kept = read_simulation(smoke_run / "validation.mcap")
     told = "riccati; not positive definite in exact arithmetic"
     missed = replace(
         run.design, observer=replace(run.design.observer, certified=False, solver_status=told)
@@ -562,7 +562,8 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
     """The level of evidence that it rests on cannot be derived: `sound` might be anybody's word."""
 
     class Elsewhere:
-        specification, record = SimpleNamespace(plant=None), dict[str, Any]()
+        specification = SimpleNamespace(plant=None)
+        record = dict[str, Any]()  # noqa: RUF012
 
         @property
         def data(self) -> Any:
@@ -581,7 +582,8 @@ def test_a_log_is_found_from_another_folder(
 ) -> None:
     """`data.path=log.csv` was meant where the run was made; a run that was moved has its log where
     one works."""
-    made, elsewhere = tmp_path / "made", tmp_path / "elsewhere"
+    made = tmp_path / "made"
+    elsewhere = tmp_path / "elsewhere"
     run = made / "results" / "mine" / "order2"
     (run / ".hydra").mkdir(parents=True)
     (run / ".hydra" / "config.yaml").write_text("results_dir: results\nstudy: mine\nrun: order2\n")

@@ -47,7 +47,8 @@ def found(
 def test_gains_are_certified_just_inside_their_largest_rate() -> None:
     design = ASKED.design(_Model(drawn(0)), BALLS)
     for part in (design.state_feedback, design.observer):
-        again, limit = at_largest_rate(part), largest_rate(*part.as_problem())
+        again = at_largest_rate(part)
+        limit = largest_rate(*part.as_problem())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
         assert max(part.rate, 0.998 * limit) < again.rate < limit
@@ -91,16 +92,21 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     """The real neurons, S_u of changing slope, and `e` of the allowed energy, placed where it
     raises P most."""
     stand = model()
-    system, balls = stand.system, Balls(input=BALLS.input, output=JacobianBall(alpha=1.0, beta=0.0))
+    system = stand.system
+    balls = Balls(input=BALLS.input, output=JacobianBall(alpha=1.0, beta=0.0))
     gains = ASKED.design(stand, balls).gains
     proved = largest_tolerance(
         VerificationContext(system=system, controlled=system, balls=balls, gains=gains), np.eye(1)
     )
     assert proved is not None
-    rng, k, l, l_z = np.random.default_rng(0), proved.k, proved.l, proved.l_z  # noqa: E741
+    rng = np.random.default_rng(0)
+    k = proved.k
+    l = proved.l  # noqa: E741
+    l_z = proved.l_z
     for _ in range(2):
         x, x_hat = rng.normal(size=(2, 3))
-        start, budget = np.linalg.norm(x), 0.0
+        start = np.linalg.norm(x)
+        budget = 0.0
         for _ in range(60):
             u = k @ x_hat
             budget += proved.s**2 * float(
@@ -110,7 +116,8 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
             for share, sign, slope in [
                 (a, b, c) for a in (0, 0.5, 1) for b in (-1, 1) for c in (0.6, 1.0)
             ]:
-                e, v = sign * np.sqrt(share * budget), slope * u
+                e = sign * np.sqrt(share * budget)
+                v = slope * u
                 error = x_hat @ stand.c.T - (x @ stand.c.T + e)
                 estimate = stand.advance(x_hat, v, error @ l_z.T) + l @ error
                 after.append((np.concatenate([stand.advance(x, v), estimate]), e * e))
@@ -120,7 +127,9 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
                 for xi, _ in after
             ]
             xi, spent = after[int(np.argmax(energies))]
-            x, x_hat, budget = xi[:3], xi[3:], budget - spent
+            x = xi[:3]
+            x_hat = xi[3:]
+            budget = budget - spent
         assert np.linalg.norm(x) < 1e-3 * start
 
 
@@ -159,7 +168,8 @@ def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) ->
 def test_a_forged_number_is_found(
     stored: tuple[dict, object], name: str, factor: object, said: str
 ) -> None:
-    content, controlled = json.loads(json.dumps(stored[0])), stored[1]
+    content = json.loads(json.dumps(stored[0]))
+    controlled = stored[1]
     value = np.array(content["tolerance"][name]) * factor if isinstance(factor, float) else factor
     content["tolerance"][name] = (
         value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
@@ -185,7 +195,8 @@ def test_a_nonlinear_output_map_gets_none() -> None:
 def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     """At rest and at slope one half `x+ = 0.2 x + 2 phi(x) - 0.25 x` decays, at slope one it
     grows."""
-    one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
+    one = np.ones((1, 1))
+    unit = JacobianBall(alpha=1.0, beta=0.0)
     matrices = {
         "a": 0.2 * one,
         "b": one,
@@ -197,9 +208,7 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
         "h": 0 * one,
     }
     system = StructuredSystem(**matrices)
-    gains, balls = (
-        {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one},
-        Balls(input=unit, output=unit),
-    )
+    gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
+    balls = Balls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     assert within_reach(partial(largest_tolerance, known, one)) is None

@@ -14,7 +14,8 @@ from ssm_study.report.study_folder import RunFolder, StudyFolder
 
 def test_the_training_inputs_are_kept_and_drawn(smoke_run: Path) -> None:
     record = json.loads((smoke_run / "record.json").read_text())
-    kept, validation = RunFolder(path=smoke_run).excitation, RunFolder(path=smoke_run).validation
+    kept = RunFolder(path=smoke_run).excitation
+    validation = RunFolder(path=smoke_run).validation
     assert kept is not None
     assert validation is not None
     inputs = kept["input"]
@@ -34,7 +35,8 @@ def test_the_figure_says_what_the_inputs_can_identify(smoke_run: Path, tmp_path:
         (study / smoke_run.name / "record.json").write_text(json.dumps(record | more))
         return figures.drawn("excitation", StudyFolder(folder=study)).axes
 
-    told, warned = drawn(), drawn(excitation_warning="2 levels only")
+    told = drawn()
+    warned = drawn(excitation_warning="2 levels only")
     assert told[0].get_title(loc="left") == "Training records; 85 % of the range is trained on"
     assert told[1].get_title(loc="left") == "Persistently exciting of order 8"
     assert "not identifiable" in warned[0].get_title(loc="left")

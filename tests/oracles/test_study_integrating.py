@@ -25,9 +25,11 @@ def moved(x: np.ndarray, volts: float) -> np.ndarray:
 
 
 def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> None:
-    rng, x = np.random.default_rng(0), np.zeros(2)
+    rng = np.random.default_rng(0)
+    x = np.zeros(2)
     u = rng.uniform(-1, 1, 200).repeat(10)
-    u, y = np.concatenate([u - u.mean(), np.zeros(200)]), []
+    u = np.concatenate([u - u.mean(), np.zeros(200)])
+    y = []
     for volts in u:
         y.append(x[1] + 0.01 * rng.standard_normal())
         x = moved(x, volts)
@@ -49,22 +51,24 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     assert "The output integrates its input" in design.record["evidence_reasons"]
     assert "data.decimate" not in design.record["evidence_reasons"]
     law = ObserverFeedback.of(design.model, design.certificate)
-    limits, rest = (
-        (design.record["limit_lower"], design.record["limit_upper"]),
-        law.targets(np.zeros((1, 1)))[0],
-    )
+    limits = (design.record["limit_lower"], design.record["limit_upper"])
+    rest = law.targets(np.zeros((1, 1)))[0]
     for start in (0.2, -2.0):  # from positions far beyond one step
-        x, memory = np.array([0.0, start]), law.start(1)
+        x = np.array([0.0, start])
+        memory = law.start(1)
         for _ in range(800):
             seen = x[None, 1:]
             applied = np.clip(law.input(memory, seen, rest), *limits)
-            memory, x = law.advance(memory, applied, seen, rest), moved(x, float(applied[0, 0]))
+            memory = law.advance(memory, applied, seen, rest)
+            x = moved(x, float(applied[0, 0]))
         assert x == pytest.approx([0, 0], abs=1e-3 * abs(start))
 
 
 def pushed(u: np.ndarray) -> np.ndarray:
     """The position of a mass that friction slows, measured with noise."""
-    x, y, rng = np.zeros(2), [], np.random.default_rng(1)
+    x = np.zeros(2)
+    y = []
+    rng = np.random.default_rng(1)
     for volts in u:
         y.append(x[1] + 0.01 * rng.standard_normal())
         x = moved(x, volts)
@@ -108,7 +112,8 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
 def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(
     a: list, b: list, c: list, tmp_path
 ) -> None:
-    control, outputs = pytest.importorskip("control"), len(c)
+    control = pytest.importorskip("control")
+    outputs = len(c)
     asked = ("synthesis=riccati", "synthesis.rate_controller=0.05", "synthesis.rate_observer=0.05")
     design = st.control(control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1), *asked)
     assert design.certificate.certified
@@ -129,11 +134,9 @@ def test_the_points_at_rest_are_all_of_them() -> None:
         for inputs in (1, 2, 3):
             turn = np.linalg.qr(rng.standard_normal((4, 4)))[0]
             modes = np.diag(np.where(np.arange(4) < integrators, 1.0, rng.uniform(-0.9, 0.9, 4)))
-            b, c, d = (
-                rng.standard_normal((4, inputs)),
-                rng.standard_normal((2, 4)),
-                rng.standard_normal((2, inputs)),
-            )
+            b = rng.standard_normal((4, inputs))
+            c = rng.standard_normal((2, 4))
+            d = rng.standard_normal((2, inputs))
             system = StateSpace(a=turn @ modes @ turn.T, b=b, c=c, d=d)
             x, v, y = system.held()
             assert system.integrates == (integrators > 0)

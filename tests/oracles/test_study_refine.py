@@ -88,7 +88,8 @@ def second(first: Path, steps: list) -> Path:  # noqa: ARG001 - made by the step
 
 
 def test_a_wrong_prediction_is_mended_by_the_loop_itself(first, second, steps):
-    before, after = read_record(first), read_record(second)
+    before = read_record(first)
+    after = read_record(second)
     assert before["predicted_stable"]
     assert before["stable_count"] == 0
     assert after["predicted_stable"]
@@ -100,7 +101,8 @@ def test_a_wrong_prediction_is_mended_by_the_loop_itself(first, second, steps):
 
 
 def test_a_refined_run_names_its_parent_and_trains_nothing(first, second):
-    before, after = read_record(first), read_record(second)
+    before = read_record(first)
+    after = read_record(second)
     assert (after["parent_run"], after["refinements"]) == (first.name, 1)
     assert "parent_run" not in before
     for stage in ("dataset", "model", "bounds"):
@@ -144,11 +146,9 @@ def write(path: Path, u: np.ndarray, y: np.ndarray, head: str = "input,output") 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory) -> Path:
     """A run from a log of the same plant, which is then nobody's to simulate."""
-    folder, rng, plant = (
-        tmp_path_factory.mktemp("logged"),
-        np.random.default_rng(0),
-        PeakingGain(**PEAK),
-    )
+    folder = tmp_path_factory.mktemp("logged")
+    rng = np.random.default_rng(0)
+    plant = PeakingGain(**PEAK)
     u = np.repeat(rng.uniform(-1, 1, 200), rng.integers(2, 20, 200))[:1600, None]
     y = plant.simulate(u[None])[1][0] + 0.01 * rng.standard_normal(u.shape)
     log = write(folder / "log.csv", u, y)
@@ -166,7 +166,8 @@ def trial(run: Path, to: Path, peak: float) -> Path:
 
 
 def test_the_log_of_a_trial_that_oscillates_changes_the_choice(logged, tmp_path, capsys):
-    log, before = trial(logged, tmp_path / "trial.csv", PEAK["peak"]), read_record(logged)
+    log = trial(logged, tmp_path / "trial.csv", PEAK["peak"])
+    before = read_record(logged)
     assert main(["refine", str(logged), "--record", str(log)]) == 0
     told = capsys.readouterr().out
     assert "refine with its log" in told

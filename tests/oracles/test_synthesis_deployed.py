@@ -58,7 +58,8 @@ def known(linear: StateSpace, balls: Balls, design: Design) -> VerificationConte
 def feasible(part: StateFeedback, rate: float) -> bool:
     """Theorem 1 for the given gain by a solver: `P` alone is unknown, sigma is one."""
     n, m = part.b.shape
-    p, t = cp.Variable((n, n), symmetric=True), cp.Variable()
+    p = cp.Variable((n, n), symmetric=True)
+    t = cp.Variable()
     coupling = (part.a + part.alpha * part.b @ part.k) @ p
     zero = np.zeros((n, m))
     lmi = cp.bmat(
@@ -135,7 +136,9 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
 def test_a_mode_that_the_gain_does_not_reach_does_not_hide_what_the_ball_costs(slow: float) -> None:
     """Beside it `x+ = (slow - 0.1) x`, a gain of 0.5 and slopes 1 -+ 0.3: `0.15 / (r - slow + 0.1)
     = 1`."""
-    a, b, k = np.diag([slow, slow + 0.4]), np.array([[0.0], [1.0]]), np.array([[0.0, -0.5]])
+    a = np.diag([slow, slow + 0.4])
+    b = np.array([[0.0], [1.0]])
+    k = np.array([[0.0, -0.5]])
     found = largest_rate(a, b, k, JacobianBall(alpha=1.0, beta=0.3))
     assert found == pytest.approx(1 - (slow + 0.05) ** 2, abs=1e-5)
 
@@ -160,28 +163,30 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
     found = largest_tolerance(known(linear, balls, design), weight)
     assert found is not None
-    k, l, alpha, beta = found.k, found.l, found.alpha, found.beta  # noqa: E741
-    n, rest = 2, np.zeros((1, order))
-    a_w, b_w, c_w, d_w = (
-        weight[:order, :order],
-        weight[:order, order:],
-        weight[order:, :order],
-        weight[order:, order:],
-    )
+    k = found.k
+    l = found.l  # noqa: E741
+    alpha = found.alpha
+    beta = found.beta
+    n = 2
+    rest = np.zeros((1, order))
+    a_w = weight[:order, :order]
+    b_w = weight[:order, order:]
+    c_w = weight[order:, :order]
+    d_w = weight[order:, order:]
     a = block_diag(linear.a + alpha * linear.b @ k, linear.a + 0.8 * l @ linear.c, a_w)
     a[:n, n : 2 * n] = alpha * linear.b @ k
     a[2 * n :, : 2 * n] = np.hstack([b_w @ k, b_w @ k])
     b = np.block([[linear.b, np.zeros((n, 1))], [np.zeros((n, 1)), -l], [np.zeros((order, 2))]])
-    c_u, c_w = np.hstack([k, k, rest]), np.hstack([d_w @ k, d_w @ k, c_w])
+    c_u = np.hstack([k, k, rest])
+    c_w = np.hstack([d_w @ k, d_w @ k, c_w])
     t = np.linalg.cholesky(solve_discrete_lyapunov(a, b @ b.T) + 1e-9 * np.eye(len(a)))
     ab = np.hstack([np.linalg.solve(t, a @ t), np.linalg.solve(t, b)])
-    p, mu, lam = (
-        cp.Variable((len(a), len(a)), symmetric=True),
-        cp.Variable(nonneg=True),
-        cp.Variable(nonneg=True),
-    )
+    p = cp.Variable((len(a), len(a)), symmetric=True)
+    mu = cp.Variable(nonneg=True)
+    lam = cp.Variable(nonneg=True)
     storage = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t) - mu * (c_w @ t).T @ (c_w @ t)
-    zero, one = np.zeros((len(a), 1)), np.ones((1, 1))
+    zero = np.zeros((len(a), 1))
+    one = np.ones((1, 1))
     supply = cp.bmat(
         [
             [storage, zero, zero],
@@ -206,8 +211,11 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     found = largest_tolerance(known(linear, balls, design), np.eye(1))
     assert found is not None
     rng = np.random.default_rng(seed)
-    k, b, l = found.k, found.b, found.l  # noqa: E741
-    xi, energies = rng.normal(size=6), []
+    k = found.k
+    b = found.b
+    l = found.l  # noqa: E741
+    xi = rng.normal(size=6)
+    energies = []
     for _ in range(100):
         energies.append(xi @ found.p @ xi)
         u = k @ (xi[:3] + xi[3:])
@@ -243,7 +251,11 @@ def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: 
     linear, balls, design = loop(seed)
     balls = replace(balls, input=JacobianBall(alpha=balls.input.alpha, beta=0.0))
     gain = noise_gain(linear, design.pair, balls)
-    a, b, c, k, l = linear.a, linear.b, 0.8 * linear.c, design.pair.k, design.pair.l  # noqa: E741
+    a = linear.a
+    b = linear.b
+    c = 0.8 * linear.c
+    k = design.pair.k
+    l = design.pair.l  # noqa: E741
     driven = balls.input.alpha * b @ k
     closed = np.block([[a, driven], [-l @ c, a + l @ c + driven]])
     noise_input = np.vstack([np.zeros_like(l), -l])
@@ -392,7 +404,8 @@ def test_tampering_is_found(
     stored: tuple[dict, StateSpace], part: str, name: str, change, found: str | None
 ) -> None:
     """The digest is written anew: the claim itself has to be found."""
-    content, linear = copy.deepcopy(stored[0]), stored[1]
+    content = copy.deepcopy(stored[0])
+    linear = stored[1]
     content[part][name] = change(content[part].get(name))
     content[part]["digest"] = digest(content[part])
     broken = failed_checks(content, linear, MOTOR_BALLS)
@@ -402,7 +415,8 @@ def test_tampering_is_found(
 def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     stored: tuple[dict, StateSpace],
 ) -> None:
-    content, linear = copy.deepcopy(stored[0]), stored[1]
+    content = copy.deepcopy(stored[0])
+    linear = stored[1]
     for label in ("noise", "tolerance_by_frequency"):
         content[label] = {"theorem": "noise_gain", "s": "no number", "digest": ""}
     design = Design.from_json(content)
@@ -415,7 +429,8 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
 
 
 def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSpace]) -> None:
-    content, linear = copy.deepcopy(stored[0]), stored[1]
+    content = copy.deepcopy(stored[0])
+    linear = stored[1]
     content["extra"] = content["tolerance"]
     assert any(
         "certificate.extra" in claim for claim in failed_checks(content, linear, MOTOR_BALLS)

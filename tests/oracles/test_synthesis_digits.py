@@ -28,7 +28,8 @@ MANTISSA = 53
 
 @pytest.fixture
 def long_numbers() -> Iterator[None]:
-    before, ctx.prec = ctx.prec, 400
+    before = ctx.prec
+    ctx.prec = 400
     yield
     ctx.prec = before
 
@@ -47,24 +48,26 @@ def longer(matrix: np.ndarray) -> arb_mat:
 def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.ndarray) -> arb_mat:
     """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.whole_metric`), by doubling in
     400 bits."""
-    r, n = arb(contraction), len(problem.a)
+    r = arb(contraction)
+    n = len(problem.a)
     closed = (longer(problem.a) + arb(problem.ball.alpha) * longer(problem.b) * longer(k)) / r
-    a, b, identity = closed.transpose(), longer(problem.b) / r, longer(np.eye(n))
+    a = closed.transpose()
+    b = longer(problem.b) / r
+    identity = longer(np.eye(n))
     g = -(arb(problem.ball.beta) ** 2) * longer(k).transpose() * longer(k)
     h = b * b.transpose() + arb(SLACK) * longer(scale) * longer(scale).transpose()
     for _ in range(12):
         inverse = (identity + g * h).inv().mid()
-        h, g, a = (
-            (h + a.transpose() * h * inverse * a).mid(),
-            (g + a * inverse * g * a.transpose()).mid(),
-            (a * inverse * a).mid(),
-        )
+        h = (h + a.transpose() * h * inverse * a).mid()
+        g = (g + a * inverse * g * a.transpose()).mid()
+        a = (a * inverse * a).mid()
     return (h + h.transpose()) / 2
 
 
 def rounded(metric: arb_mat, bits: int) -> Exact:
     """The entries of the upper triangle, each rounded to so many bits."""
-    before, ctx.prec = ctx.prec, bits
+    before = ctx.prec
+    ctx.prec = bits
     parts = [
         [(+metric[min(i, j), max(i, j)]).mid().man_exp() for j in range(metric.ncols())]
         for i in range(metric.nrows())
@@ -79,7 +82,8 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
 
 def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:
     """Theorem 1 with `Y = P`, `sigma = 1` and the metric's entries rounded to so many bits."""
-    metric, ball = rounded(p, bits), {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
+    metric = rounded(p, bits)
+    ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
     numbers = {"a": problem.a, "b": problem.b, "p": metric, "y": metric, "k": k, "sigma": 1.0}
     return StateFeedbackOfBall.holds(**numbers, **ball, rate=problem.rate)
 

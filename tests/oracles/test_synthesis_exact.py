@@ -73,7 +73,8 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
     design.save(tmp_path / "certificate.json")
     again = Design.load(tmp_path / "certificate.json")
     for side in ("state_feedback", "observer"):
-        before, after = getattr(design, side), getattr(again, side)
+        before = getattr(design, side)
+        after = getattr(again, side)
         for name, value in vars(before).items():
             assert np.array_equal(value, getattr(after, name)), name
     assert json.loads((tmp_path / "certificate.json").read_text())["observer"]["certified"] is True
@@ -106,11 +107,18 @@ def test_minors_of_one_and_of_zero() -> None:
 def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     """Theorems 1 and 2 written out in NumPy, entry by entry, with Y different from P."""
     rng = np.random.default_rng(0)
-    a, p, y = rng.normal(size=(3, 3)), rng.normal(size=(3, 3)), rng.normal(size=(3, 3))
-    b, k, zero = rng.normal(size=(3, 2)), rng.normal(size=(2, 3)), np.zeros((3, 2))
-    p, x = p + p.T, k @ y
-    coupling, border = a @ y + 0.7 * b @ x, 0.2 * x.T
-    corner, middle = 0.6 * p - 1.3 * b @ b.T, y + y.T - p
+    a = rng.normal(size=(3, 3))
+    p = rng.normal(size=(3, 3))
+    y = rng.normal(size=(3, 3))
+    b = rng.normal(size=(3, 2))
+    k = rng.normal(size=(2, 3))
+    zero = np.zeros((3, 2))
+    p = p + p.T
+    x = k @ y
+    coupling = a @ y + 0.7 * b @ x
+    border = 0.2 * x.T
+    corner = 0.6 * p - 1.3 * b @ b.T
+    middle = y + y.T - p
     one = np.block(
         [
             [corner, coupling, zero],
@@ -121,9 +129,11 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
     np.testing.assert_allclose(exactly["inequality"].rounded(), one, atol=1e-13)
-    c, gain = b.T.copy(), k.T.copy()
+    c = b.T.copy()
+    gain = k.T.copy()
     v = y @ gain
-    coupling, border = (y @ a + 0.7 * v @ c).T, 0.2 * v
+    coupling = (y @ a + 0.7 * v @ c).T
+    border = 0.2 * v
     two = np.block(
         [
             [corner, coupling, zero],

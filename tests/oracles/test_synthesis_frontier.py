@@ -114,7 +114,8 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
     ]
     assert missed, "every model is easy: this test has nothing to show"
     for problem in missed:
-        whole, apart = whole_solution(problem, 0.5, 1.0), minimum_energy_solution(problem)
+        whole = whole_solution(problem, 0.5, 1.0)
+        apart = minimum_energy_solution(problem)
         assert condition(whole.p) < condition(apart.p) / 100
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
         linear = StateSpace(a=problem.a, b=problem.b, c=np.ones((1, 8)), d=np.zeros((1, 1)))
@@ -185,7 +186,8 @@ def test_the_ratio_limit_by_product_and_by_riccati(
 ) -> None:
     linear = random_model(np.random.default_rng(seed), 5, "marginal", mixed=True, inputs=inputs)
     moduli = np.abs(np.linalg.eigvals(linear.a))
-    ah, bh = linear.a / contraction, linear.b / contraction
+    ah = linear.a / contraction
+    bh = linear.b / contraction
     if moduli.max() <= contraction or np.abs(moduli - contraction).min() < 0.02:
         return
     s = scipy.linalg.solve_discrete_are(ah, bh, 1e-13 * np.eye(5), np.eye(inputs))
@@ -236,11 +238,9 @@ def test_the_scalar_frontier_by_hand() -> None:
 @given(SEEDS)
 def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    linear, ball, r = (
-        random_model(rng, 6, "stable", mixed=True),
-        JacobianBall.from_slopes(0.3, 1.0),
-        0.7,
-    )
+    linear = random_model(rng, 6, "stable", mixed=True)
+    ball = JacobianBall.from_slopes(0.3, 1.0)
+    r = 0.7
     values, vectors = np.linalg.eig(linear.a.astype(complex))
     apart = np.abs(values[:, None] - values) + np.eye(6)
     if min(apart.min(), np.abs(np.abs(values) - r).min()) < 1e-2:
@@ -270,7 +270,8 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     linear = random_model(np.random.default_rng(5), 6, "unstable", mixed=True)
     ball = JacobianBall(alpha=2.0, beta=0.0)
     gain = fast_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
-    before, after = np.linalg.eigvals(linear.a), np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
+    before = np.linalg.eigvals(linear.a)
+    after = np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
     mirrored = np.where(
         np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before)
     )
@@ -292,7 +293,8 @@ def test_doubling_gives_up_on_a_mode_out_of_reach() -> None:
 
 
 def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    linear, q = random_model(np.random.default_rng(3), 4, "unstable", mixed=True), np.eye(4)
+    linear = random_model(np.random.default_rng(3), 4, "unstable", mixed=True)
+    q = np.eye(4)
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
     for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
         monkeypatch.setattr(modes, "doubled", lambda *_, s=spoilt: s)
@@ -323,10 +325,12 @@ def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
     problem = cost_problem()
     solution = guaranteed_cost(problem)
     tau = float(solution.status.split()[1])
-    s, rng = tau * np.linalg.inv(solution.p), np.random.default_rng(0)
+    s = tau * np.linalg.inv(solution.p)
+    rng = np.random.default_rng(0)
     for _ in range(20):
         x = x0 = rng.normal(size=4)
-        cost, discount = 0.0, 1.0
+        cost = 0.0
+        discount = 1.0
         for _ in range(300):
             u = solution.k @ x
             cost += discount * float(x @ problem.state_weight @ x + problem.input_weight * u @ u)
@@ -358,10 +362,8 @@ def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> No
 def test_the_cost_is_of_output_state_and_input() -> None:
     """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that
     users rely on."""
-    linear, ball = (
-        random_model(np.random.default_rng(2), 4, "stable", mixed=True),
-        JacobianBall(alpha=1.0, beta=0.3),
-    )
+    linear = random_model(np.random.default_rng(2), 4, "stable", mixed=True)
+    ball = JacobianBall(alpha=1.0, beta=0.3)
     rates = {"rate_controller": 0.1, "rate_observer": 0.1}
     asked = RiccatiSynthesis(**rates).problem(linear, ball)
     np.testing.assert_allclose(asked.state_weight, linear.c.T @ linear.c + 1e-4 * np.eye(4))
@@ -439,7 +441,8 @@ def test_theorem_two_is_theorem_one_transposed() -> None:
     )
     ball = JacobianBall.from_slopes(0.5, 1.0)
     method = ClosedFormSynthesis(rate_controller=0.3, rate_observer=0.3)
-    observer, feedback = method.observer(linear, ball), method.state_feedback(dual, ball)
+    observer = method.observer(linear, ball)
+    feedback = method.state_feedback(dual, ball)
     assert not isinstance(observer, Infeasible)
     assert not isinstance(feedback, Infeasible)
     np.testing.assert_array_equal(observer.l.T, feedback.k)

@@ -34,9 +34,13 @@ def solved(asked: Problem, objective: str, full: bool) -> tuple[Solution, float]
 
 def block(asked: Problem, found: Solution, rows: np.ndarray | None = None) -> np.ndarray:
     """Theorem 1's matrix, by its definition; with performance rows bordered by the identity."""
-    a, b, ball, x = asked.a, asked.b, asked.ball, found.k @ found.y
+    a = asked.a
+    b = asked.b
+    ball = asked.ball
+    x = found.k @ found.y
     n, m = b.shape
-    coupling, border = a @ found.y + ball.alpha * b @ x, ball.beta * x.T
+    coupling = a @ found.y + ball.alpha * b @ x
+    border = ball.beta * x.T
     rows = np.zeros((0, n)) if rows is None else rows
     beside = np.zeros((n, len(rows))), np.zeros((m, len(rows)))
     corner = (1 - asked.rate) * found.p - found.sigma * b @ b.T
@@ -100,7 +104,8 @@ def test_the_guaranteed_cost_is_the_trace_of_the_inverse_metric(inputs: int, ful
 
 
 def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, kept = problem(1), []
+    asked = problem(1)
+    kept = []
     solve = CompiledLmi.solve
 
     def noted(self: CompiledLmi, *given: object) -> Solution:
@@ -147,9 +152,11 @@ def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
 def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach() -> None:
     """`W = A^-1 (W + B B^T) A^-T`; two modes that one input moves alike, and one that it does not
     move at all."""
-    a, b = np.array([[1.3, 0.2], [-0.1, 2.0]]), np.array([[1.0], [0.5]])
+    a = np.array([[1.3, 0.2], [-0.1, 2.0]])
+    b = np.array([[1.0], [0.5]])
     root = energy_root(a, b)
-    inverse, w = np.linalg.inv(a), root @ root.T
+    inverse = np.linalg.inv(a)
+    w = root @ root.T
     np.testing.assert_allclose(w, inverse @ (w + b @ b.T) @ inverse.T, rtol=1e-12)
     np.testing.assert_array_equal(root, np.tril(root))
     with pytest.raises(NoSolution, match="out of the input's reach"):

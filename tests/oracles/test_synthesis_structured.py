@@ -150,7 +150,8 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     rate, best = fastest(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.6 * rate)
     dear = replace(problem, input_weight=10.0)
-    cold, first = least_cost(problem), least_cost(dear, near=best)
+    cold = least_cost(problem)
+    first = least_cost(dear, near=best)
     np.testing.assert_allclose(logs_of(problem, cold), cold.logs, atol=1e-9)
     for found in (least_cost(problem, near=best), least_cost(problem, near=first)):
         assert holds(problem, found)

@@ -136,7 +136,8 @@ def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
         )
         channel = writer.register_channel(topic="/log", message_encoding="json", schema_id=schema)
         for time_s, u_k, y_k in zip(times_s, GOOD["u"], y, strict=True):
-            at, message = round(1e9 * time_s), json.dumps({"u": u_k, "y": y_k}).encode()
+            at = round(1e9 * time_s)
+            message = json.dumps({"u": u_k, "y": y_k}).encode()
             writer.add_message(channel, log_time=at, publish_time=at, data=message)
         writer.finish()
     return path
@@ -144,7 +145,8 @@ def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
 
 def test_another_programs_recording(tmp_path: Path) -> None:
     """Good as it is; refused with log times running backwards, and with text in a number field."""
-    y, t = [float(v) for v in GOOD["y"]], GOOD["t"].copy()
+    y = [float(v) for v in GOOD["y"]]
+    t = GOOD["t"].copy()
     build(foreign(tmp_path, t, [*y]))
     refused(foreign(tmp_path, t, [*y[:50], "fast", *y[51:]]), "y = fast: no number in message 50")
     t[100] = t[98]

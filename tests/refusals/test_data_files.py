@@ -123,7 +123,8 @@ def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) 
 def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> None:
     """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where
     it stands."""
-    path, bare = csv(tmp_path), tmp_path / "bare.csv"
+    path = csv(tmp_path)
+    bare = tmp_path / "bare.csv"
     bare.write_text("\n".join(lines()[1:]))
     numbered = data(bare, input=1, output=2, time=0, step_s=None).build(0)
     named = data(path, time="t", step_s=None).build(0)
@@ -162,7 +163,8 @@ def test_input_and_output_in_two_files(tmp_path: Path) -> None:
     """Equal names tell the sides apart; every file counts as one that the data set rests on."""
     u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
     source = apart(tmp_path, u, y, time="t", step_s=None)
-    built, one = source.build(0), data(csv(tmp_path), time="t", step_s=None).build(0)
+    built = source.build(0)
+    one = data(csv(tmp_path), time="t", step_s=None).build(0)
     np.testing.assert_array_equal(built.validation[0].u, one.validation[0].u)
     np.testing.assert_array_equal(built.validation[0].y, one.validation[0].y)
     assert (built.inputs[0].name, built.outputs[0].name) == ("input_value", "output_value")
@@ -305,7 +307,8 @@ def test_excitation_values(choice: str, override: str, says: str) -> None:
 
 
 def test_a_clock_shorter_than_the_sampling_time() -> None:
-    plant, simulated = from_yaml("plant", "dc_motor"), from_yaml("data", "simulated")
+    plant = from_yaml("plant", "dc_motor")
+    simulated = from_yaml("data", "simulated")
     with pytest.raises(BadRequest, match="shorter than half the sampling time"):
         simulated.build(plant, from_yaml("excitation", "aprbs", "clock_s=0.001"), 0)
 

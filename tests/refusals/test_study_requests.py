@@ -131,7 +131,8 @@ def test_one_sentence(
 
 
 def log(path: Path, columns: dict[str, np.ndarray]) -> Path:
-    header, values = ",".join(columns), np.column_stack(list(columns.values()))
+    header = ",".join(columns)
+    values = np.column_stack(list(columns.values()))
     np.savetxt(path, values, delimiter=",", header=header, comments="")
     return path
 
@@ -362,7 +363,8 @@ def test_a_finished_run_says_that_its_data_have_changed(
     log = tmp_path / "log.csv"
 
     def write(scale: float) -> None:
-        u, y = np.repeat(rng.uniform(-3, 3, 100), 8), np.zeros(801)
+        u = np.repeat(rng.uniform(-3, 3, 100), 8)
+        y = np.zeros(801)
         for k in range(800):
             y[k + 1] = 0.9 * y[k] + 0.2 * scale * u[k]
         log.write_text(

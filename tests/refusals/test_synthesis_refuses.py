@@ -104,7 +104,9 @@ def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, 
 def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
     """Determinant about `-0.375 2^-53`; in floats the matrix reads `[[1, 1], [1, 1 + 2^-52]]`,
     which is definite."""
-    one, off, last = 2**57, 2**57 + 15, 2**57 + 3 * 2**3
+    one = 2**57
+    off = 2**57 + 15
+    last = 2**57 + 3 * 2**3
     assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
     assert not exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last]])))
     assert exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last + 2**4]])))
@@ -223,10 +225,8 @@ def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None
 
 @pytest.mark.parametrize("unit", [1e-15, 1e-6, 1.0, 1e6, 1e15])
 def test_what_is_out_of_reach_does_not_hang_on_the_inputs_unit(unit: float) -> None:
-    reached, split = (
-        system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0]),
-        np.array([[unit], [0.0]]),
-    )
+    reached = system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0])
+    split = np.array([[unit], [0.0]])
     assert unreached_modulus(reached.a, unit * reached.b) == 0
     assert unreached_modulus(np.diag([0.9, 0.5]), split) == pytest.approx(0.5)
     assert unreached_modulus(np.diag([0.9, 0.9]), split) == pytest.approx(0.9)
@@ -292,7 +292,8 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
     """Weights, gains and slopes at the edge of floats: a singular matrix ends the attempt and not
     the run."""
     rng = np.random.default_rng(seed)
-    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
+    n = int(rng.integers(1, 5))
+    m = int(rng.integers(1, 3))
     linear = StateSpace(
         a=np.diag(rng.choice([0.0, 0.5, 0.9, 1.0, 1.1], size=n)),
         b=gain * rng.normal(size=(n, m)),
@@ -314,7 +315,8 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
 def test_the_frontier_at_the_modulus_of_a_mode(inputs: int) -> None:
     """A mode on the circle costs no energy: the ratio is that of the modes outside it, from either
     side."""
-    a, b = np.diag([1.2, 0.9, 0.5]), np.array([[1.0, 0.3], [0.7, 1.0], [0.2, 0.4]])[:, :inputs]
+    a = np.diag([1.2, 0.9, 0.5])
+    b = np.array([[1.0, 0.3], [0.7, 1.0], [0.2, 0.4]])[:, :inputs]
     at, below, above = (ratio_limit(a, b, r) for r in (0.9, 0.9 * (1 - 1e-7), 0.9 * (1 + 1e-7)))
     assert below == pytest.approx(at, rel=1e-5)
     assert above == pytest.approx(at, rel=1e-5)

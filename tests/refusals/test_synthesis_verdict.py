@@ -89,7 +89,8 @@ def test_the_digest_is_of_the_numbers_and_not_of_their_order() -> None:
 
 def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
     content = stored(0.3)
-    missing, strange = copy.deepcopy(content), copy.deepcopy(content)
+    missing = copy.deepcopy(content)
+    strange = copy.deepcopy(content)
     del missing["observer"]["eta"]
     strange["observer"]["gain"] = 1.0
     for wrong, told in ((missing, "is missing"), (strange, "is not part of a certificate")):
@@ -158,8 +159,10 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
 
     The digest is written anew and the products still fit: exact arithmetic alone can find it.
     """
-    one, zero = np.ones((1, 1)), np.zeros((1, 1))
-    linear, ball = StateSpace(a=zero, b=one, c=one, d=zero), BALLS.input
+    one = np.ones((1, 1))
+    zero = np.zeros((1, 1))
+    linear = StateSpace(a=zero, b=one, c=one, d=zero)
+    ball = BALLS.input
     limit = frontier(zero, one, ball).rate_limit
     scalar = replace(
         designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit
@@ -185,7 +188,8 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     rate: float,
 ) -> None:
     """With `p < 0` the corner `(1 - rho) p - sigma` is positive, and so are `2 y - p` and sigma."""
-    one, zero = np.ones((1, 1)), np.zeros((1, 1))
+    one = np.ones((1, 1))
+    zero = np.zeros((1, 1))
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
     forged = replace(
         designed().state_feedback,
@@ -249,7 +253,8 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
 def test_what_stands_beside_the_matrices() -> None:
     """Gain norm and seconds, each against its definition."""
     started = time.perf_counter()
-    feedback, observer = designed().state_feedback, designed().observer
+    feedback = designed().state_feedback
+    observer = designed().observer
     beyond = designed(0.9).state_feedback
     elapsed = time.perf_counter() - started
     assert feedback.gain_norm == pytest.approx(

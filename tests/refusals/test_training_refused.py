@@ -85,7 +85,8 @@ def test_a_device_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 
 def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
-    data, settings = data_set(), training(max_epochs=1, checkpoint_every_s=0.0)
+    data = data_set()
+    settings = training(max_epochs=1, checkpoint_every_s=0.0)
     settings.identify(spec(), data, 0, tmp_path)
     wider = replace(data, scale=replace(data.scale, input_scale=np.array([2.0])))
     for model, records in (
@@ -98,7 +99,8 @@ def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:
-    settings, data = training(max_epochs=1, checkpoint_every_s=0.0), data_set()
+    settings = training(max_epochs=1, checkpoint_every_s=0.0)
+    data = data_set()
     settings.identify(spec(), data, 0, tmp_path)
     last = tmp_path / "last.ckpt"
     last.write_bytes(last.read_bytes()[:1000])

@@ -47,8 +47,10 @@ class Adversary(Plant):
     def states(self) -> tuple[Channel, ...]:
         return tuple(Channel(name=f"x{i}", unit="1") for i in range(self.order))
 
-    initial_range, input_clock_s = stated("reach", (-1, 1)), stated("clock_s")
-    input_amplitude, noise_variance = stated("amplitude", (1,)), stated("noise", (1,))
+    initial_range = stated("reach", (-1, 1))
+    input_clock_s = stated("clock_s")
+    input_amplitude = stated("amplitude", (1,))
+    noise_variance = stated("noise", (1,))
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(self.order), y=np.zeros(1))

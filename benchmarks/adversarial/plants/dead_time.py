@@ -22,7 +22,8 @@ class DeadTime(Adversary):
     def rate(
         self, x: Float[np.ndarray, "N 5"], u: Float[np.ndarray, "N"]
     ) -> Float[np.ndarray, "N 5"]:
-        y, a = x[:, 0], x[:, 1]
+        y = x[:, 0]
+        a = x[:, 1]
         still = np.zeros_like(y)
         return np.stack(
             [(a - y) / self.second_s, (u - a) / self.first_s, still, still, still], axis=1

@@ -15,7 +15,8 @@ from typing import Any
 
 from ssm_study.refusal import BadRequest
 
-LOWER, UPPER = 0.0, 100.0  # %
+LOWER = 0.0
+UPPER = 100.0  # %
 _board: "list[Board]" = []  # the one that is attached
 
 
@@ -24,7 +25,8 @@ class Board:
     its end."""
 
     def __init__(self, device: Any) -> None:
-        self.device, self.due = device, -float("inf")
+        self.device = device
+        self.due = -float("inf")
 
     def read(self) -> float:
         """The sensor, degrees C."""

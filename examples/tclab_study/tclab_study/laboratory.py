@@ -81,7 +81,8 @@ class TemperatureLab(Plant):
         if self.hardware:
             board.release()
 
-    initial_range, input_clock_s = stated("initial_offset_k", (-1, 1)), stated("clock_s")
+    initial_range = stated("initial_offset_k", (-1, 1))
+    input_clock_s = stated("clock_s")
     input_amplitude = stated("amplitude_percent", (1,))
 
     @property

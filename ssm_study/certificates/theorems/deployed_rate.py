@@ -86,16 +86,15 @@ def largest_rate(
         )
         return float(np.log(np.clip(norm, 1 / FAR, FAR)))
 
-    low, high = (
-        float(np.log(smallest)),
-        float(np.log(smallest)) + 1.0,
-    )  # the norm falls as r grows: bracket, then Brent
+    low = float(np.log(smallest))
+    high = float(np.log(smallest)) + 1.0  # the norm falls as r grows: bracket, then Brent
     if (
         excess(low) <= 0
     ):  # the gain does next to nothing: the metric of the linear part has all the room
         return 1 - smallest**2
     while excess(high) >= 0:
-        low, high = high, high + 1.0
+        low = high
+        high = high + 1.0
     root = scipy.optimize.brentq(excess, low, high, xtol=RATE_TOLERANCE)
     return float(1 - np.exp(2 * root))
 

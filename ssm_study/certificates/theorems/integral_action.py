@@ -73,7 +73,8 @@ def frequencies(words: Sequence[str]) -> dict[float, int]:
     """
     found: dict[float, int] = {}
     for word in words:
-        sine, ramp = SINE.fullmatch(word), word == "ramp"
+        sine = SINE.fullmatch(word)
+        ramp = word == "ramp"
         hertz = float(sine[1]) if sine else 0.0
         known = hertz > 0 if sine else word in ("step", "ramp")
         require(
@@ -90,7 +91,8 @@ def frequencies(words: Sequence[str]) -> dict[float, int]:
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
     """`A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for
     too fast ones."""
-    blocks, nyquist = [], 0.5 / step_s
+    blocks = []
+    nyquist = 0.5 / step_s
     for hertz, count in frequencies(words).items():
         problem = (
             f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
@@ -116,12 +118,12 @@ def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1
     steer them all, and
     where the inputs do not move every output at a mode.
     """
-    gain, inputs, linear = output_gain(model), model.linear.b.shape[1], at_rest(model)
+    gain = output_gain(model)
+    inputs = model.linear.b.shape[1]
+    linear = at_rest(model)
     linear = replace(linear, a=linear.a * (1 - NUDGE))
-    problem, remedy = (
-        "an input is needed for every controlled output",
-        "use a synthesis without an internal model",
-    )
+    problem = "an input is needed for every controlled output"
+    remedy = "use a synthesis without an internal model"
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
     hertz = np.array(list(frequencies(words)))
     modes = internal_model(words, model.step_s, len(gain))

@@ -133,7 +133,8 @@ class MeasuredDiscs(Theorem):
     def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
         """Each multiplier with the form of the static maps that it multiplies, which no signal of
         the loop makes positive."""
-        u, p = signals.u, signals.p
+        u = signals.u
+        p = signals.p
         forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]
         if of.lambda_out.shape[1]:
             pairs = [(signals.r1, signals.do), (signals.r2, signals.o)]
@@ -237,11 +238,14 @@ def filter_rows(weight: Any, state: Any, signal: Any, channels: int) -> tuple[An
     """The next state and the output of a filter of one channel, applied to each channel of a
     signal."""
     order = len_of(weight) - 1
-    a, b = weight[:order, :order], weight[:order, order:]
-    c, direct = weight[order:, :order], weight[order:, order:]
+    a = weight[:order, :order]
+    b = weight[:order, order:]
+    c = weight[order:, :order]
+    direct = weight[order:, order:]
     if not order:
         return np.zeros((0, signal.shape[1])), direct * signal
-    steps, outputs = [], []
+    steps = []
+    outputs = []
     for i in range(channels):
         own = state[i * order : (i + 1) * order]
         entering = signal[i : i + 1, :]

@@ -77,7 +77,8 @@ class StructuredStateFeedback(OfProblem, StateFeedback):
 def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
     """The statement with the neurons' row scaled by any diagonal S: `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
-    one, step = np.eye(of.b.shape[1]), (of.a @ of.y + of.alpha * (of.b @ of.x)).T
+    one = np.eye(of.b.shape[1])
+    step = (of.a @ of.y + of.alpha * (of.b @ of.x)).T
     neurons = (of.f @ of.y + of.alpha * (of.g @ of.x)).T @ scale
     return [
         [(1 - of.rate) * (of.y + of.y.T - of.p), 0, -1.0 * neurons, step, of.x.T],

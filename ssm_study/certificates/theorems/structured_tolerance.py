@@ -84,7 +84,8 @@ class StructuredTolerance(Tolerance):
             [np.zeros((n, q)), inside],
             [np.zeros((filtered, q)), np.zeros((filtered, q))],
         ]
-        none, moved = np.zeros((q, filtered)), of.alpha * of.g
+        none = np.zeros((q, filtered))
+        moved = of.alpha * of.g
         first = [of.f + moved @ of.k, moved @ of.k[:, :n], none, of.g, np.zeros((q, p))]
         second = [
             np.zeros((q, s)),

@@ -137,12 +137,12 @@ class Tolerance(Theorem):
         """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
         (s, m), (p, n) = of.b.shape, of.c.shape
         w = of.weight.shape[0] - m
-        k_x, none = of.k[:, :n], np.zeros((s, w))
-        a_w, b_w = of.weight[:w, :w], of.weight[:w, w:]
-        closed, observed = (
-            of.a + of.alpha * (of.b @ of.k),
-            of.a[:n, :n] + of.alpha_out * (of.l @ of.c),
-        )
+        k_x = of.k[:, :n]
+        none = np.zeros((s, w))
+        a_w = of.weight[:w, :w]
+        b_w = of.weight[:w, w:]
+        closed = of.a + of.alpha * (of.b @ of.k)
+        observed = of.a[:n, :n] + of.alpha_out * (of.l @ of.c)
         fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])  # E
         top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
         middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
@@ -152,9 +152,11 @@ class Tolerance(Theorem):
     @staticmethod
     def seen(of: Any) -> Any:
         """`C_W`: what the gain from e is measured to."""
-        n, m = of.c.shape[1], of.b.shape[1]
+        n = of.c.shape[1]
+        m = of.b.shape[1]
         w = of.weight.shape[0] - m
-        c_w, d_w = of.weight[w:, :w], of.weight[w:, w:]
+        c_w = of.weight[w:, :w]
+        d_w = of.weight[w:, w:]
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
     def model_data(self, known: VerificationContext) -> dict[str, Any]:
@@ -164,7 +166,8 @@ class Tolerance(Theorem):
     def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
         """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear
         output map."""
-        names, out = [part.name for part in fields(cls) if part.name in DUAL], known.balls.output
+        names = [part.name for part in fields(cls) if part.name in DUAL]
+        out = known.balls.output
         given = {
             name: getattr(known.system if name in ("c", "h") else known.controlled, name)
             for name in names
@@ -186,7 +189,8 @@ class Tolerance(Theorem):
             return
         lambda_p, largest = _search(loop, beta * into_u, into_w)
         for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
-            s, said = largest * (1 - inside), f"{inside:.1%} inside the largest at this multiplier"
+            s = largest * (1 - inside)
+            said = f"{inside:.1%} inside the largest at this multiplier"
             p = _energy(
                 loop,
                 lambda_p**0.5 * beta * into_u,
@@ -231,7 +235,9 @@ def largest_tolerance(
 def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple[float, float]:
     """The multiplier, and the largest s that it allows: peaks on a grid of frequencies, refined
     around the worst."""
-    order, m, outputs = len(loop), len(into_u), np.vstack([into_u, into_w])
+    order = len(loop)
+    m = len(into_u)
+    outputs = np.vstack([into_u, into_w])
     direct = np.zeros((len(outputs), loop.shape[1] - order))
     system = StateSpace(a=loop[:, :order], b=loop[:, order:], c=outputs, d=direct)
     angles = np.union1d(ANGLES, np.abs(np.angle(np.linalg.eigvals(system.a))))
@@ -267,7 +273,8 @@ def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Flo
     root = np.exp(log_multiplier / 2)
     scaled = response.copy()
     scaled[:, :, :m] /= root  # the first input is p, the others e
-    first, second = root * scaled[:, :m], scaled[:, m:]
+    first = root * scaled[:, :m]
+    second = scaled[:, m:]
     room = np.eye(scaled.shape[2]) - np.conj(first.transpose(0, 2, 1)) @ first
     through = second @ np.linalg.solve(room, np.conj(second.transpose(0, 2, 1)))
     largest = np.linalg.eigvalsh((through + np.conj(through.transpose(0, 2, 1))) / 2)[:, -1]
@@ -279,8 +286,10 @@ def _energy(
 ) -> Float[np.ndarray, "x x"] | None:
     """`P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's
     coordinates."""
-    order, m = len(loop), len(into_u)
-    a, b = loop[:, :order], loop[:, order:].copy()
+    order = len(loop)
+    m = len(into_u)
+    a = loop[:, :order]
+    b = loop[:, order:].copy()
     b[:, :m] /= lambda_p**0.5  # sqrt(lambda_p) p then has unit weight, as e has
     gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     right = np.linalg.cholesky(

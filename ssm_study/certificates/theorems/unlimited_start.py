@@ -82,7 +82,8 @@ def unlimited(
 ) -> UnlimitedStart | None:
     """The largest share of the `corners` that some part's metric proves; None without room, and for
     corners at rest."""
-    started, room = time.perf_counter(), np.minimum(-limits[:, 0], limits[:, 1])
+    started = time.perf_counter()
+    room = np.minimum(-limits[:, 0], limits[:, 1])
     if not (room > 0).all() or not corners.any():
         return None
     found = []

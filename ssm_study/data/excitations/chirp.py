@@ -32,7 +32,8 @@ class Chirp(Excitation):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        t, length = np.arange(request.samples) * request.step_s, request.samples * request.step_s
+        t = np.arange(request.samples) * request.step_s
+        length = request.samples * request.step_s
         low = 1.0 / length if self.low_hz is None else self.low_hz
         high = 0.5 / request.clock_s if self.high_hz is None else self.high_hz
         nyquist = 0.5 / request.step_s

@@ -134,7 +134,8 @@ class PRBS(Excitation):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        hold, columns = request.clock_samples, []
+        hold = request.clock_samples
+        columns = []
         for _ in range(request.inputs):
             start = rng.integers(0, 2, self.register_bits)
             start[0] |= not start.any()  # the all-zero register never moves
@@ -165,7 +166,8 @@ class APRBS(Excitation):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        clock, columns = request.clock_samples, []
+        clock = request.clock_samples
+        columns = []
         most = -(-request.samples // clock)  # levels, if each were held for one clock
         for _ in range(request.inputs):
             holds = clock * rng.integers(1, self.longest_hold_clocks + 1, most)

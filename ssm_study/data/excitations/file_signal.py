@@ -41,7 +41,8 @@ class OwnSignal(Excitation):
         return u / np.abs(u).max(axis=0)
 
     def _values(self, request: SignalRequest) -> Float[np.ndarray, "T2 m"]:
-        names, problem = listed(self.column), f"the plant has {request.inputs} inputs"
+        names = listed(self.column)
+        problem = f"the plant has {request.inputs} inputs"
         require(
             len(names) == request.inputs,
             "excitation.column",

@@ -51,7 +51,8 @@ class Multisine(Excitation):
         band &= frequencies < 0.5 / request.step_s * (
             1 - 1e-9
         )  # the Nyquist line has no phase to choose
-        field, lines = "excitation.band_low_hz, excitation.band_high_hz", int(band.sum())
+        field = "excitation.band_low_hz, excitation.band_high_hz"
+        lines = int(band.sum())
         problem = f"holds {lines} lines of a record of {request.samples} samples every {request.step_s:g} s"
         require(
             lines >= FEWEST_LINES,

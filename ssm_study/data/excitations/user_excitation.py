@@ -40,10 +40,8 @@ class OwnPlantRecord:
 
     def __post_init__(self) -> None:
         limits = (self.lower, self.rest, self.upper)
-        problem, remedy = (
-            "rest must lie strictly between the limits",
-            "give --lower < --rest < --upper",
-        )
+        problem = "rest must lie strictly between the limits"
+        remedy = "give --lower < --rest < --upper"
         between = -np.inf < self.lower < self.rest < self.upper < np.inf
         require(between, "lower, rest, upper", limits, problem, remedy)
         positive("step_s", self.step_s, "give it in seconds")
@@ -54,8 +52,10 @@ class OwnPlantRecord:
 
     def signal(self) -> Float[np.ndarray, "T"]:
         """The input, one value per sample, to be held until the next."""
-        settling, rng = round(self.settle_s / self.step_s), np.random.default_rng(self.seed)
-        samples, clock_s = PERIOD_IN_SETTLINGS * settling, self.settle_s / HOLDS_PER_SETTLING
+        settling = round(self.settle_s / self.step_s)
+        rng = np.random.default_rng(self.seed)
+        samples = PERIOD_IN_SETTLINGS * settling
+        clock_s = self.settle_s / HOLDS_PER_SETTLING
         request = SignalRequest(
             samples=samples, step_s=self.step_s, amplitude=(1.0,), clock_s=clock_s
         )

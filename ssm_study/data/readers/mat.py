@@ -19,7 +19,8 @@ import scipy
 from ssm_study.data.readers.reader import Reader, Table, check_named
 from ssm_study.refusal import BadRequest
 
-COMPRESSED, MATRIX = 15, 14
+COMPRESSED = 15
+MATRIX = 14
 STORAGE = {
     1: "i1",
     2: "u1",
@@ -34,9 +35,14 @@ STORAGE = {
 }
 CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function",
            17: "an object"}  # fmt: skip
-FIRST_NUMERIC_CLASS, LAST_NUMERIC_CLASS, COMPLEX = 6, 15, 0x0800
+FIRST_NUMERIC_CLASS = 6
+LAST_NUMERIC_CLASS = 15
+COMPLEX = 0x0800
 V4_KINDS = {"U": CLASSES[4], "c": "complex"}  # of NumPy
-CELL, STRUCT, OBJECT, OPAQUE = 1, 2, 3, 17
+CELL = 1
+STRUCT = 2
+OBJECT = 3
+OPAQUE = 17
 MOST_BYTES = 1 << 27  # of all decompressed variables
 
 Value = np.ndarray | str  # a string says what it is instead of a real matrix
@@ -148,10 +154,14 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)
         if first >> 16:  # both in eight bytes
-            kind, length, start, step = first & 0xFFFF, first >> 16, at + 4, 8
+            kind = first & 0xFFFF
+            length = first >> 16
+            start = at + 4
+            step = 8
             _must(length <= 4, "a small element is too long")
         else:
-            kind, start = first, at + 8
+            kind = first
+            start = at + 8
             step = 8 + (length if kind == COMPRESSED else -(-length // 8) * 8)
         _must(start + length <= len(content), "it is cut short")
         yield kind, content[start : start + length]

@@ -21,7 +21,9 @@ class McapReader(Reader, names=(".mcap",)):
             for index, channel in enumerate(group.channels)
         ]
         known = ", ".join(f"{group.topic}.{channel.name}" for group, _, channel in fields)
-        columns, units, time_s = {}, {}, None
+        columns = {}
+        units = {}
+        time_s = None
         for name in names:
             slashed = re.sub(
                 r"^(/[^.]*)\.(\w+\.)", r"\1/\2", name
@@ -39,10 +41,8 @@ class McapReader(Reader, names=(".mcap",)):
             columns[name], units[name] = np.ascontiguousarray(group.values[:, index]), channel.unit
             since_s = group.time_s - groups[0].time_s[0]
             time_s = since_s if time_s is None else time_s
-            together, problem = (
-                np.array_equal(since_s, time_s),
-                f"not logged at the times of {names[0]}",
-            )
+            together = np.array_equal(since_s, time_s)
+            problem = f"not logged at the times of {names[0]}"
             require(
                 together,
                 f"{path.name} (topic of)",
@@ -56,7 +56,9 @@ class McapReader(Reader, names=(".mcap",)):
         """The fields of every topic that is logged at the times of the first."""
         groups, _ = read_mcap(path)
         first = groups[0].time_s
-        columns, units, skipped = {}, {}, {}
+        columns = {}
+        units = {}
+        skipped = {}
         for group in groups:
             for index, channel in enumerate(group.channels):
                 name = f"{group.topic}.{channel.name}"

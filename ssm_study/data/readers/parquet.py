@@ -24,7 +24,8 @@ class ParquetReader(Reader, names=(".parquet",)):
             for kind, name in ((schema.field(name).type, name) for name in names):
                 numeric = is_numeric(kind)
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
-            rows, most = parquet.read_metadata(path).num_rows, MOST_BYTES // 8 // len(names)
+            rows = parquet.read_metadata(path).num_rows
+            most = MOST_BYTES // 8 // len(names)
             require(
                 rows <= most,
                 "data.path",

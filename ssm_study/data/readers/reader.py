@@ -79,7 +79,8 @@ def reader_for(path: Path, settings: TextSettings | None = None) -> Reader:
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
     require(path.is_file(), "data.path", path, "no such file", "check the spelling")
-    formats, suffix = Reader.members(readers), path.suffix.lower()
+    formats = Reader.members(readers)
+    suffix = path.suffix.lower()
     if suffix in FOREIGN:
         problem = f"files of the kind {suffix} are not read"
         raise BadRequest("data.path", path, problem, FOREIGN[suffix])

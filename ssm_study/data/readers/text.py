@@ -61,9 +61,11 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     def contents(self, path: Path) -> Table:
         layout, table = self._table(path)
-        titles, units = titles_of(layout), units_of(layout)
+        titles = titles_of(layout)
+        units = units_of(layout)
         places = {title: place for place, title in enumerate(titles)}
-        columns, skipped = {}, {}
+        columns = {}
+        skipped = {}
         for title, place in places.items():
             values, problem = column_values(table.column(place), layout)
             if values is None:
@@ -107,9 +109,11 @@ def units_of(layout: TextLayout) -> list[str]:
 
 def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     """The rows as columns of text; every row must have as many cells as the others."""
-    separator, rows = layout.separator, layout.rows
+    separator = layout.separator
+    rows = layout.rows
     if separator == " ":
-        separator, rows = "\t", ["\t".join(row.split()) for row in rows]
+        separator = "\t"
+        rows = ["\t".join(row.split()) for row in rows]
     places = [str(j) for j in range(layout.columns)]
     misfits: list[arrow_csv.InvalidRow] = []
 
@@ -127,14 +131,16 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
             content, read_options=read, parse_options=parse, convert_options=convert
         )
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        problem, remedy = "a row that does not fit", "correct the file there"
+        problem = "a row that does not fit"
+        remedy = "correct the file there"
         raise BadRequest(path.name, error, problem, remedy) from error
     for row in misfits:
         line = layout.line_numbers[row.number - 1]
         misfit = f"Row #{line}: Expected {row.expected_columns} columns, got {row.actual_columns}"
         raise BadRequest(path.name, misfit, "a row that does not fit", "correct the file there")
     if table.num_rows != len(rows):
-        problem, remedy = "quotation marks that open and do not close", "correct the file"
+        problem = "quotation marks that open and do not close"
+        remedy = "correct the file"
         raise BadRequest("data.path", path, problem, remedy)
     return table
 

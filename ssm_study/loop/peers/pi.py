@@ -73,7 +73,8 @@ def ultimate(model: SSM) -> Ultimate:
     Raises `BadRequest` for more than one input or output, or a loop that no gain up to 10^6 makes
     oscillate.
     """
-    shape, outward = (model.scale.inputs, model.scale.outputs), model.scaffold_out
+    shape = (model.scale.inputs, model.scale.outputs)
+    outward = model.scaffold_out
     require(
         shape == (1, 1),
         "model inputs, outputs",
@@ -81,10 +82,8 @@ def ultimate(model: SSM) -> Ultimate:
         "this rule tunes one loop",
         "compare other controllers",
     )
-    b, c = (
-        model.linear.b @ mean_slope(model),
-        outward.jacobian(np.zeros(outward.inputs)) @ model.linear.c,
-    )
+    b = model.linear.b @ mean_slope(model)
+    c = outward.jacobian(np.zeros(outward.inputs)) @ model.linear.c
     sign = float(np.sign((c @ np.linalg.solve(np.eye(model.order) - model.linear.a, b))[0, 0]))
 
     def poles(gain: float) -> Complex[np.ndarray, "n"]:

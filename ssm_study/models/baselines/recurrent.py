@@ -31,8 +31,10 @@ class Recurrent(Simulator, names=("gru", "lstm")):
     scale: Scale
 
     def simulate(self, u: Inputs) -> Outputs:
-        scaled, hidden = self.scale.scaled_input(u), self.weight_hh.shape[1]
-        h, c = np.zeros((*u.shape[:-2], hidden)), np.zeros((*u.shape[:-2], hidden))
+        scaled = self.scale.scaled_input(u)
+        hidden = self.weight_hh.shape[1]
+        h = np.zeros((*u.shape[:-2], hidden))
+        c = np.zeros((*u.shape[:-2], hidden))
         y = np.empty((*u.shape[:-1], len(self.offset)))
         for k in range(u.shape[-2]):
             gates = scaled[..., k, :] @ self.weight_ih.T + self.bias_ih

@@ -65,7 +65,8 @@ class N4SID(SolvedSpec):
         )
 
     def solve(self, data: DataSet) -> SSM:
-        nfoursid, pandas = library("nfoursid.nfoursid"), library("pandas")
+        nfoursid = library("nfoursid.nfoursid")
+        pandas = library("pandas")
         u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
         names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
         table = pandas.DataFrame(np.hstack([u, y]), columns=[*names[0], *names[1]])
@@ -86,9 +87,12 @@ def input_matrix(
 ) -> Float[np.ndarray, "n m"]:
     """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so
     solved at once."""
-    n, m, count = len(a), records[0][0].shape[1], len(records)
+    n = len(a)
+    m = records[0][0].shape[1]
+    count = len(records)
     each = StateSpace(a=a, b=np.eye(n), c=c, d=np.zeros((len(c), n)))
-    rows, targets = [], []
+    rows = []
+    targets = []
     for i, (u, y) in enumerate(records):
         pushes = (
             np.eye(n)[:, None, None, :] * u.T[None, :, :, None]
@@ -165,6 +169,7 @@ def library(name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        package, problem = name.split(".")[0], "this baseline needs a package that is not installed"
+        package = name.split(".")[0]
+        problem = "this baseline needs a package that is not installed"
         remedy = INSTALL.get(package, f"pip install {package}")
         raise BadRequest("model", package, problem, remedy) from error

@@ -96,11 +96,9 @@ class Mlp(Trainable):
         return super().build(frame, rng)
 
     def start(self, frame: Frame, rng: np.random.Generator) -> Initialisation:
-        h, channels, ends = (
-            frame.width,
-            frame.samples.shape[1],
-            (("negative", -2.0), ("positive", 2.0)),
-        )
+        h = frame.width
+        channels = frame.samples.shape[1]
+        ends = (("negative", -2.0), ("positive", 2.0))
         if self.certified:
             layers = [start_layer(frame.samples, h, rng) for _ in range(self.depth)]
             free = {f"direction_{i}": w for i, (w, _) in enumerate(layers)}
@@ -128,9 +126,12 @@ class Mlp(Trainable):
                 b = -free[f"kink_{i}"] * w.norm(
                     dim=1
                 )  # a neuron bends where its unit direction meets the kink
-                sector, after = layer_sector(*slopes, self.depth, 2), w.T
+                sector = layer_sector(*slopes, self.depth, 2)
+                after = w.T
             else:
-                w, b, sector = free[f"weight_{i}"], free[f"bias_{i}"], slopes
+                w = free[f"weight_{i}"]
+                b = free[f"bias_{i}"]
+                sector = slopes
                 after = free[f"weight_{self.depth}"]
             between = i < self.depth - 1 and not self.certified
             layers.append((w, b, *self._inside(free, i, sector, b), None if between else after))
@@ -163,7 +164,8 @@ class Mlp(Trainable):
         w, b, low, high, after = explicit[0]
         if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
-        first, last = w[:, 0], after[0]
+        first = w[:, 0]
+        last = after[0]
         points, order = (-b / first).sort()
         piece = torch.arange(len(order) + 1, device=order.device)
         beyond = piece[:, None] > order.argsort()[None, :]  # piece j lies right of kink i
@@ -263,7 +265,8 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
     if channels == 1 or depth == 1:
         return lower ** (1 / depth), upper ** (1 / depth)
     middle = (lower + upper) / 2
-    centre, relative = middle ** (1 / depth), (upper / middle) ** (1 / depth) - 1
+    centre = middle ** (1 / depth)
+    relative = (upper / middle) ** (1 / depth) - 1
     return centre * (1 - relative), centre * (1 + relative)
 
 

@@ -58,8 +58,10 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         for c, (t, s) in enumerate(zip(self.breakpoints, self.slopes, strict=True)):
             # pieces s_j v + o_j: o_j is zero for the piece that holds v = 0, and continuous from
             # there
-            home, jumps = int(np.searchsorted(t, 0.0, side="right")), (s[:-1] - s[1:]) * t
-            left, right = -np.cumsum(jumps[:home][::-1])[::-1], np.cumsum(jumps[home:])
+            home = int(np.searchsorted(t, 0.0, side="right"))
+            jumps = (s[:-1] - s[1:]) * t
+            left = -np.cumsum(jumps[:home][::-1])[::-1]
+            right = np.cumsum(jumps[home:])
             piece = np.searchsorted(t, v[..., c], side="right")
             out[..., c] = s[piece] * v[..., c] + np.concatenate([left, [0.0], right])[piece]
         return out
@@ -80,7 +82,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 
     def before(self, m: Square) -> "MonotoneScaffold":
         gains = np.diagonal(m)[:, None]
-        breakpoints, slopes = self.breakpoints / gains, gains * self.slopes
+        breakpoints = self.breakpoints / gains
+        slopes = gains * self.slopes
         turned = gains < 0  # a negative gain runs through the pieces from the other end
         return MonotoneScaffold(
             breakpoints=np.where(turned, breakpoints[:, ::-1], breakpoints),

@@ -89,7 +89,9 @@ class Residual(Trainable):
         at_least(1, "scaffold.depth", self.depth, "use 1 or 2")
 
     def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
-        m, h, layers = frame.samples.shape[1], frame.width, range(self.depth)
+        m = frame.samples.shape[1]
+        h = frame.width
+        layers = range(self.depth)
         free = {f"skew_{i}": rng.normal(size=(h, h)) / np.sqrt(h) for i in layers}
         free |= {f"tail_{i}": rng.normal(size=(h if i else m, h)) / np.sqrt(h) for i in layers}
         last = rng.normal(size=(m, h)) / np.sqrt(h)

@@ -61,7 +61,8 @@ def draw(
     why. Raises `BadRequest` for a figure nobody wrote. `captions.md` beside them has the caption of
     each.
     """
-    study, paths = StudyFolder(folder=study_folder, shown=run), []
+    study = StudyFolder(folder=study_folder, shown=run)
+    paths = []
     for name in wanted or ():
         require(
             name in names(),

@@ -16,7 +16,9 @@ from ssm_study import style
 from ssm_study.models.identified import SSM
 from ssm_study.report.study_folder import StudyFolder
 
-PAIRS, SAMPLES, SEED = 200, 60, 0
+PAIRS = 200
+SAMPLES = 60
+SEED = 0
 Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
@@ -68,12 +70,15 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
     d = np.empty((PAIRS, SAMPLES))
     for k in range(SAMPLES):
         d[:, k] = np.sqrt(np.einsum("ni,ij,nj->n", x - z, metric, x - z))
-        x, z = step(x), step(z)
+        x = step(x)
+        z = step(z)
     return d / d[:, :1]
 
 
 def _panel(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any], title: str) -> None:
-    k, r, median = np.arange(d.shape[1]), np.sqrt(1 - part["rate"]), np.median(d, axis=0)
+    k = np.arange(d.shape[1])
+    r = np.sqrt(1 - part["rate"])
+    median = np.median(d, axis=0)
     said = "bound" if part["certified"] else "not certified"
     axes.plot(k, r**k, color=style.VERMILLION, ls="--", zorder=3, label=f"{said}, r = {r:.3f}")
     axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")

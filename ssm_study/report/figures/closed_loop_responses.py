@@ -19,7 +19,9 @@ def draw(study: StudyFolder) -> Figure:
         loop["output"][:, 0, 0].argsort().argsort()
     )  # from dark (lowest start) to light, the same in every panel
     colours = [mpl.colormaps[style.SEQUENCE](0.9 * value / max(len(rank) - 1, 1)) for value in rank]
-    goal, band, time_s = loop["reference"][0, -1, 0], loop.settling_band, loop.time_s("output")
+    goal = loop["reference"][0, -1, 0]
+    band = loop.settling_band
+    time_s = loop.time_s("output")
     for axes, name, title in (
         (controlled, "output", "Controlled"),
         (alone, "uncontrolled", "Uncontrolled"),

@@ -27,7 +27,8 @@ def draw(study: StudyFolder) -> Figure:
     )
     fig = style.canvas(style.PAGE_IN, 2.2)
     amplitude, spectrum = fig.subplots(1, 2)
-    inputs, label = kept.signals("input"), kept.label("input")
+    inputs = kept.signals("input")
+    label = kept.label("input")
     records = [signal.values[:, 0] for signal in inputs]
     u = np.concatenate(records)
     counts, edges = np.histogram(u, bins=40)
@@ -41,7 +42,8 @@ def draw(study: StudyFolder) -> Figure:
     powers = [
         welch(own - u.mean(), fs=1 / kept.step_s("input"), nperseg=segment) for own in records
     ]
-    frequency, power = powers[0][0], np.mean([density for _, density in powers], axis=0)
+    frequency = powers[0][0]
+    power = np.mean([density for _, density in powers], axis=0)
     spectrum.loglog(frequency[1:], power[1:], color=style.BLUE)  # the mean was taken out
     spectrum.yaxis.set_minor_formatter(NullFormatter())
     unit = inputs[0].channels[0].unit or "–"

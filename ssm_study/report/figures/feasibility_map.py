@@ -10,21 +10,21 @@ from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import counts, words
 from ssm_study.table.columns import column, flag
 
-RATE, LIMIT = "rate_controller", "controller_rate_limit"
+RATE = "rate_controller"
+LIMIT = "controller_rate_limit"
 
 
 def draw(study: StudyFolder) -> Figure:
     table = study.table
-    ratio, rate = (
-        column(table, "input_slope_lower") / column(table, "input_slope_upper"),
-        column(table, RATE),
-    )
+    ratio = column(table, "input_slope_lower") / column(table, "input_slope_upper")
+    rate = column(table, RATE)
     known = ratio.notna() & rate.notna()
     if known.sum() < 2:
         raise NothingToDraw(f"It takes two runs with slopes and a rate ({counts(table)}).")
     fig = style.canvas(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log" if ratio.max() > 20 * ratio[ratio > 0].min() else "linear")
-    certified, feasible = flag(table, "controller_certified"), flag(table, "controller_feasible")
+    certified = flag(table, "controller_certified")
+    feasible = flag(table, "controller_feasible")
     for here, label, colour, marker in (
         (certified, "certified", style.BLUE, "o"),
         (feasible & ~certified, "found, not certified", style.ORANGE, "s"),

@@ -14,7 +14,8 @@ from ssm_study.models.structured import Model, at_rest
 from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 
-SEGMENT, FEWEST = 256, 16  # samples of a piece at most, and at least
+SEGMENT = 256
+FEWEST = 16  # samples of a piece at most, and at least
 EXCITED = 0.01  # share of the input's mean power below which a frequency is left out
 COHERENT = 0.5  # squared coherence below which a dot would be noise
 POINTS = 200

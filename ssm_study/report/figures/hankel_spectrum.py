@@ -16,7 +16,8 @@ def draw(study: StudyFolder) -> Figure:
     if model.linear.spectral_radius >= 1:
         raise NothingToDraw("The linear part is not stable: it has no Hankel singular values.")
     values = hankel_singular_values(model.linear)
-    relative, state = values / values[0], np.arange(1, len(values) + 1)
+    relative = values / values[0]
+    state = np.arange(1, len(values) + 1)
     fig = style.canvas(style.COLUMN_IN, 2.1)
     axes = fig.add_subplot(yscale="log")
     axes.vlines(

@@ -41,10 +41,8 @@ def draw(study: StudyFolder) -> Figure:
     )
     _slopes(slope, model, voltage, record)
     if threshold is not None:
-        true, line = (
-            np.where(np.abs(voltage) < threshold, 0.0, scale / gain),
-            {"color": style.INK, "lw": 0.9},
-        )
+        true = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
+        line = {"color": style.INK, "lw": 0.9}
         value.plot(voltage, _dead_zone(voltage, threshold), ls="--", label="true dead-zone", **line)
         slope.step(voltage, true, where="mid", ls="--", label="dead-zone", **line)
         fig.suptitle(_said(model, voltage, threshold), size=8, x=0.01, ha="left")
@@ -114,7 +112,8 @@ def _dead_zone(voltage: Range, threshold: float) -> Range:
 def _slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -> None:
     scaled = (voltage - model.scale.input_equilibrium[0]) / model.scale.input_scale[0]
     local = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
-    lower, upper = record.get("input_slope_lower"), record.get("input_slope_upper")
+    lower = record.get("input_slope_lower")
+    upper = record.get("input_slope_upper")
     if lower is not None and upper is not None:
         axes.axhspan(
             lower,

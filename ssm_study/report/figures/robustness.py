@@ -21,10 +21,8 @@ def draw(study: StudyFolder) -> Figure:
         raise NothingToDraw(
             "No run compared controllers in several situations (experiment=robustness does)."
         )
-    shares, times = (
-        100 * _table(compared, "stable_fraction"),
-        _table(compared, "settling_time_mean_s"),
-    )
+    shares = 100 * _table(compared, "stable_fraction")
+    times = _table(compared, "settling_time_mean_s")
     said = shares.map("{:.0f} %".format) + times.map(
         lambda time: "" if pd.isna(time) else f"\n{time:.2g} s"
     )

@@ -119,12 +119,11 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _points() -> alt.Chart:
-    mask, chosen = alt.param(name="mask", value=[]), alt.param(name="chosen", value=-1)
-    known, here, names = (
-        "!length(mask) || mask[datum.i]",
-        "datum.i === chosen",
-        [v.word for v in VERDICTS],
-    )
+    mask = alt.param(name="mask", value=[])
+    chosen = alt.param(name="chosen", value=-1)
+    known = "!length(mask) || mask[datum.i]"
+    here = "datum.i === chosen"
+    names = [v.word for v in VERDICTS]
     colours = alt.Scale(domain=names, range=[v.colour for v in VERDICTS])
     shapes = alt.Scale(domain=names, range=[v.shape for v in VERDICTS])
     points = alt.Chart().mark_point(
@@ -157,7 +156,8 @@ def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> al
     values = pd.concat([column(table, name).dropna(), pd.Series(beside, dtype=float)])
     if values.empty:  # the explorer: the script fills in the column
         return alt.Scale(zero=False, padding=8)
-    low, high = float(values.min()), float(values.max())
+    low = float(values.min())
+    high = float(values.max())
     if log and low > 0 and high > 10 * low:
         return alt.Scale(type="log", domain=[low / 1.3, high * 1.3], nice=False)
     room = 0.05 * (high - low) or 0.1 * abs(low) or 1.0  # an axis of one value would have none

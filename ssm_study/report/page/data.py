@@ -35,7 +35,8 @@ COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin",
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Everything the page's script needs, as plain JSON values."""
-    table, best = best_ordered(study.table), study.best
+    table = best_ordered(study.table)
+    best = study.best
     named = [
         (name, sorted({TREE.get(v, v) for v in text(table, name)} - {""}))
         for name in PROVENANCE
@@ -132,7 +133,8 @@ def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """`{run: {column: [...]}}`: controllers and situations, or certified designs, that the best
     runs tried."""
-    best, compared = set(text(table, "run").head(MOST_TRAJECTORIES)), study.comparison
+    best = set(text(table, "run").head(MOST_TRAJECTORIES))
+    compared = study.comparison
     kept = [name for name in COMPARED if name in compared]
     return {
         str(run): {
@@ -158,7 +160,8 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
 
 def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
     """The first channel of these signals and what is printed of them."""
-    y, u = names["y"], names["u"]
+    y = names["y"]
+    u = names["u"]
     about = {
         "step_s": recording.step_s(y),
         "input": recording.label(u),

@@ -40,7 +40,10 @@ class LivePage:
             "no such study folder",
             "start the sweep first, or correct the name",
         )
-        self.study, self.lock, self.mark, self.html = study, Lock(), "", WAITING
+        self.study = study
+        self.lock = Lock()
+        self.mark = ""
+        self.html = WAITING
 
     def page(self) -> str:
         """The page with the script that asks for `/state` every two seconds."""
@@ -48,7 +51,8 @@ class LivePage:
             mark = self.current_mark()
             if mark != self.mark and marks_of(self.study):
                 gather(self.study)
-                self.html, self.mark = write_page(self.study).read_text(encoding="utf-8"), mark
+                self.html = write_page(self.study).read_text(encoding="utf-8")
+                self.mark = mark
             allowed = self.html.replace(POLICY, f"{POLICY}; connect-src 'self'", 1)
             return allowed + SCRIPT
 

@@ -50,10 +50,8 @@ def compute_simulated(
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
     for name, records in (("validation", data.validation), ("test", data.test)):
-        free, start_up = (
-            Simulation.of(model, records, data.start_up_samples).simulated,
-            str(data.start_up_samples),
-        )
+        free = Simulation.of(model, records, data.start_up_samples).simulated
+        start_up = str(data.start_up_samples)
         write_records(
             folder / f"{name}.mcap", data, records, simulated=free, start_up_samples=start_up
         )

@@ -44,7 +44,8 @@ def compute_loop(
     if not design.feasible or (plant is None and answers_at_once(model)):
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
-    on, loop_on = plant or twin, closed_on(plant)
+    on = plant or twin
+    loop_on = closed_on(plant)
     fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
     closed = fitted.run(on, model, design, loop_seed)
     write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})

@@ -36,7 +36,8 @@ def write_mismatch(folder: Path, shown: Mismatch) -> None:
 def read_mismatch(folder: Path) -> Mismatch:
     """The views at each amplitude, as they were computed."""
     told = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    views, loop = tuple(map(_view, told.pop("views"))), told.pop("loop")
+    views = tuple(map(_view, told.pop("views")))
+    loop = told.pop("loop")
     others: dict[str, Any] = {
         name: tuple(one) if isinstance(one, list) else one for name, one in told.items()
     }
