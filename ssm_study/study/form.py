@@ -85,8 +85,9 @@ def _unreduced(run: RunFiles) -> Iterator[Checked]:
     if not run.claims_certificate or run.model.order != requested or before is None:
         return
     fit = run.record.get("fit_test_percent")
-    numbers = isinstance(fit, float) and isinstance(before, float)
-    same = numbers and abs(before - fit) <= 1e-6 * max(1.0, abs(fit))
+    same = False
+    if isinstance(fit, float) and isinstance(before, float):
+        same = abs(before - fit) <= 1e-6 * max(1.0, abs(fit))
     yield Checked(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
 
 

@@ -129,7 +129,7 @@ class StructuredFit(pl.LightningModule):
         def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
             return minimise(linear, theta, matrices, spec.start_steps[0])
 
-        begun = linear_start(linear, int(spec.order), spec.feedthrough, rng)
+        begun = linear_start(linear, int(spec.order), bool(spec.feedthrough), rng)
         at = settled(begun)
         if not spec.integrated:
             screened = settled(screened_poles(linear, begun, self.estimates, rng))

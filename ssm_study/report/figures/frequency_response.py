@@ -10,8 +10,8 @@ from jaxtyping import Complex, Float
 from matplotlib.figure import Figure
 from scipy.signal import csd, welch
 
+from ssm_study import style
 from ssm_study.models.structured import Model, at_rest
-from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 
 SEGMENT = 256

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ssm_study import style
 from ssm_study.models.structured import at_rest
-from ssm_study.report import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
 

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ssm_study import style
 from ssm_study.api.plots import correlate
-from ssm_study.report import style
 from ssm_study.report.study_folder import StudyFolder
 
 LAGS = 25
