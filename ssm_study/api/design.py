@@ -24,6 +24,7 @@ from ssm_study.models.structured import StructuredSSM, at_rest, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
+from ssm_study.synthesis.measured_discs_run import coverage_facts
 from ssm_study.synthesis.metrics import design_facts
 
 if TYPE_CHECKING:
@@ -111,11 +112,24 @@ class Design:
             return dict(self.stored_record)
         balls = certified_balls(self.model)
         facts = design_facts(self.certificate, self.model, balls, self.origin.mismatch)
+        facts |= self._coverage_facts()
         evidence = self.origin.evidence
         if evidence.level == "cannot judge":
             facts["predicted_stable"] = None
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
+
+    def _coverage_facts(self) -> dict[str, Any]:
+        """Columns of the coverage; the test records of the log are the fresh data."""
+        from ssm_study.api.steps import measure_coverage_premise
+        from ssm_study.robustness.coverage import measure_premise
+
+        assert self.origin is not None
+        data = self.origin.data
+        mismatch = self.origin.mismatch
+        premise = measure_coverage_premise(self.model, data, mismatch)
+        fresh = measure_premise(self.model, data.test, mismatch, data.start_up_samples, ())
+        return coverage_facts(self.certificate, self.model, premise, fresh)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -229,7 +243,12 @@ class Design:
         words = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
         margin = facts.get("resolved_margin")
         suffix = "" if margin is None else f" (stability margin {margin:.3g})"
+        coverage = facts.get("coverage")
+        covered = "not covered"
+        if coverage is not None and coverage >= 1:
+            covered = f"a model error {coverage:.3g} times as large as the records show"
         return {
+            "covered by the proof": covered,
             "predicted for the plant": words[facts.get("predicted_stable")] + suffix,
             "evidence": str(facts["evidence"]),
         }

@@ -13,6 +13,7 @@ from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model as StateSpaceModel
+from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
 from ssm_study.signals import DataSet, input_limits
@@ -55,6 +56,12 @@ def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judge
     return judge(data, model, validation, test, plant_mismatch)
 
 
+def measure_coverage_premise(model: StateSpaceModel, data: DataSet, mismatch: Mismatch) -> Premise:
+    """Measure by frequency what a proof about the plant has to cover."""
+    records = data.mismatch_records
+    return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
+
+
 def design_controller(
     synthesis: Any,
     model: StateSpaceModel,
@@ -70,16 +77,22 @@ def design_controller(
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import with_gain_certificates
+    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
 
     balls = certified_balls(model)
+    premise = measure_coverage_premise(model, data, plant_mismatch)
     relevant_mismatch = shown_to(synthesis, model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.applied)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.cautious()
+        synthesis = synthesis.covering(premise)
         synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
-    return with_gain_certificates(design, model, balls, (lower, upper))
+    design = with_gain_certificates(design, model, balls, (lower, upper))
+    if is_coverage_sought(model, synthesis):
+        design = with_coverage(design, model, balls, premise)
+    return design
 
 
 def scaled(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:

@@ -18,6 +18,7 @@ from ssm_study.certificates.problem import NoSolution, within_floats
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Item, Premise, Weights
 from ssm_study.systems import Balls
@@ -26,7 +27,16 @@ PART = MeasuredDiscs.part
 INVERTS = "the law undoes the input map, and the theorem does not speak of such laws"
 INJECTED = "the observer injects into neurons that enter the output, and the theorem excludes that"
 UNPROVED = "no proof was found for these gains"
+UNSOUGHT = (
+    "a model with neurons: a proof takes 20 s and more, so it is looked for only where "
+    "synthesis.cover is given"
+)
 UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from noise there"
+
+
+def is_coverage_sought(model: Model, synthesis: Any) -> bool:
+    """Whether a proof is looked for: with neurons, which take long, only where it is asked for."""
+    return isinstance(model, SSM) or getattr(synthesis, "cover", None) is not None
 
 
 def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
@@ -74,7 +84,8 @@ def coverage_facts(
         return {}
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
-        reason = excluded(design, model) or premise.missing(0.0) or UNPROVED
+        unproved = UNPROVED if isinstance(model, SSM) else UNSOUGHT
+        reason = excluded(design, model) or premise.missing(0.0) or unproved
         return {"coverage": None, "coverage_reason": reason}
     missing = premise.missing(part.centre)
     if missing is not None:

@@ -37,7 +37,7 @@ def compute_synthesis(
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import with_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import with_coverage
+    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
 
     premise = measured_premise(bounded.model, data, shown)
     chosen_by: Any = synthesis
@@ -58,7 +58,9 @@ def compute_synthesis(
     design = with_gain_certificates(
         chosen_by.design(model, balls, data.validation, shown), model, balls, ends
     )
-    with_coverage(design, model, balls, premise).save(folder / "certificate.json")
+    if is_coverage_sought(model, synthesis):
+        design = with_coverage(design, model, balls, premise)
+    design.save(folder / "certificate.json")
 
 
 def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
