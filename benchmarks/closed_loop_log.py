@@ -3,12 +3,9 @@
     python benchmarks/closed_loop_log.py --to results/reference/evidence        (a minute)
 
 `x+ = 0.9 x + 0.1 u` under `u = 3 (r - y)` or in open loop, `y` with white noise or a slow drift of
-the same power, half
-of what the input moves: gain at rest and pole of the one-layer model of order one, mean and root
-mean square error of
-five seeds: of u -> y, of u -> y where the controller is named (`data.controller`), and of r -> y.
-Writes
-closed_loop_log.csv.
+the same power, half of what the input moves: gain at rest and pole of the one-layer model of order
+one, mean and root mean square error of five seeds: of u -> y, of u -> y where the controller is
+named (`data.controller`), and of r -> y. Writes closed_loop_log.csv.
 """
 
 import argparse

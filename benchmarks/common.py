@@ -2,8 +2,8 @@
 processor time.
 
 It imports none of them. A script takes it from beside itself (`from common import ROOT`), so that a
-copy of the folder
-writes beside the copy; what runs as `python -m benchmarks.NAME` takes `benchmarks.common`.
+copy of the folder writes beside the copy; what runs as `python -m benchmarks.NAME` takes
+`benchmarks.common`.
 """
 
 import csv

@@ -4,9 +4,8 @@ validation record.
     python -m benchmarks.excited_log --seed 0 1 2 --to results/reference/adversarial/excited.csv
 
 One line per plant, seed and way of reading the log: designs drawn from a wide grid and the choice
-of `auto`, judged
-from the log alone, each then tried on the plant that made it (noise-free). Some 20 s of one core a
-plant and seed.
+of `auto`, judged from the log alone, each then tried on the plant that made it (noise-free). Some
+20 s of one core a plant and seed.
 """
 
 import argparse

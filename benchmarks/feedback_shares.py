@@ -5,13 +5,10 @@ loop.
     one core)
 
 The two shares of `ssm_study/evidence/feedback.py`, without and with the present output, and how
-many of the logs the
-check takes for closed-loop logs: measured records, simulated plants, and drawn logs of 300 to 1,500
-samples each. Drawn
-are plants of one to four real poles, inputs of held levels or of filtered noise, sensor noise of up
-to all that the
-input moves; in the loops a PI, levels as its set point, and noise from a tenth on. Writes
-feedback_shares.csv.
+many of the logs the check takes for closed-loop logs: measured records, simulated plants, and drawn
+logs of 300 to 1,500 samples each. Drawn are plants of one to four real poles, inputs of held levels
+or of filtered noise, sensor noise of up to all that the input moves; in the loops a PI, levels as
+its set point, and noise from a tenth on. Writes feedback_shares.csv.
 """
 
 import argparse

@@ -6,8 +6,8 @@ laws that know them.
     python benchmarks/internal_models.py table /tmp/internal --to results/reference/loop
 
 Designs of `synthesis=auto_integral` for the models of three seeds; no noise, ten starts. The error
-is that of the last
-period of the sine (2 s): the largest, and its component at the sine's frequency.
+is that of the last period of the sine (2 s): the largest, and its component at the sine's
+frequency.
 """
 
 import argparse

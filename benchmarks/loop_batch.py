@@ -3,9 +3,8 @@
     python benchmarks/loop_batch.py [--cases 1000] [--samples 1000] [--one-by-one 20]
 
 The design is the default (`synthesis=auto`) for the default motor and model; times in seconds of
-wall clock, the
-one-by-one time extrapolated from `--one-by-one` cases. Run both in one process: only the ratio
-travels.
+wall clock, the one-by-one time extrapolated from `--one-by-one` cases. Run both in one process:
+only the ratio travels.
 """
 
 import argparse

@@ -6,12 +6,9 @@ per design.
     python benchmarks/loop_margin.py draw results/reference/loop
 
 Every run of that study leaves 151 certified designs, the choice of `auto` first, each closed on the
-plant from every
-start (`ssm_study.loop.design_grid`). `count` writes ROC and confusion table, what became of each
-requested rate, the
-choices beside the best design in hindsight, the exceptions, and the designs that `draw` draws,
-beside the figures of
-`peers.csv` and `robustness.csv`.
+plant from every start (`ssm_study.loop.design_grid`). `count` writes ROC and confusion table, what
+became of each requested rate, the choices beside the best design in hindsight, the exceptions, and
+the designs that `draw` draws, beside the figures of `peers.csv` and `robustness.csv`.
 """
 
 import argparse
@@ -45,8 +42,7 @@ def designs(folder: Path) -> pd.DataFrame:
     """Every design of every run, with the run's model beside it.
 
     `share` is the way of the controller's rate from the model's own to the exact limit, -1 at half
-    its own;
-    `relative_time` the mean settling time over that of the plant left alone (both -).
+    its own; `relative_time` the mean settling time over that of the plant left alone (both -).
     """
     tables = []
     for path in sorted(folder.glob("*/comparison.csv")):

@@ -2,12 +2,10 @@
 against the margin.
 
 Pure functions of a table with one certified design per row: `plant`, `mismatch_margin`,
-`resolved_margin`,
-`controller_radius` and `noise_peak` (all -), `kind` (`settled` if every case of the design settled;
-anything else did
-not) and `relative_time` (mean settling time over that of the plant left alone, missing where
-nothing settled).
-`benchmarks/loop_margin.py` writes such a table and draws it.
+`resolved_margin`, `controller_radius` and `noise_peak` (all -), `kind` (`settled` if every case of
+the design settled; anything else did not) and `relative_time` (mean settling time over that of the
+plant left alone, missing where nothing settled). `benchmarks/loop_margin.py` writes such a table
+and draws it.
 """
 
 import numpy as np
@@ -54,8 +52,7 @@ def prediction_score(table: pd.DataFrame) -> Float[np.ndarray, "N"]:
     refuses the design.
 
     That is, where the controller is unstable by itself or the noise leaves the band. Above one
-    half: predicted to be
-    stable on the plant.
+    half: predicted to be stable on the plant.
     """
     margin = table["resolved_margin"].to_numpy(float)
     others = table[["controller_radius", "noise_peak"]]

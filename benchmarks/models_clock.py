@@ -35,8 +35,7 @@ def interleaved(
     them.
 
     A turn is one run that is not clocked and then some that are: in a training, too, a step follows
-    its like, and what
-    a contender costs must not depend on whose numbers it finds in the caches.
+    its like, and what a contender costs must not depend on whose numbers it finds in the caches.
     """
     torch.set_num_threads(1)
     for run in contenders.values():

@@ -11,8 +11,7 @@ def associative_scan(decay: Tensor, rise: Tensor) -> Tensor:
     `jax.lax.associative_scan`.
 
     This is the scan of the public PyTorch ports of the LRU (e.g. Gothos/LRU-pytorch, after Orvieto
-    et al. 2023): both
-    operands are full `(batch, T, n)` tables.
+    et al. 2023): both operands are full `(batch, T, n)` tables.
     """
     return _scan(decay, rise)[1]
 

@@ -2,20 +2,14 @@
 benchmarks/mutation.py`.
 
 Cosmic Ray (an environment of its own: `pip install cosmic-ray`) lists every single fault of
-`FAULTS` in the modules of
-a group; a sample drawn with `SEED` is planted, one at a time, in a copy of the committed tree, and
-the group's tests
-run on it, first failure out, without the shape checker. A run that takes more than `LIMIT_CPU_S` of
-processor time
-counts as caught (a loop that no longer ends). `--folder DIR` holds the copies and a socket: start
-`mutation_server.py
-DIR/server` first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for
-the survivors' second
-(`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the tool's
-folder, `--groups
-a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
-`results/reference/mutation/faults.csv`, one
-row per planted fault, and `survivors.diff`.
+`FAULTS` in the modules of a group; a sample drawn with `SEED` is planted, one at a time, in a copy
+of the committed tree, and the group's tests run on it, first failure out, without the shape
+checker. A run that takes more than `LIMIT_CPU_S` of processor time counts as caught (a loop that no
+longer ends). `--folder DIR` holds the copies and a socket: start `mutation_server.py DIR/server`
+first; with `HYPOTHESIS_PROFILE=few` in its environment for a first pass, without for the survivors'
+second (`--again`), so that only the whole test decides that a fault survives. `--cosmic-ray` is the
+tool's folder, `--groups a,b` restricts, `--minutes` stops a group (a second call goes on). Writes
+`results/reference/mutation/faults.csv`, one row per planted fault, and `survivors.diff`.
 
 The tests that verify a run share one, made before any fault is planted.
 """

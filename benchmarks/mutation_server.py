@@ -2,9 +2,8 @@
 benchmarks/mutation_server.py SOCKET`.
 
 Half of a short test run is imports; `benchmarks/mutation.py` asks this server (`... SOCKET CPU_S
-TREE ARGUMENT...`)
-instead of starting an interpreter for each planted fault. Nothing of the tree itself is imported
-before the fork.
+TREE ARGUMENT...`) instead of starting an interpreter for each planted fault. Nothing of the tree
+itself is imported before the fork.
 """
 
 import json

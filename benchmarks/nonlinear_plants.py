@@ -4,11 +4,9 @@ hardening spring.
     python -m benchmarks.nonlinear_plants [seeds] > results/reference/loop/nonlinear_plants.csv
 
 Per row: plant, model, seed; fit of the noise-free test record; what `auto` predicts and what its
-loop does on the
-plant; mean settling times with control and without. Order 4, four neurons (tanh; clipped cubics for
-the spring), the
-rest as configured. The plants are those of `benchmarks/adversarial`, driven and released farther
-out.
+loop does on the plant; mean settling times with control and without. Order 4, four neurons (tanh;
+clipped cubics for the spring), the rest as configured. The plants are those of
+`benchmarks/adversarial`, driven and released farther out.
 """
 
 import sys

@@ -4,10 +4,8 @@ pictures.
     python benchmarks/notebooks_rendered.py
 
 runs all four from top to bottom with the paper's configuration, shares one results folder among
-them, and writes
-`docs/notebooks/*.md` with the pictures beside them. The site shows these pages and executes
-nothing, so it builds in
-seconds; a test compares their code with the notebooks.
+them, and writes `docs/notebooks/*.md` with the pictures beside them. The site shows these pages and
+executes nothing, so it builds in seconds; a test compares their code with the notebooks.
 """
 
 import argparse

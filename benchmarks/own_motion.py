@@ -5,14 +5,12 @@
     python -m benchmarks.own_motion --drawn --to results/reference/evidence     (a minute)
 
 `--aside`: 20 logs that had no part in setting the limits of
-`ssm_study/evidence/autonomous_motion.py` and `feedback.py`, each
-fitted by `ssm_study.fit` as it is by default. Writes own_motion.csv: level of the evidence, first
-reason against any
-judgement, the shares of the output's power that follow from where each piece begins and from the
-input, the fit.
+`ssm_study/evidence/autonomous_motion.py` and `feedback.py`, each fitted by `ssm_study.fit` as it is
+by default. Writes own_motion.csv: level of the evidence, first reason against any judgement, the
+shares of the output's power that follow from where each piece begins and from the input, the fit.
 `--drawn`: 1,500 stable open-loop logs and 1,500 integrators in open loop, of 300 to 1,500 samples
-each, with no model
-fitted. Writes own_motion_drawn.csv: how many of them are taken for outputs that run away.
+each, with no model fitted. Writes own_motion_drawn.csv: how many of them are taken for outputs that
+run away.
 """
 
 import argparse

@@ -6,11 +6,10 @@
     python benchmarks/plants_choice.py results/benchmark_rehearsal
 
 Rule: on each record the setting with the least error on what was held out, which is the root mean
-square over all
-samples of all folds, or of all rehearsals (start-up samples left out). A setting that failed on one
-of them, or whose
-controller or observer is not certified, is out. No test file is opened by these runs.
-Writes `choice.csv` or `rehearsal.csv`: every setting with each of its errors, best first.
+square over all samples of all folds, or of all rehearsals (start-up samples left out). A setting
+that failed on one of them, or whose controller or observer is not certified, is out. No test file
+is opened by these runs. Writes `choice.csv` or `rehearsal.csv`: every setting with each of its
+errors, best first.
 """
 
 import argparse

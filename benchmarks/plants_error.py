@@ -2,10 +2,9 @@
 results/reference/benchmarks`, a minute.
 
 Load speeds of five trajectories of 500 samples, APRBS of the plant's amplitude, from rest, against
-the event-accurate
-motor. Writes plants_error.csv, one row per step of the solver: the step that is taken (a whole
-number of them fills a
-sampling period), largest and rms error, and the order of accuracy from the step before.
+the event-accurate motor. Writes plants_error.csv, one row per step of the solver: the step that is
+taken (a whole number of them fills a sampling period), largest and rms error, and the order of
+accuracy from the step before.
 """
 
 import argparse

@@ -7,10 +7,8 @@
         [--above TOPIC.FIELD ...] [--below TOPIC.FIELD ...] [--beside TOPIC]
 
 Two plots and one table of raw messages, where Studio stops at first. Prints one JSON object: what
-the page says, and
-what failed in it. `tests/oracles/test_data_foxglove.py` compares it with what was written. Needs
-chromium and
-chromedriver.
+the page says, and what failed in it. `tests/oracles/test_data_foxglove.py` compares it with what
+was written. Needs chromium and chromedriver.
 """
 
 import argparse

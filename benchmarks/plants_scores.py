@@ -5,14 +5,11 @@ records: one table.
     python benchmarks/plants_scores.py results/benchmarks [--out FOLDER]
 
 takes on each record, for each model, the seed whose model fits its training record best (never the
-test record), and
-writes `scores.csv` (ours, our baselines, the published rows of `published.csv`) and
-`scores_by_run.csv` (every run).
-Runs of further seeds in the same study count: `ssm-study run -m experiment=benchmarks model=ssm
-seed=1,2`.
-Runs of structured models go to `structured_by_seed.csv`, and their medians and ranges over the
-seeds are printed:
-`ssm-study run -m experiment=benchmarks data=cascaded_tanks,ced model=structured seed=0,1,2,3,4`.
+test record), and writes `scores.csv` (ours, our baselines, the published rows of `published.csv`)
+and `scores_by_run.csv` (every run). Runs of further seeds in the same study count: `ssm-study run
+-m experiment=benchmarks model=ssm seed=1,2`. Runs of structured models go to
+`structured_by_seed.csv`, and their medians and ranges over the seeds are printed: `ssm-study run -m
+experiment=benchmarks data=cascaded_tanks,ced model=structured seed=0,1,2,3,4`.
 """
 
 import argparse

@@ -4,9 +4,8 @@ the exact motor.
     python benchmarks/plants_simulation.py
 
 writes `results/reference/benchmarks/plants_simulation.csv`. The integrator is timed on part of the
-work (it would take
-minutes) at the tolerance that gives it the batched motor's accuracy, and scaled up. Processor time,
-medians.
+work (it would take minutes) at the tolerance that gives it the batched motor's accuracy, and scaled
+up. Processor time, medians.
 """
 
 import csv

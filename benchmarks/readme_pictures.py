@@ -4,10 +4,9 @@
     python benchmarks/readme_pictures.py results/paper
 
 writes `docs/pictures/ten_speeds.gif` (below 1 MB: ten initial speeds under control beside the same
-motor left alone;
-the frames follow the recorded samples, ten times slower) and `docs/pictures/study_line.png` (below
-300 kB: the whole
-study in one picture, from the record over the model and its certificate to the closed loop).
+motor left alone; the frames follow the recorded samples, ten times slower) and
+`docs/pictures/study_line.png` (below 300 kB: the whole study in one picture, from the record over
+the model and its certificate to the closed loop).
 """
 
 import argparse

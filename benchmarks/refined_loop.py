@@ -4,9 +4,8 @@ iterations, and the picture.
     python benchmarks/refined_loop.py --to results/reference/adversarial
 
 The plant's gain is eleven at rest and one at full amplitude, and no record is taken at a small
-amplitude: the first
-choice is predicted to settle and swings. `refine` measures the mismatch in that loop and chooses
-again.
+amplitude: the first choice is predicted to settle and swings. `refine` measures the mismatch in
+that loop and chooses again.
 """
 
 import argparse

@@ -3,13 +3,11 @@
     python benchmarks/report_page.py [--runs 2000] [--rounds 3]
 
 Mouse and keys are sent through the DevTools protocol to a page of made-up runs of every kind; no
-graphics card. Per
-action, over all rounds: the time from a click to the frame that answers it; processor time of the
-page's main thread
-per step (one click, key or mouse move), which a busy machine does not inflate; the time from one
-drawn frame to the
-next, and the tasks that held the page for longer than 50 ms (W3C Long Tasks). Writes
-`results/reference/benchmarks/report_page.csv`. Needs chromium and chromedriver.
+graphics card. Per action, over all rounds: the time from a click to the frame that answers it;
+processor time of the page's main thread per step (one click, key or mouse move), which a busy
+machine does not inflate; the time from one drawn frame to the next, and the tasks that held the
+page for longer than 50 ms (W3C Long Tasks). Writes `results/reference/benchmarks/report_page.csv`.
+Needs chromium and chromedriver.
 """
 
 import argparse

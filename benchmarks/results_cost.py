@@ -4,11 +4,9 @@ runs.
     python benchmarks/results_cost.py --jobs 2 --append results/reference/engine/cost.csv
 
 The whole command, imports, checks, records and table included, against its stages (training and
-data once, each
-synthesis, each loop). The promise: at most 1.3. Twice: in wall time on `--jobs` processes, and in
-processor time of all
-processes together (a control group counts it; root), which other work on the machine hardly
-touches.
+data once, each synthesis, each loop). The promise: at most 1.3. Twice: in wall time on `--jobs`
+processes, and in processor time of all processes together (a control group counts it; root), which
+other work on the machine hardly touches.
 """
 
 import argparse

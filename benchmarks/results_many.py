@@ -6,9 +6,8 @@ each run.
     results/reference/engine/many_runs_smoke.csv
 
 The toy (`tests/engine_study.py`: two stages of one number each) is the engine and nothing else.
-With `--smoke` the runs
-are those of `experiment=smoke`, one model and as many controller rates: each adds its own synthesis
-and loop.
+With `--smoke` the runs are those of `experiment=smoke`, one model and as many controller rates:
+each adds its own synthesis and loop.
 """
 
 import argparse

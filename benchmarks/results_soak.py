@@ -6,18 +6,14 @@
     results/reference/engine/soak.csv
 
 The study trains real models (experiment=smoke). Each attempt is the same command. Somewhere in it
-the sweep gets
-SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most once its jobs are
-at work. With
-`--sweeps 3` three such commands work on the study at once, and one of them is struck while the
-others go on. Between
-attempts a finished stage or record may in addition be truncated or have a bit flipped (--damage).
-Whenever a study is finished: its table equals the undisturbed one, every stage folder is intact, no
-process lives on.
-With `--in` the state is kept and the same command goes on; after `--minutes` no kill follows. Edit
-nothing in the
-package meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive
-HEAD | tar x -C DIR.
+the sweep gets SIGKILL, SIGTERM or SIGINT, or one of its jobs SIGKILL: some while it starts, most
+once its jobs are at work. With `--sweeps 3` three such commands work on the study at once, and one
+of them is struck while the others go on. Between attempts a finished stage or record may in
+addition be truncated or have a bit flipped (--damage). Whenever a study is finished: its table
+equals the undisturbed one, every stage folder is intact, no process lives on. With `--in` the state
+is kept and the same command goes on; after `--minutes` no kill follows. Edit nothing in the package
+meanwhile: its stages would rightly be computed anew. So run it from a copy: git archive HEAD | tar
+x -C DIR.
 """
 
 import argparse

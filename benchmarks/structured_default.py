@@ -4,10 +4,9 @@ it stands.
     python benchmarks/structured_default.py [--only ced dc_motor ...] [--to FILE]
 
 writes results/reference/training/structured_default.csv: one row per plant or record and class with
-the mean, worst
-and best fit over four folds (whole records where there are four, else pieces of each) and processor
-seconds a fold.
-Validation and test records are not looked at. What it decided stands in docs/models.md.
+the mean, worst and best fit over four folds (whole records where there are four, else pieces of
+each) and processor seconds a fold. Validation and test records are not looked at. What it decided
+stands in docs/models.md.
 """
 
 import argparse

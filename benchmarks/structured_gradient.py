@@ -4,12 +4,10 @@ a loop of torch.
     OMP_NUM_THREADS=1 python benchmarks/structured_gradient.py [--to FILE]
 
 writes results/reference/training/structured_gradient.csv. Per row: samples, states (as many
-neurons), and processor
-milliseconds of one thread: loss and gradient by the compiled adjoint (tests/structured_adjoint.py),
-the whole Jacobian
-that a step of the training needs, loss and gradient by torch. A batch of 16 records, one input, one
-output, linear S_u.
-Medians of five pairs; the three gradients are compared first.
+neurons), and processor milliseconds of one thread: loss and gradient by the compiled adjoint
+(tests/structured_adjoint.py), the whole Jacobian that a step of the training needs, loss and
+gradient by torch. A batch of 16 records, one input, one output, linear S_u. Medians of five pairs;
+the three gradients are compared first.
 """
 
 import argparse

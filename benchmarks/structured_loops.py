@@ -4,16 +4,12 @@
     results/reference/loop/FILE
 
 Per row: plant, model, seed; noise-free fit of the test record; whether both sides are certified,
-their rates and what
-the controller's may be at most; what is predicted, nothing where the records allow no judgement;
-how many of ten starts
-settle on the plant, their mean time, that of the plant alone, and the time over one layer's of the
-same seed; processor
-seconds of the choice. Each as configured, `ssm-study run model=... plant=...`, with neurons also by
-the settings given:
-nothing is chosen by the loop. The files: structured_loops.csv as configured; _many.csv by `--plants
-dc_motor --set
-model.starts=24 model.ridge=1e-7 model.among_starts.rate_enough=0.14`.
+their rates and what the controller's may be at most; what is predicted, nothing where the records
+allow no judgement; how many of ten starts settle on the plant, their mean time, that of the plant
+alone, and the time over one layer's of the same seed; processor seconds of the choice. Each as
+configured, `ssm-study run model=... plant=...`, with neurons also by the settings given: nothing is
+chosen by the loop. The files: structured_loops.csv as configured; _many.csv by `--plants dc_motor
+--set model.starts=24 model.ridge=1e-7 model.among_starts.rate_enough=0.14`.
 """
 
 import argparse

@@ -5,15 +5,11 @@ what a start costs.
     ...] [--to FILE]
 
 writes results/reference/training/structured_plants.csv. Per row: fits of the validation record
-(noisy) and of the test
-record (without noise), the open loop's slowest mode at rest, the least r = sqrt(1 - rate) that
-bisecting the inequality
-on the exact verdict finds for a state feedback (the ball of S_u included) and for an observer, 1
-where there is none,
-and processor seconds of a start with its training. Nothing is chosen by a test record: the starts
-go by validation.
-With `--each` a row is a start, and r is found for those within a percent point of the best by
-validation:
+(noisy) and of the test record (without noise), the open loop's slowest mode at rest, the least r =
+sqrt(1 - rate) that bisecting the inequality on the exact verdict finds for a state feedback (the
+ball of S_u included) and for an observer, 1 where there is none, and processor seconds of a start
+with its training. Nothing is chosen by a test record: the starts go by validation. With `--each` a
+row is a start, and r is found for those within a percent point of the best by validation:
 
     python benchmarks/structured_plants.py dc_motor --each --first 10 --set model.starts=12
     model.ridge=1e-7 --to FILE

@@ -2,15 +2,11 @@
 benchmarks/synthesis_agreement.py` (minutes).
 
 A thousand random models of orders 1 to 32, one percent inside the frontier and one percent beyond.
-Clarabel maximises
-the smallest eigenvalue t of Theorem 1's block matrix at fixed trace, on the modes with `|lambda| >
-r` in balanced
-coordinates (the same theorem: the other modes need no input). It says *feasible* when exact
-arithmetic finds its
-matrices positive definite, *infeasible* when it ends optimal with t below minus `TELLING`, and
-otherwise cannot tell.
-Adds one row per side to `results/reference/certificates/certified.csv`, method `modal_lmi_alone`.
-Options: `--count N`,
+Clarabel maximises the smallest eigenvalue t of Theorem 1's block matrix at fixed trace, on the
+modes with `|lambda| > r` in balanced coordinates (the same theorem: the other modes need no input).
+It says *feasible* when exact arithmetic finds its matrices positive definite, *infeasible* when it
+ends optimal with t below minus `TELLING`, and otherwise cannot tell. Adds one row per side to
+`results/reference/certificates/certified.csv`, method `modal_lmi_alone`. Options: `--count N`,
 `--gaps g ...`.
 """
 

@@ -2,11 +2,9 @@
 minute).
 
 Random leaky networks; of each bound the certified radius around its centre, the farthest Jacobian
-that sampling and
-gradient search find from that centre, and their ratio (found over certified: one is exact, above
-one would be unsound);
-beside it the norm product of the paper over the upper end of the ball. Writes
-`certificates/bounds.csv`.
+that sampling and gradient search find from that centre, and their ratio (found over certified: one
+is exact, above one would be unsound); beside it the norm product of the paper over the upper end of
+the ball. Writes `certificates/bounds.csv`.
 """
 
 import sys

@@ -2,12 +2,9 @@
 benchmarks/synthesis_certified.py`.
 
 Writes `results/reference/certificates/certified.csv`, one row per (set, method, gap): how many of
-how many were
-certified, in how much time. A gap below zero lies beyond the frontier: nothing may be certified
-there. Options:
-`--count N` per gap, `--gaps g ...`, `--orders low high`, `--set random|mixed|trained`, `--methods
-a,b`; rows of other
-runs are kept.
+how many were certified, in how much time. A gap below zero lies beyond the frontier: nothing may be
+certified there. Options: `--count N` per gap, `--gaps g ...`, `--orders low high`, `--set
+random|mixed|trained`, `--methods a,b`; rows of other runs are kept.
 """
 
 import argparse

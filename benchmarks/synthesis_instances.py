@@ -2,12 +2,9 @@
 benchmarks run on.
 
 A model is drawn as the recurrent unit would be: real modes and rotations of 2 x 2, moduli uniform
-in [0.2, 1] of the
-largest, which is below one (stable), one (marginal) or up to 1.3 (unstable); B and C normal. A
-slope floor is drawn
-log-uniform from [0.01, 0.9] (slopes in [floor, 1]); the asked rate is the one at which beta/alpha
-lies `gap` inside
-(gap < 0: beyond) the exact frontier.
+in [0.2, 1] of the largest, which is below one (stable), one (marginal) or up to 1.3 (unstable); B
+and C normal. A slope floor is drawn log-uniform from [0.01, 0.9] (slopes in [floor, 1]); the asked
+rate is the one at which beta/alpha lies `gap` inside (gap < 0: beyond) the exact frontier.
 """
 
 from dataclasses import dataclass

@@ -2,8 +2,7 @@
 
 On the first identified model of `trained_models.json` writes, in the same folder,
 `feasibility_map.csv` (rate by slope floor: the solver's verdict on the paper's inequality, and the
-exact frontier),
-`gain_norm.csv` (norm of the gain against the asked rate, by method), and
+exact frontier), `gain_norm.csv` (norm of the gain against the asked rate, by method), and
 `contraction.csv` (the certified factor per sample against the worst one measured with slopes
 jumping in the ball).
 """

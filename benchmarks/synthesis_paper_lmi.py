@@ -2,14 +2,11 @@
 (hours; resumes).
 
 The same models and requests as the other methods of `synthesis_certified.py`, orders 1 to 32;
-Theorem 1 with all its
-unknowns (P, Y, X, sigma) through CVXPY and Clarabel, one solve each, nothing repaired. A solve that
-takes longer than
-`LIMIT_S` counts as not found. Every solve is a row of
-`results/reference/certificates/paper_lmi.csv`; a second call
-goes on where the first one stopped, and `--minutes M` stops it. At its end it writes the counts
-into
-`certified.csv` and, by order, `paper_lmi_by_order.csv`.
+Theorem 1 with all its unknowns (P, Y, X, sigma) through CVXPY and Clarabel, one solve each, nothing
+repaired. A solve that takes longer than `LIMIT_S` counts as not found. Every solve is a row of
+`results/reference/certificates/paper_lmi.csv`; a second call goes on where the first one stopped,
+and `--minutes M` stops it. At its end it writes the counts into `certified.csv` and, by order,
+`paper_lmi_by_order.csv`.
 """
 
 import argparse

@@ -5,13 +5,10 @@ what is certified.
     results/reference/certificates/structured.csv
 
 Per row: size, side, ball, and whether neurons enter the output (`h`); the best factor r found by
-bisecting the LMI;
-whether the game Riccati search certifies a rate 10 % below, and its cost over that of the LMI
-(nothing where the solver
-fails); the slowest contraction that vertices, 400 random slopes and a gradient search find at the
-certificate (the
-search's, else the LMI's); seconds of the search, the cost form, the feasibility form and the exact
-verdict, in turn.
+bisecting the LMI; whether the game Riccati search certifies a rate 10 % below, and its cost over
+that of the LMI (nothing where the solver fails); the slowest contraction that vertices, 400 random
+slopes and a gradient search find at the certificate (the search's, else the LMI's); seconds of the
+search, the cost form, the feasibility form and the exact verdict, in turn.
 
     python benchmarks/synthesis_structured.py told results/reference/certificates/structured.csv
 """

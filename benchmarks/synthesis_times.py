@@ -2,12 +2,10 @@
 benchmarks/synthesis_times.py`.
 
 Writes `results/reference/certificates/times.csv` (median of repetitions; the methods of one order
-are timed in turn;
-microseconds as the mean of many calls) and `sweep.csv` (twenty rates through one compiled
-inequality against twenty
-fresh ones). Processor time of one thread, not wall time: a machine that does other work stretches
-the latter by as much
-as it is busy. `--orders n ...` restricts; rows of other orders are kept.
+are timed in turn; microseconds as the mean of many calls) and `sweep.csv` (twenty rates through one
+compiled inequality against twenty fresh ones). Processor time of one thread, not wall time: a
+machine that does other work stretches the latter by as much as it is busy. `--orders n ...`
+restricts; rows of other orders are kept.
 """
 
 import argparse

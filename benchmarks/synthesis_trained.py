@@ -2,13 +2,10 @@
 (minutes).
 
 Four plants, orders 2 to 8 and several seeds; short records and few epochs (the size of
-`experiment=smoke`). Each model
-is put into balanced coordinates as a study would, and kept once if its order is at least two and
-its slopes exclude
-zero. Writes the linear parts and Jacobian balls to
-`results/reference/certificates/trained_models.json`, after the 54
-gathered from earlier studies (27 motor models, each as identified and in balanced coordinates),
-which name no seed.
+`experiment=smoke`). Each model is put into balanced coordinates as a study would, and kept once if
+its order is at least two and its slopes exclude zero. Writes the linear parts and Jacobian balls to
+`results/reference/certificates/trained_models.json`, after the 54 gathered from earlier studies (27
+motor models, each as identified and in balanced coordinates), which name no seed.
 """
 
 import itertools

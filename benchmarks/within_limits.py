@@ -6,12 +6,9 @@ knows nothing.
     python benchmarks/within_limits.py table /tmp/limits --to results/reference/loop
 
 The limits are a fifth to two fifths of what the records used, so that they act for much of the way.
-`auto` is the run
-as it stands; `integral` is a design with integrators for the same model, which is where a naive
-clamp winds up. Loops
-of the table: ten starts at the ends of the plant's range and between, no noise; `naive` is the same
-law in front of an
-actuator that clips unknown to it.
+`auto` is the run as it stands; `integral` is a design with integrators for the same model, which is
+where a naive clamp winds up. Loops of the table: ten starts at the ends of the plant's range and
+between, no noise; `naive` is the same law in front of an actuator that clips unknown to it.
 """
 
 import argparse

@@ -35,16 +35,12 @@ class Column:
     """A typed column of the table, declared in the `metrics` module of the room that computes it.
 
     `better` is `high`, `low`, or empty where no direction is better; `word` is what print calls it
-    (in `unit`), `head`
-    a heading for narrow tables; a `shown` column is among those that `show` prints first. `verify`
-    derives the value
-    again and compares to `tolerance` (relative, for Float64) plus `resolution` (absolute), or,
-    where it cannot, lists
-    the column as not checked for the reason given in `unchecked`. `setting` is the entry of the
-    configuration that the
-    column repeats. A `*` in the name stands for what differs between columns of one sort; without a
-    `kind` each is of
-    the kind of its values.
+    (in `unit`), `head` a heading for narrow tables; a `shown` column is among those that `show`
+    prints first. `verify` derives the value again and compares to `tolerance` (relative, for
+    Float64) plus `resolution` (absolute), or, where it cannot, lists the column as not checked for
+    the reason given in `unchecked`. `setting` is the entry of the configuration that the column
+    repeats. A `*` in the name stands for what differs between columns of one sort; without a `kind`
+    each is of the kind of its values.
     """
 
     name: str

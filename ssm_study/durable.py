@@ -32,8 +32,8 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
     the folder.
 
     Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
-    survives every kill but
-    not a power loss; for what is synchronised later, or counts as absent when it is damaged.
+    survives every kill but not a power loss; for what is synchronised later, or counts as absent
+    when it is damaged.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(6)}.tmp")
     try:

@@ -1,12 +1,10 @@
 """Other people's code: what is trusted besides this package, and where it lies.
 
 Trusted are installed packages that register an entry point of the group `ssm_study`, and the one
-folder that is named
-on the command line by `--with`. Nothing else is imported, and no configuration of anything else is
-read. Such a package
-holds `conf/` (yaml files by group, as ours), the classes they name by `_target_`, and `figures/`.
-Importing it makes
-known what is found by its kind, a scaffolding for instance.
+folder that is named on the command line by `--with`. Nothing else is imported, and no configuration
+of anything else is read. Such a package holds `conf/` (yaml files by group, as ours), the classes
+they name by `_target_`, and `figures/`. Importing it makes known what is found by its kind, a
+scaffolding for instance.
 """
 
 import os

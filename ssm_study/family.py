@@ -15,8 +15,8 @@ class Family(ABC):
     room.
 
     A member that leaves a question of its family open is refused where it is defined (`TypeError`).
-    Members outside
-    the room count from when their module is imported. Its one name is a member's `kind`.
+    Members outside the room count from when their module is imported. Its one name is a member's
+    `kind`.
     """
 
     known: ClassVar[dict[str, type[Any]]]

@@ -24,10 +24,9 @@ class Trajectory:
     before `u[k]` acts.
 
     Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the
-    output. A piece of
-    a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises
-    `BadRequest` for unequal
-    lengths, values that are not finite, or a sampling time that is not positive.
+    output. A piece of a longer log begins at sample `first` of it; logs count from 1, and 0 is
+    none. Raises `BadRequest` for unequal lengths, values that are not finite, or a sampling time
+    that is not positive.
     """
 
     u: Float[np.ndarray, "T m"]
@@ -100,10 +99,8 @@ class Scale:
     the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
-    `input_* (m,)`,
-    `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another number of
-    equilibria than of gains,
-    or entries that are not finite.
+    `input_* (m,)`, `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another
+    number of equilibria than of gains, or entries that are not finite.
     """
 
     input_scale: Float[np.ndarray, "m"]

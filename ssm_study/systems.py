@@ -95,8 +95,7 @@ class StateSpace(_Recurrence):
         system answers.
 
         By default the bulk of it, not the tail of a mode that no record filled. One run for each
-        input, since the
-        answers to several at once may cancel.
+        input, since the answers to several at once may cancel.
         """
         impulses = np.eye(most, 1) * np.eye(self.b.shape[1])[:, None, :]
         size = np.abs(self.simulate(impulses)[0]).sum(axis=(0, 2))
@@ -110,11 +109,9 @@ class StructuredSystem(_Recurrence):
     of phi in [0, 1].
 
     What the theorems need of a structured model: the neurons act one by one and are known by their
-    slopes alone.
-    Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h
-    (p, q)`, real.
-    With `q = 0` it is `StateSpace`. Raises `BadRequest` for entries that are not finite.
-    Source: Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
+    slopes alone. Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g
+    (q, m)`, `h (p, q)`, real. With `q = 0` it is `StateSpace`. Raises `BadRequest` for entries that
+    are not finite. Source: Revay, Wang & Manchester 2024 (REN with `D11 = 0`).
     """
 
     a: Float[np.ndarray, "n n"]
@@ -157,9 +154,8 @@ class JacobianBall:
     of a scaffolding.
 
     `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta
-    = (nu - mu)/2`.
-    Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values, which are not
-    enough.
+    = (nu - mu)/2`. Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values,
+    which are not enough.
     """
 
     alpha: float

@@ -2,11 +2,9 @@
 solutions; modal gains.
 
 Restricted to the modes with `|lambda| > r`, scaled by 1/r and balanced by their minimum energy, the
-block matrix has
-condition number about one over the room to the frontier, whatever the model's order; the slow modes
-are added by a
-Lyapunov equation. This keeps the LMI's generality and cures its false "infeasible"
-(docs/theory.md).
+block matrix has condition number about one over the room to the frontier, whatever the model's
+order; the slow modes are added by a Lyapunov equation. This keeps the LMI's generality and cures
+its false "infeasible" (docs/theory.md).
 """
 
 from collections.abc import Callable

@@ -4,14 +4,11 @@
     adversarial.csv
 
 Each line is what `ssm-study run plant=... comparison@loop.comparison=design_grid` computes: designs
-drawn from a wide
-grid and the choice of `auto`, each on the plant. `old` is the rule that went before: one record at
-full amplitude, its
-noise left in, an average where the input has no power, and the fastest design that passes.
-`evidence` is what a run
-would say of data and model; where it is "cannot judge", a run predicts nothing. With `--table` the
-lines of the file
-are summed by plant and nothing is computed.
+drawn from a wide grid and the choice of `auto`, each on the plant. `old` is the rule that went
+before: one record at full amplitude, its noise left in, an average where the input has no power,
+and the fastest design that passes. `evidence` is what a run would say of data and model; where it
+is "cannot judge", a run predicts nothing. With `--table` the lines of the file are summed by plant
+and nothing is computed.
 """
 
 import argparse

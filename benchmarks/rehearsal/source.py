@@ -21,11 +21,9 @@ class Rehearsal(RecordedSource):
     files stay closed.
 
     A `Servo` is fitted to the first training record and put under that record's controller (`kp`,
-    `kv`) and
-    `reference` column. Each rehearsal adds its own `pulses` voltage pulses of `pulse_s` at random
-    times, uniform within
-    plus and minus the largest voltage of the training record: inputs that the training record does
-    not contain.
+    `kv`) and `reference` column. Each rehearsal adds its own `pulses` voltage pulses of `pulse_s`
+    at random times, uniform within plus and minus the largest voltage of the training record:
+    inputs that the training record does not contain.
     """
 
     experiments: RecordedExperiments

@@ -11,8 +11,7 @@ PEAK_TOLERANCE = (
     1e-8  # relative: the returned gain is attained, and no frequency exceeds it by more than this
 )
 # Relative: how near the imaginary axis an eigenvalue counts as a crossing. Rounding moves them by
-# up to 1e-6 (seen);
-# a false crossing costs one more frequency to look at, a missed one the peak.
+# up to 1e-6 (seen); a false crossing costs one more frequency to look at, a missed one the peak.
 ON_AXIS = 1e-4
 
 
@@ -38,11 +37,9 @@ def hinf_norm(system: StateSpace) -> float:
     floats resolve.
 
     A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma`
-    exceeds the norm
-    iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between neighbouring ones lie
-    the peaks to look at
-    next: quadratic convergence. Source: Bruinsma & Steinbuch, Systems & Control Letters 14 (1990)
-    287-293.
+    exceeds the norm iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between
+    neighbouring ones lie the peaks to look at next: quadratic convergence. Source: Bruinsma &
+    Steinbuch, Systems & Control Letters 14 (1990) 287-293.
     """
     try:
         return _peak(system) if system.spectral_radius < 1 else float("inf")

@@ -25,8 +25,7 @@ def gramian(
     A W A^T + B B^T`.
 
     Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
-    horizon on a model
-    that is not stable. Source: [Z26] eq. (9), without the scaffolding.
+    horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
     """
     if horizon is None:
         radius = float(np.abs(np.linalg.eigvals(a)).max())
@@ -60,12 +59,9 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     singular values.
 
     Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the
-    H-infinity norm of
-    what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a model that is not
-    stable, an order
-    outside `1 .. n`, or kept states whose Hankel singular value lies below `BALANCING_FLOOR` of the
-    largest: such
-    coordinates would be rounding noise.
+    H-infinity norm of what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a
+    model that is not stable, an order outside `1 .. n`, or kept states whose Hankel singular value
+    lies below `BALANCING_FLOOR` of the largest: such coordinates would be rounding noise.
     """
     order = linear.order if order is None else order
     problem = f"the model has order {linear.order}"
@@ -104,10 +100,8 @@ class LocalProperty:
     of n steps.
 
     `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear
-    part over as many
-    steps as it has states. `holds`: no mode is out of reach, within rounding, and `mu > 0`; of a
-    high-order model
-    `lower` may underflow to zero although the property holds.
+    part over as many steps as it has states. `holds`: no mode is out of reach, within rounding, and
+    `mu > 0`; of a high-order model `lower` may underflow to zero although the property holds.
     Source: [Z26] Propositions 1 and 2.
     """
 

@@ -24,8 +24,7 @@ from ssm_study.bounds.network import Network
 from ssm_study.refusal import BadRequest, require
 
 # The radius is recomputed from the solver's multipliers by a Schur complement in floats; widened by
-# this share, far
-# above that computation's rounding.
+# this share, far above that computation's rounding.
 ROUNDING_SHARE = 1e-7
 # Any multipliers prove a bound or none. Where the solver stopped just outside, slightly larger ones
 # lie inside.
@@ -36,8 +35,7 @@ def lipsdp_ball(
     network: Network, scalar_centre: bool = False
 ) -> tuple[Float[np.ndarray, "k m"], float]:
     """Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any centre or
-    (`scalar_centre`) of
-    those that are `alpha I`. Refuses as above.
+    (`scalar_centre`) of those that are `alpha I`. Refuses as above.
     """
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]

@@ -74,8 +74,7 @@ def bound_facts(model: Any) -> dict[str, Any]:
     below).
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
-    neurons. One that
-    integrates has no Hankel values.
+    neurons. One that integrates has no Hankel values.
     """
     facts = dict[str, Any]()
     bounds = {

@@ -31,12 +31,10 @@ class Network:
     """`N(v) = W_{L+1} d_L,  d_l = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
 
     Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations
-    at zero; here the
-    subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L = len(biases)` layers
-    of `leaky_relu`,
-    each neuron with its own slopes. Shapes: `weights[l] (h_{l+1}, h_l)`, one more of them than of
-    `biases[l]`,
-    `negative_slopes[l]` and `positive_slopes[l] (h_{l+1},)`.
+    at zero; here the subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L =
+    len(biases)` layers of `leaky_relu`, each neuron with its own slopes. Shapes: `weights[l]
+    (h_{l+1}, h_l)`, one more of them than of `biases[l]`, `negative_slopes[l]` and
+    `positive_slopes[l] (h_{l+1},)`.
     """
 
     weights: tuple[Float[np.ndarray, "_ _"], ...]
@@ -162,10 +160,9 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
     channel.
 
     Between break points the network is affine; sorting them and listing the pieces gives all
-    slopes. Weights are
-    floats, hence dyadic rationals: slopes and offsets are integers over one power of two per layer,
-    and only the break
-    points are fractions. Nothing is rounded. It corrects the lower bound of [Z26] (docs/theory.md).
+    slopes. Weights are floats, hence dyadic rationals: slopes and offsets are integers over one
+    power of two per layer, and only the break points are fractions. Nothing is rounded. It corrects
+    the lower bound of [Z26] (docs/theory.md).
     """
     last, bits = _integers(network.weights[-1])
     values = [
@@ -259,8 +256,7 @@ def inverse_of(portable: PortableMap) -> Inverse | None:
     strictly monotone.
 
     A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
-    Source:
-    docs/theory.md, "With neurons".
+    Source: docs/theory.md, "With neurons".
     """
     gain = portable.linear
     if portable.network is None:

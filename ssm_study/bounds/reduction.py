@@ -14,8 +14,7 @@ class Reduction:
     conf/reduction/balanced.yaml.
 
     `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates
-    that floats do not
-    hold. `absorb` is `SSM.absorbed`, done first.
+    that floats do not hold. `absorb` is `SSM.absorbed`, done first.
     """
 
     balanced: bool = True

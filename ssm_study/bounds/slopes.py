@@ -106,8 +106,7 @@ def interval_bound(network: Network) -> SlopeBound:
     ... Phi_1 W_1`.
 
     So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
-    Refuses a network
-    that is not square. Source: Moore 1966 (interval arithmetic).
+    Refuses a network that is not square. Source: Moore 1966 (interval arithmetic).
     """
     shape = (network.outputs, network.inputs)
     problem = "a ball around alpha I needs as many outputs as inputs"
@@ -138,8 +137,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
     [Z26] section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map,
-    yet the product is
-    positive. Neither says where the Jacobians lie: figures to print, never to certify with.
+    yet the product is positive. Neither says where the Jacobians lie: figures to print, never to
+    certify with.
     """
     lower = upper = 1.0
     for weight in network.weights:
@@ -157,8 +156,8 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
     """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
 
     Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
-    or the narrower of
-    LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is not square.
+    or the narrower of LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is
+    not square.
     """
     shape = (scaffold.outputs, scaffold.inputs)
     require(

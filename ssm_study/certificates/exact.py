@@ -1,9 +1,8 @@
 """The verdict on a certificate: exact arithmetic on the stored floats, no tolerance anywhere.
 
 By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
-and where `BITS` do
-not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The verdict". Source:
-Johansson 2017 (Arb).
+and where `BITS` do not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The
+verdict". Source: Johansson 2017 (Arb).
 """
 
 from typing import Any

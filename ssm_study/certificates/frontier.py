@@ -31,8 +31,8 @@ class Frontier:
     """A certificate exists for every `rate < rate_limit`, and for none from there on.
 
     `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above
-    one (a negative
-    `rate_limit`) nothing is certifiable at all. `decided_by` names what sets the limit.
+    one (a negative `rate_limit`) nothing is certifiable at all. `decided_by` names what sets the
+    limit.
     """
 
     contraction_limit: float
@@ -48,8 +48,7 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     (`problem.dual`).
 
     With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
-    attain. Raises
-    `BadRequest` for matrices that are not finite.
+    attain. Raises `BadRequest` for matrices that are not finite.
     """
     if isinstance(system, StateSpace):
         return frontier(system.a, system.b, ball)
@@ -66,9 +65,8 @@ def frontier(
     """Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
-    input does not reach
-    keep theirs. In between several inputs need a scalar search within closed-form brackets, which
-    meet for one input.
+    input does not reach keep theirs. In between several inputs need a scalar search within
+    closed-form brackets, which meet for one input.
     """
     for label, matrix in (("a", a), ("b", b)):
         require(
@@ -151,8 +149,7 @@ def largest_energy(
     reach.
 
     Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
-    has orthogonal
-    coordinates of it, so no eigenvector basis is ever inverted.
+    has orthogonal coordinates of it, so no eigenvector basis is ever inverted.
     """
     edge = contraction * (1 + ON_CIRCLE)
     t, z, order = scipy.linalg.schur(
@@ -172,8 +169,7 @@ def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
     """The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
 
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
-    one whose r lies
-    between its neighbours, and the largest candidate is that one.
+    one whose r lies between its neighbours, and the largest candidate is that one.
     """
     with np.errstate(divide="ignore"):
         logs = (np.log(ratio) + np.cumsum(np.log(moduli))) / np.arange(1, len(moduli) + 1)

@@ -64,10 +64,9 @@ class Problem:
     ball.
 
     Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`,
-    symmetric:
-    `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate outside (0, 1) or
-    matrices that are
-    not finite. A ball that holds zero admits analysis only: `design.DesignAttempt` refuses it.
+    symmetric: `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate
+    outside (0, 1) or matrices that are not finite. A ball that holds zero admits analysis only:
+    `design.DesignAttempt` refuses it.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -132,8 +131,7 @@ class Solution:
     `sigma`.
 
     With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an
-    observer injects;
-    `logs` is where a search over multipliers ended.
+    observer injects; `logs` is where a search over multipliers ended.
     """
 
     p: Float[np.ndarray, "n n"]

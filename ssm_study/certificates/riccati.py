@@ -46,10 +46,10 @@ def doubled(a: Square, g: Square, q: Square) -> Square | None:
     """The stabilising S of `S = A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None
     without a limit.
 
-    From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`,
-    `G' = G + A (I + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S,
-    quadratically. A few matrix
-    products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004, Algorithm 2.1.
+    From `H = Q` each step squares the closed-loop matrix: `A' = A (I + G H)^{-1} A`, `G' = G + A (I
+    + G H)^{-1} G A^T`, `H' = H + A^T H (I + G H)^{-1} A`; H converges to S, quadratically. A few
+    matrix products a step instead of a QZ decomposition. Source: Chu, Fan, Lin & Wang 2004,
+    Algorithm 2.1.
     """
     n = len(a)
     h = q
@@ -83,8 +83,7 @@ def least_metric(
     for a given gain.
 
     Solved for `z`, where `x = right z`, `z = left x`; `Ah_K = Ah + alpha Bh K`, `E = slack I`.
-    Raises `NoSolution` if
-    floats find none.
+    Raises `NoSolution` if floats find none.
     """
     b = left @ problem.b / contraction
     k = k @ right

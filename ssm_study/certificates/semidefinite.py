@@ -13,9 +13,8 @@ from jaxtyping import Float
 from ssm_study.certificates.problem import NoSolution, symmetric
 
 # SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact
-# verdict decides.
-# Clarabel's supernodal factorisation is ten times faster than its default from order 28, and no
-# slower below.
+# verdict decides. Clarabel's supernodal factorisation is ten times faster than its default from
+# order 28, and no slower below.
 SOLVERS: dict[str, dict[str, Any]] = {
     "CLARABEL": {"direct_solve_method": "faer", "max_threads": 1},
     "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0},
@@ -53,9 +52,8 @@ def largest_mismatch(
     `INSIDE_LARGEST` of s.
 
     In coordinates where every signal has unit size while all slopes are one half: the loop's own
-    Gramian. Raises
-    `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop that does not rest
-    at these slopes.
+    Gramian. Raises `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop
+    that does not rest at these slopes.
     """
     (order, width), m, enter = (
         loop.shape,

@@ -2,10 +2,9 @@
 and verified.
 
 A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
-stores, its
-`conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers (floats, exact
-ones, a solver's
-expressions) is for the caller to say. How floats are decided: docs/theory.md, "The verdict".
+stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers
+(floats, exact ones, a solver's expressions) is for the caller to say. How floats are decided:
+docs/theory.md, "The verdict".
 """
 
 import importlib
@@ -96,8 +95,8 @@ class VerificationContext:
     """What a verifier derives from `model.json` by itself, beside which a certificate is held.
 
     `system` is the model's recurrence and `controlled` what the state feedback acts on (with
-    integral action another);
-    `gains` are those of the parts that stand beside this one in the file, by their letter.
+    integral action another); `gains` are those of the parts that stand beside this one in the file,
+    by their letter.
     """
 
     system: Any
@@ -112,11 +111,9 @@ class Theorem(ABC):
     them.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
-    eigenvalue of the first
-    condition scaled to a unit diagonal, `condition` that of the metric's matrix scaled likewise. A
-    class that is not
-    declared `abstract=True` and leaves a question open is refused with a `TypeError` that names it,
-    when it is defined.
+    eigenvalue of the first condition scaled to a unit diagonal, `condition` that of the metric's
+    matrix scaled likewise. A class that is not declared `abstract=True` and leaves a question open
+    is refused with a `TypeError` that names it, when it is defined.
     """
 
     alpha: float

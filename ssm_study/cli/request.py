@@ -61,8 +61,7 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     """The request, composed; refused are foreign targets, Hydra's own section included.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
-    first.
-    Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
+    first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
     """
     request = Command(arguments, folder, name)
     refuse_no_choices(request)

@@ -39,10 +39,8 @@ def assemble(
     """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`.
 
     `parts` are training, validation and test, `told` the other fields of the data set. Raises
-    `BadRequest` for a part
-    without records, differing sampling times, a record no longer than the start-up window, or a
-    channel that is
-    constant over the training records.
+    `BadRequest` for a part without records, differing sampling times, a record no longer than the
+    start-up window, or a channel that is constant over the training records.
     """
     named: dict[str, Any] = {}
     for part, records in zip(("training", "validation", "test"), parts, strict=True):

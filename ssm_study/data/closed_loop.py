@@ -2,13 +2,10 @@
 it.
 
 A fit from the one to the other takes the controller for part of the plant where noise is slow. What
-the set point r
-explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`; the model is
-fitted to `u_r` and y
-(two stages). F has `LAGS` samples, by which the input's answer must be over; of a nonlinear plant
-it is the best linear
-part. Of a PI `u = u_eq + gain (e + i)`, `e = r - y`, r is `y + e`.
-Source: Van den Hof & Schrama, Automatica 29 (1993) 1523-1527.
+the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`;
+the model is fitted to `u_r` and y (two stages). F has `LAGS` samples, by which the input's answer
+must be over; of a nonlinear plant it is the best linear part. Of a PI `u = u_eq + gain (e + i)`, `e
+= r - y`, r is `y + e`. Source: Van den Hof & Schrama, Automatica 29 (1993) 1523-1527.
 """
 
 from collections.abc import Sequence

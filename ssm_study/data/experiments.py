@@ -31,9 +31,8 @@ class RecordedExperiments(AroundRest):
     """`training`, `validation` and `test` recordings, with paths relative to a folder.
 
     `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see
-    `data.metrics.SCORES`. A `fold` is
-    held out of every training recording and scored in place of `test`, whose files are then not
-    opened.
+    `data.metrics.SCORES`. A `fold` is held out of every training recording and scored in place of
+    `test`, whose files are then not opened.
     """
 
     benchmark: str

@@ -1,11 +1,9 @@
 """MCAP recordings: one protobuf message per sample and topic, log times from the sampling clock.
 
 Groups below one name on one clock share a topic: `/case_0/input` and `/case_0/output` are the
-fields `input` and
-`output` of `/case_0`. A message takes 16 bytes of index and a head, so this halves a recording and
-its time to write.
-Read back to the same groups and numbers: every checksum is verified, so a flipped bit is an error
-and not a number.
+fields `input` and `output` of `/case_0`. A message takes 16 bytes of index and a head, so this
+halves a recording and its time to write. Read back to the same groups and numbers: every checksum
+is verified, so a flipped bit is an error and not a number.
 """
 
 import json
@@ -80,10 +78,8 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     """Write the groups to a new file at `path`, beside it first and moved there when complete.
 
     Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in
-    the channel metadata
-    as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata` (plant, seed, ...) in a
-    metadata record.
-    Raises `BadRequest` for two groups on one topic.
+    the channel metadata as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata`
+    (plant, seed, ...) in a metadata record. Raises `BadRequest` for two groups on one topic.
     """
     topics = [group.topic for group in groups]
     require(

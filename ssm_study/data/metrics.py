@@ -70,8 +70,7 @@ def position_rmse_mm(
     position `q[s]`.
 
     The recorded velocity is the position's backward difference, so its running sum is the measured
-    position exactly;
-    `s` is the last start-up sample. Velocities in m/s.
+    position exactly; `s` is the last start-up sample. Velocities in m/s.
     """
     kept = slice(start_up_samples, None)
     drift = np.cumsum(velocity_hat[kept] - record.y[kept]) * record.step_s
@@ -121,8 +120,7 @@ def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
     row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
-    al. 2005). Judged on
-    the first 2000 samples.
+    al. 2005). Judged on the first 2000 samples.
     """
     u = u[:SAMPLES_FOR_ORDER] - u.mean(axis=0)
     order = 0

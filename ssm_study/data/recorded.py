@@ -47,8 +47,8 @@ class AroundRest(RecordedSource):
     channel, as given.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
-    starts at rest.
-    `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces of every record.
+    starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
+    of every record.
     """
 
     fold: int | None = None
@@ -91,12 +91,10 @@ class AroundRest(RecordedSource):
 class RecordedData(Columns, AroundRest):
     """Logs of one system, each cut into training, validation and test (`data.splits`).
 
-    The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated periods where every
-    log is made of such
-    (`splits.periodic_segments`), although they train, too. Of logs made in a closed loop, where `reference`
-    or `controller` is
-    told, the input is what the set point makes of it (`closed_loop`). The settings:
-    conf/data/recorded.yaml.
+    The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated
+    periods where every log is made of such (`splits.periodic_segments`), although they train, too.
+    Of logs made in a closed loop, where `reference` or `controller` is told, the input is what the
+    set point makes of it (`closed_loop`). The settings: conf/data/recorded.yaml.
     """
 
     path: Names

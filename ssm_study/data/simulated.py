@@ -2,10 +2,9 @@
 apart.
 
 A few more records are for one purpose only: how far the plant is from its model where the loop will
-take it. No fit
-uses them. An excitation at full amplitude, held for some samples at a time, says little of what
-happens near rest,
-above its own band, or from where the loop starts. Source: docs/trust.md.
+take it. No fit uses them. An excitation at full amplitude, held for some samples at a time, says
+little of what happens near rest, above its own band, or from where the loop starts. Source:
+docs/trust.md.
 """
 
 from dataclasses import dataclass
@@ -51,9 +50,8 @@ class SimulatedData:
     record is noise-free.
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
-    excitation is, so
-    that runs compare. Every record of the three parts starts at the plant's equilibrium; `trials`
-    are for the mismatch.
+    excitation is, so that runs compare. Every record of the three parts starts at the plant's
+    equilibrium; `trials` are for the mismatch.
     """
 
     trajectories: int

@@ -122,8 +122,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     each repeats itself.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
-    noise. Nothing of a log
-    that moves otherwise, too: a few equal pulses would stand for all that it shows.
+    noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
+    it shows.
     """
     rests = _rests(record, first=True)
     between = [record[(a + b) // 2 : end] for (a, b), (_, end) in pairwise(rests)]

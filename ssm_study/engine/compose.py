@@ -2,10 +2,8 @@
 jobs with it.
 
 Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
-of a second each.
-Here the request is composed once, and so are all jobs that differ in plain values only
-(`model.order=8`): those are put
-into copies. A test compares both with Hydra's own.
+of a second each. Here the request is composed once, and so are all jobs that differ in plain values
+only (`model.order=8`): those are put into copies. A test compares both with Hydra's own.
 """
 
 import re
@@ -66,8 +64,7 @@ class Command(Hydra):
     `folder`.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before
-    Hydra makes the
-    callbacks, the launcher and the sweeper that it names.
+    Hydra makes the callbacks, the launcher and the sweeper that it names.
     """
 
     def __init__(self, arguments: list[str], folder: Path, name: str) -> None:

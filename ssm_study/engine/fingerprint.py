@@ -1,14 +1,11 @@
 """What a result depends on, read from the sources: never from a list that somebody keeps.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these
-use, followed
-through imports anywhere in a file. Sources are compared as syntax trees, without comments,
-docstrings and layout;
-libraries by the version of their distribution; a package used as a whole (`from room import
-readers`) file by file.
-What is named by strings at run time (`getattr(module, name)`, entry points) is not seen: a class
-that a configuration
-names by `_target_` is therefore a root of its own.
+use, followed through imports anywhere in a file. Sources are compared as syntax trees, without
+comments, docstrings and layout; libraries by the version of their distribution; a package used as a
+whole (`from room import readers`) file by file. What is named by strings at run time
+(`getattr(module, name)`, entry points) is not seen: a class that a configuration names by
+`_target_` is therefore a root of its own.
 
 What a file says is kept in the user's cache by its content: reading 300 syntax trees takes four
 seconds.

@@ -87,8 +87,7 @@ class Processes(Launcher):
     not notice.
 
     `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the
-    cores. With
-    `fail_fast` none is begun after the first failure.
+    cores. With `fail_fast` none is begun after the first failure.
     """
 
     n_jobs: int | None

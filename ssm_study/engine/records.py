@@ -18,8 +18,7 @@ READABLE = (1, 2)  # 1: before version 0.2.0; any other is not ours to interpret
 LOCK = ".lock"
 LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the
-# lock) and
-# `corrupt` (the file is not what was written).
+# lock) and `corrupt` (the file is not what was written).
 RUNNING = "running"
 OK = "ok"
 INFEASIBLE = "infeasible"

@@ -30,8 +30,7 @@ FINISHED = frozenset({OK, INFEASIBLE})
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     """How a run stands after `execute`: `did` is one of `ran`, `found` (finished before), `left`
-    (failed before and not
-    asked to retry), `elsewhere` (another process is at it)."""
+    (failed before and not asked to retry), `elsewhere` (another process is at it)."""
 
     folder: Path
     status: str
@@ -74,12 +73,10 @@ def execute(
     failed.
 
     `work` returns further facts; `status` among them may be `infeasible` (default `ok`).
-    `parameters` are in the record
-    from the start. `configuration` maps file names to text, written below `.hydra/`; `provenance`
-    is who computes. An
-    exception becomes a `failed` record with `traceback.txt`; only being stopped (KeyboardInterrupt,
-    SIGTERM, a
-    scheduler's time limit) is raised on, leaving a run that the same command takes up again.
+    `parameters` are in the record from the start. `configuration` maps file names to text, written
+    below `.hydra/`; `provenance` is who computes. An exception becomes a `failed` record with
+    `traceback.txt`; only being stopped (KeyboardInterrupt, SIGTERM, a scheduler's time limit) is
+    raised on, leaving a run that the same command takes up again.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / LOCK, PATIENCE_S) as mine:
@@ -182,9 +179,8 @@ def _run(
 
 def _stopped_by_scheduler(error: BaseException) -> bool:
     """Whether it was raised by what submitit does on the signal before a time limit: the job is
-    queued again, or the
-    last of its attempts is over; the run is then `lost`, which the next attempt or the same command
-    takes up."""
+    queued again, or the last of its attempts is over; the run is then `lost`, which the next
+    attempt or the same command takes up."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 

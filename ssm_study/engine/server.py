@@ -22,8 +22,7 @@ from typing import NoReturn
 from ssm_study.refusal import BadRequest
 
 # For mallopt: thresholds of mmap and trim, padding. Large tensors then stay in the process instead
-# of going back to the
-# system at every step: 1.6-2.2 times faster.
+# of going back to the system at every step: 1.6-2.2 times faster.
 ALLOCATOR = ((-3, 2**31 - 1), (-1, 2**31 - 1), (-2, 64 << 20))
 PR_SET_PDEATHSIG = 1
 MADV_COLLAPSE = 25

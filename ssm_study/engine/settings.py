@@ -1,8 +1,7 @@
 """The settings of a run as plain containers, their one text, and the names that follow from it.
 
 A stage is called by the SHA-256 of all that its result depends on, a run by that of its
-configuration: so every
-launcher, today and tomorrow, finds it in the same folder.
+configuration: so every launcher, today and tomorrow, finds it in the same folder.
 """
 
 import hashlib
@@ -121,9 +120,8 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
     of the settings.
 
     `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
-    out,
-    and so is a part of the settings that is null: it adds nothing to what a run is.
-    Ten hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
+    out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
+    hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
     """
     identity = {
         key: value for key, value in plain(config, NOT_IDENTITY).items() if value is not None

@@ -2,8 +2,7 @@
 and kept.
 
 The key of a result is written by nobody: it follows from the settings of its parts, the stages
-before it and the code
-of its functions.
+before it and the code of its functions.
 """
 
 from abc import ABC, abstractmethod
@@ -33,11 +32,9 @@ class Stage(Generic[T]):
     hold.
 
     `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
-    computes nothing
-    again. `before` are the values of earlier stages. `compute` may return the value, to save
-    reading it back at once:
-    it must be what `read` gives, to the last bit. `files` are those that belong into the run folder
-    as well.
+    computes nothing again. `before` are the values of earlier stages. `compute` may return the
+    value, to save reading it back at once: it must be what `read` gives, to the last bit. `files`
+    are those that belong into the run folder as well.
     """
 
     name: str
@@ -101,8 +98,7 @@ class Stages(ABC):
         that is None).
 
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
-        plan has no files,
-        so values may be asked for only inside the functions of a stage.
+        plan has no files, so values may be asked for only inside the functions of a stage.
         """
         computed: list[T] = []
 

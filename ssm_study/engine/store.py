@@ -33,10 +33,8 @@ class Store(Stages):
     each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
-    renamed. Only one
-    process computes a key at a time (flock). Where the lock does not reach from node to node, two
-    may compute the same
-    content: the first rename wins.
+    renamed. Only one process computes a key at a time (flock). Where the lock does not reach from
+    node to node, two may compute the same content: the first rename wins.
     """
 
     root: Path
@@ -155,10 +153,8 @@ def seal_folder(
     folder durable.
 
     `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
-    sealed. A manifest
-    that was cut short seals nothing, so it needs no replacing; what makes the folder count comes
-    after it (the rename
-    of a stage, the record of a run).
+    sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
+    folder count comes after it (the rename of a stage, the record of a run).
     """
     paths = sorted(path for path in folder.rglob("*") if path.relative_to(folder) != Path(MANIFEST))
     files = {

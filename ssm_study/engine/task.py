@@ -35,9 +35,8 @@ class Task(ABC, Generic[R]):
     went.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
-    `retry_failed`
-    and `dry_run`; all others are the task's own. `libraries` are the distributions whose versions a
-    record notes.
+    `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
+    whose versions a record notes.
     """
 
     libraries: tuple[str, ...] = ()

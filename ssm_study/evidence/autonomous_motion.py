@@ -1,8 +1,7 @@
 """Does the output follow from the input, or from where it is? A limit cycle's phase is in no input.
 
 Where the input decides, a piece of a log is predicted as well from the log's beginning as from the
-piece's own
-estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
+piece's own estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
 """
 
 import numpy as np
@@ -37,9 +36,8 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
     behind others.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
-    beginning of the log.
-    Means are taken off, for an integrator keeps an offset. None where no piece lies behind another
-    of its log.
+    beginning of the log. Means are taken off, for an integrator keeps an offset. None where no
+    piece lies behind another of its log.
     """
     powers = []
     skip = case.data.start_up_samples

@@ -1,12 +1,9 @@
 """Was the log made in a closed loop? There, what is new in the output is found again in the input.
 
 `v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with
-feedback `v` predicts a
-share of `w`, fitted to one half of each record and scored on the other. A reference's steps are new
-in the input too,
-and large: `w` is clipped. What hides a loop: docs/trust.md. Source: Caines & Chan, IEEE Trans.
-Automatic
-Control 20 (1975) 498-508.
+feedback `v` predicts a share of `w`, fitted to one half of each record and scored on the other. A
+reference's steps are new in the input too, and large: `w` is clipped. What hides a loop:
+docs/trust.md. Source: Caines & Chan, IEEE Trans. Automatic Control 20 (1975) 498-508.
 """
 
 import math
@@ -25,9 +22,8 @@ PAST = 20
 OUTPUTS = 4  # samples of the input's own past, and of the output's
 CLIPPED = 4.4  # median sizes of w: three standard deviations of a normal one
 # Shares of w: from earlier outputs, and with the present one, which an input may reach before it is
-# read. Of records at
-# hand 0.01 and 0.07 at most in open loop, 0.08 and 0.11 in EMPS; of drawn PI loops 95 % above 0.05
-# and 0.23.
+# read. Of records at hand 0.01 and 0.07 at most in open loop, 0.08 and 0.11 in EMPS; of drawn PI
+# loops 95 % above 0.05 and 0.23.
 EARLIER = 0.05
 PRESENT = 0.12
 FORESEEN = (
@@ -44,8 +40,8 @@ LAGS = (3, 5, 8)
 UNSTABLE = 1.01
 ALIKE = 0.02  # models that must agree on a mode outside the circle
 # By what a mode must grow over all samples, as a logarithm: `T (rho - 1)` of an integrator of noise
-# alone is more once
-# in a hundred. Source: Fuller, Introduction to Statistical Time Series (1976), table 8.5.1.
+# alone is more once in a hundred. Source: Fuller, Introduction to Statistical Time Series (1976),
+# table 8.5.1.
 GROWTH = 2.03
 # Standard errors by which growth must follow from the output itself, beside any static map of the
 # input: motors with a dead zone reach 2.5, plants that run away with little noise 5.9 and more.
@@ -127,8 +123,7 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
     """Whether models of three lengths agree on a mode that grows.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
-    `GROWTH`. A loop's noise
-    moves it either way, so that only `UNSTABLE` is clear.
+    `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
     modes = [own_mode(data if closed else whole, lags) for lags in LAGS]

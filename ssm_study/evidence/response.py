@@ -2,10 +2,9 @@
 frequencies it shows.
 
 Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear
-filter of the inputs
-explains. Dead time: the first lag of the impulse response that is clearly not zero, where those
-before it clearly are.
-Source: Ljung, System Identification, 2nd ed. (1999) sections 6.4 and 14.3.
+filter of the inputs explains. Dead time: the first lag of the impulse response that is clearly not
+zero, where those before it clearly are. Source: Ljung, System Identification, 2nd ed. (1999)
+sections 6.4 and 14.3.
 """
 
 from collections.abc import Iterator, Sequence

@@ -2,11 +2,9 @@
 experiment".
 
 With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] = ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <=
-r_c d[k] + c e[k]`
-and Theorem 2 `e[k+1] <= r_o e[k]`. With limited inputs the certificate of
-`theorems/limited_input.py` takes the state
-feedback's place. Source: [Z26] Lemma 1 and Theorem 3, with the constant made explicit
-(`input_gain`).
+r_c d[k] + c e[k]` and Theorem 2 `e[k+1] <= r_o e[k]`. With limited inputs the certificate of
+`theorems/limited_input.py` takes the state feedback's place. Source: [Z26] Lemma 1 and Theorem 3,
+with the constant made explicit (`input_gain`).
 """
 
 from itertools import product
@@ -75,8 +73,8 @@ def input_gain(feedback: StateFeedback, observer: Observer) -> float:
     on the estimate.
 
     S runs over the neurons' slopes: the norm is convex in them, so that the corners decide; above
-    `MOST_NEURONS` it is
-    bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`. Source: docs/theory.md, "With neurons".
+    `MOST_NEURONS` it is bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`. Source:
+    docs/theory.md, "With neurons".
     """
     into = rooted(feedback.p, feedback.b)  # M^{1/2} B
     if not isinstance(feedback, StructuredStateFeedback):
@@ -107,8 +105,8 @@ def decay_rate(
     of its start.
 
     The slowest case; on the model `e[k+1] <= r_o e[k]`, so it is at least the certified
-    `observer.rate`. Cases that do
-    not get there are taken to the end; None if the estimate is exact from the start.
+    `observer.rate`. Cases that do not get there are taken to the end; None if the estimate is exact
+    from the start.
     """
     e = distances(x, x_hat, feedback, observer)[1]
     e = e[e[:, 0] > 0]
@@ -122,8 +120,8 @@ def excess(
     is certified.
 
     `b[k]` is the bound above plus `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0`
-    the value is 0. `M`
-    belongs to state and integrators, `Q` to the state. None if all cases start at 0.
+    the value is 0. `M` belongs to state and integrators, `Q` to the state. None if all cases start
+    at 0.
     """
     d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
     samples = x_hat.shape[1]

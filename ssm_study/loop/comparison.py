@@ -28,8 +28,8 @@ class Comparison(ComparisonTable):
     """Every controller in every situation; one row each: docs/closed_loop.md, "Robustness".
 
     `load`, in the unit of the plant's first disturbance, begins at a third of the horizon;
-    `load_pulse` ends at half of
-    it. What a plant cannot show (no disturbance, no fields) is left out.
+    `load_pulse` ends at half of it. What a plant cannot show (no disturbance, no fields) is left
+    out.
     """
 
     controllers: Sequence[str] = field(default_factory=lambda: tuple(Peer.members(peers)))

@@ -1,8 +1,7 @@
 """What closes the loop: a law from measured outputs to held inputs, batched over cases.
 
 A controller is a discrete-time system of its own. Its memory is one array `(N, s)`, so a thousand
-cases step together
-and nothing is hidden in an object.
+cases step together and nothing is hidden in an object.
 """
 
 # ruff: noqa: ARG002 - every law is shown everything; some need less
@@ -38,9 +37,8 @@ class Controller(ABC):
     target[k])`.
 
     `u` and `y` are in physical units. `targets` turns a reference into whatever the law follows at
-    each sample, once,
-    before the loop runs. Law: the same memory and measurement give the same input, row by row,
-    whatever the batch.
+    each sample, once, before the loop runs. Law: the same memory and measurement give the same
+    input, row by row, whatever the batch.
     """
 
     step_s: float  # the sampling time the law was designed for
@@ -99,10 +97,8 @@ class EstimateFeedback(Controller):
     its output.
 
     With neurons `L_z (yh - y) / s_y` is added inside them. `L (n, p)` and `L_z` act in the model's
-    scaled units, as `K`
-    does; the memory is as wide as K. The input of sample k does not wait for the measurement of
-    sample k. By default
-    the law follows rest points `(x*, u*)`.
+    scaled units, as `K` does; the memory is as wide as K. The input of sample k does not wait for
+    the measurement of sample k. By default the law follows rest points `(x*, u*)`.
     """
 
     model: Model
@@ -140,12 +136,10 @@ class ObserverFeedback(EstimateFeedback):
     Theorem 3).
 
     A target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
-    pair of gains for
-    each case, stacked: such a law brings to rest only. With a wider K there is an internal model,
-    `z+ = A_z z +
-    E (y - y*) / s_y`; no error enters it while a limit keeps the input from what was asked
-    (`systems.frozen_modes`).
-    With `inverse` the scaled input is `S_u^{-1}(S_u(u*) + K ...)` in either law.
+    pair of gains for each case, stacked: such a law brings to rest only. With a wider K there is an
+    internal model, `z+ = A_z z + E (y - y*) / s_y`; no error enters it while a limit keeps the
+    input from what was asked (`systems.frozen_modes`). With `inverse` the scaled input is
+    `S_u^{-1}(S_u(u*) + K ...)` in either law.
     """
 
     def __post_init__(self) -> None:

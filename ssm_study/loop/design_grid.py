@@ -37,12 +37,10 @@ class DesignGrid(ComparisonTable):
     if any, as row 0.
 
     A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the
-    model, and what the
-    true plant did over the run's own horizon: `stable_count` of `initial_conditions` with and
-    without measurement noise
-    (`stable_count_noise_free` is the one to judge by where noise alone crosses the band), settling
-    times, cases that
-    left the bound, and what the noise-free ones that do not settle do.
+    model, and what the true plant did over the run's own horizon: `stable_count` of
+    `initial_conditions` with and without measurement noise (`stable_count_noise_free` is the one to
+    judge by where noise alone crosses the band), settling times, cases that left the bound, and
+    what the noise-free ones that do not settle do.
     """
 
     designs: int = 150

@@ -29,9 +29,8 @@ class IdentifiedPlant(Plant):
     nothing of mismatch.
 
     The state is the model's (scaled), `u` and `y` are physical; `d (m)` disturbs the recurrence's
-    scaled input.
-    Raises `BadRequest` for a model with feedthrough: the loop reads the output before the input
-    acts.
+    scaled input. Raises `BadRequest` for a model with feedthrough: the loop reads the output before
+    the input acts.
     """
 
     model: Model
@@ -143,9 +142,9 @@ class LoopRuns:
     and the model.
 
     `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
-    output's unit.
-    `noise_free`: without measurement noise, where that alone crosses the band; settling is then
-    judged on it. `quiet`: without measurement noise, whatever it does; None where there is none.
+    output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
+    settling is then judged on it. `quiet`: without measurement noise, whatever it does; None where
+    there is none.
     """
 
     controlled: Rollouts
@@ -176,10 +175,9 @@ class Loop:
     `horizon_s` seconds.
 
     The fields are explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
-    the output's unit
-    squared. The bound counts from the equilibrium and is wider by the largest offset of the
-    reference. `comparison` is
-    a table the run leaves beside its record, `comparison.csv`.
+    the output's unit squared. The bound counts from the equilibrium and is wider by the largest
+    offset of the reference. `comparison` is a table the run leaves beside its record,
+    `comparison.csv`.
     """
 
     initial_conditions: int = 10

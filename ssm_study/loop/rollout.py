@@ -13,8 +13,7 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 
 # An estimate (scaled), or an input in the plant's own amplitudes from rest, beyond this counts as
-# having left the
-# bound: the plant may saturate while the estimate grows without end.
+# having left the bound: the plant may saturate while the estimate grows without end.
 LARGEST_SIGNAL = 1e6
 STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
@@ -31,12 +30,10 @@ class Rollouts:
     Physical units.
 
     `y` is the true output, `measured` what the controller saw, `estimate` its state estimate (the
-    model's scaled
-    state, width 0 if it has none). A case that leaves `|y - y_eq| <= bound` is stopped there:
-    `left_at_sample` says
-    when (`STAYED` if never), and from then on its signals repeat the last values inside the bound.
-    One that starts
-    outside repeats its start, with the input at rest: none was applied.
+    model's scaled state, width 0 if it has none). A case that leaves `|y - y_eq| <= bound` is
+    stopped there: `left_at_sample` says when (`STAYED` if never), and from then on its signals
+    repeat the last values inside the bound. One that starts outside repeats its start, with the
+    input at rest: none was applied.
     """
 
     step_s: float
@@ -192,9 +189,8 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
     the end.
 
     None if there is no such time, or if less than `DWELL` of the horizon follows it. `band` in the
-    output's unit. A
-    case that left the bound never settles, whatever it did before; one that is in the band
-    throughout settles in 0.
+    output's unit. A case that left the bound never settles, whatever it did before; one that is in
+    the band throughout settles in 0.
     """
     outside = (np.abs(rollouts.y - rollouts.reference) > band).any(axis=2)
     samples = outside.shape[1]
@@ -259,9 +255,8 @@ def overshoots(rollouts: Rollouts, band: float) -> Float[np.ndarray, "N"]:
     the start`.
 
     The start is the last step of the reference; the worst channel counts. Only excursions beyond
-    the band count: within
-    it, the measurement noise that the controller passes on decides. Zero for cases that start
-    within the band.
+    the band count: within it, the measurement noise that the controller passes on decides. Zero for
+    cases that start within the band.
     """
     error = (rollouts.y - rollouts.reference)[:, last_step(rollouts.reference) :]
     start = error[:, :1]
@@ -275,10 +270,8 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
     the band.
 
     The median over all pairs of cases that start more than twice the band apart; in the convention
-    of `rate_controller`
-    (distances shrink by `sqrt(1 - rate)`), so the two compare. Pairs that never come within the
-    band are taken to the
-    end of the horizon. None without such pairs.
+    of `rate_controller` (distances shrink by `sqrt(1 - rate)`), so the two compare. Pairs that
+    never come within the band are taken to the end of the horizon. None without such pairs.
     """
     i, j = np.triu_indices(len(rollouts.y), k=1)  # each pair of cases once
     distance = np.linalg.norm(rollouts.y[i] - rollouts.y[j], axis=2)
@@ -305,8 +298,7 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
     measurements alone.
 
     `u_again` is cut at the limits that the controller knew of; an integrator replays its own hold
-    at a limit.
-    The memory advances by the recorded input, so that errors do not add up.
+    at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
     stayed = run.stayed
     targets = controller.targets(run.reference)

@@ -2,10 +2,9 @@
 come nearest.
 
 A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic
-tracking, then
-`u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3 for the law;
-Anderson & Moore
-(1990), Optimal Control: Linear Quadratic Methods, chapter 4, for tracking with a known reference.
+tracking, then `u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3
+for the law; Anderson & Moore (1990), Optimal Control: Linear Quadratic Methods, chapter 4, for
+tracking with a known reference.
 """
 
 from collections.abc import Callable
@@ -25,8 +24,7 @@ Vector = Float[np.ndarray, "_"]
 Reference = Float[np.ndarray, "T p"]
 Plan = Float[np.ndarray, "T t"]  # what is followed at each sample
 # Weight on the squared change of `v` per sample against the squared scaled tracking error: a step
-# is taken in a few
-# samples and not in one violent one.
+# is taken in a few samples and not in one violent one.
 SMOOTHNESS = 1.0
 IDLE_SHARE = 1e-9  # of the largest static gain: a direction of inputs below this moves no output
 NEWTON_STEPS = 100
@@ -43,8 +41,7 @@ def equilibrium(
     (physical unit).
 
     Returns `x*` and `u*`, both in scaled units. With more inputs than outputs the smallest
-    `S_u(u*)` is taken.
-    Raises `BadRequest` when no input holds that output.
+    `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
     """
     y_bar = inverse(model.scaffold_out, model.scale.scaled_output(y)[None])[0]
     n = model.order
@@ -81,15 +78,12 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     scaled units.
 
     Minimises `sum |y_bar[k] - y_bar*[k]|^2 + SMOOTHNESS |v[k] - v[k-1]|^2` from the model's
-    equilibrium; the whole
-    reference (output's unit) is known in advance, so the input moves before a step does. At rest it
-    gives zeros.
+    equilibrium; the whole reference (output's unit) is known in advance, so the input moves before
+    a step does. At rest it gives zeros.
 
     Preview tracking on `z = (x, v[k-1])` driven by `w = v[k] - v[k-1]`: `P` solves the Riccati
-    equation of that cost;
-    the reference enters through the backward sum `g[k] = (F - G K)^T g[k+1] - (H - D K)^T
-    target[k]`, started where a
-    reference held for ever would keep it.
+    equation of that cost; the reference enters through the backward sum `g[k] = (F - G K)^T g[k+1]
+    - (H - D K)^T target[k]`, started where a reference held for ever would keep it.
     """
     system, (n, m) = model.linear, model.linear.b.shape
     _, inputs, outputs = system.held()
@@ -134,10 +128,8 @@ def guided_trajectory(
     point in turn.
 
     `u* = us + K (x* - xs)` from the model's equilibrium, `(xs, us)` the rest point of the
-    reference's value: it gets
-    there at the certified rate; `law(us, K (x* - xs))` is the input where it is not the sum. A
-    reference at rest gives
-    zeros.
+    reference's value: it gets there at the certified rate; `law(us, K (x* - xs))` is the input
+    where it is not the sum. A reference at rest gives zeros.
     """
     points = set_points(model, reference)
     n = model.order

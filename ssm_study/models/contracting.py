@@ -8,9 +8,8 @@ Lambda = I` are
     chol(I + X'X)^{-T}
 
 for the LMI's Schur complement is `(F + E'A)' (2 I - E'E)^{-1} (F + E'A) = Gh'Gh < r^2 I - A'A`.
-Then F <- diag(d) F and
-E <- E diag(d)^{-1} with `d > 0` stand for `Lambda = diag(d)^{-2}`. `M = I` is a choice of
-coordinates.
+Then F <- diag(d) F and E <- E diag(d)^{-1} with `d > 0` stand for `Lambda = diag(d)^{-2}`. `M = I`
+is a choice of coordinates.
 """
 
 from typing import NamedTuple
@@ -72,8 +71,8 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
     """`d explicit` along `change`, whose leading axis counts directions.
 
     `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
-    dS L^{-T})`, low the
-    lower triangle with half its diagonal. The same rule gives `dR` of `R R' = 2 I - E'E`.
+    dS L^{-T})`, low the lower triangle with half its diagonal. The same rule gives `dR` of `R R' =
+    2 I - E'E`.
     """
     n = free.x_g.shape[1]
     root2 = np.sqrt(2.0)
@@ -112,9 +111,8 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
     average slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
-    F`, which is itself
-    pulled inside `rate` first: at the end of the path no neuron is left. Raises `BadRequest` where
-    floats hold none.
+    F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
+    `BadRequest` where floats hold none.
     """
     mean = (core.e * slope) @ core.f  # what the neurons add to A on average
     radius = float(np.abs(np.linalg.eigvals(core.a + mean)).max(initial=0.0))
@@ -141,10 +139,8 @@ def metric(core: Core, rate: float) -> Contracting | None:
     """M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
 
     With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
-    F/2)/r`,
-    `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns of its
-    largest entries over
-    the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
+    F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
+    of its largest entries over the frequencies (Osborne 1960), `2 M` solves the Riccati equation.
     """
     a = (core.a + core.e @ core.f / 2.0) / rate
     b = core.e / 2.0

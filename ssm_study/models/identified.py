@@ -167,12 +167,10 @@ class SSM(ScaffoldedModel):
         where that helps.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
-        then have Jacobians
-        around the identity. The theorems speak of a ball around `alpha I`; a rotation or a sign per
-        channel lies
-        outside it and would be refused, although the model is as controllable as any. What cannot
-        be absorbed stays
-        refused. Derivation: docs/theory.md, "The ball of Jacobians".
+        then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a
+        rotation or a sign per channel lies outside it and would be refused, although the model is
+        as controllable as any. What cannot be absorbed stays refused. Derivation: docs/theory.md,
+        "The ball of Jacobians".
         """
         linear = self.linear
         scaffold_in = self.scaffold_in

@@ -147,10 +147,9 @@ def initial_state(model: Any, record: Trajectory, samples: int) -> Float[np.ndar
     input reaches.
 
     W is that of the record's own lifted input over the record's length, so a state that the input
-    cannot reach is not
-    invented to fit the noise; a mode near the unit circle, whose Gramian over all time is singular,
-    does no harm. The
-    current sample's output error is linearised through the model and solved by Gauss-Newton.
+    cannot reach is not invented to fit the noise; a mode near the unit circle, whose Gramian over
+    all time is singular, does no harm. The current sample's output error is linearised through the
+    model and solved by Gauss-Newton.
     """
     lifted = model.lift(record.u)
     target = model.scale.scaled_output(record.y[:samples])

@@ -93,12 +93,10 @@ def from_data(
     its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
-    allowed; their modes,
-    pulled into the unit circle, then answer a thousandfold. A start whose free run is further from
-    the records than
-    zero is made again with as many lags as states; if that is no better, it is scaled to what it
-    explains.
-    Source: Ho & Kalman (1966); Juang & Pappa (1985) for the realisation.
+    allowed; their modes, pulled into the unit circle, then answer a thousandfold. A start whose
+    free run is further from the records than zero is made again with as many lags as states; if
+    that is no better, it is scaled to what it explains. Source: Ho & Kalman (1966); Juang & Pappa
+    (1985) for the realisation.
     """
     longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
     for lags in (longest, min(order, longest)):
@@ -223,10 +221,9 @@ class SSMSpec(ModelSpec):
     slope_upper]`.
 
     `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in
-    `ring_frequency`, `real_modes`
-    of them real. `slope_*` bound the scaffolding's own sector in scaled units; its gain lies in B
-    and C. The states of
-    `dead_time` (samples) come on top of the order.
+    `ring_frequency`, `real_modes` of them real. `slope_*` bound the scaffolding's own sector in
+    scaled units; its gain lies in B and C. The states of `dead_time` (samples) come on top of the
+    order.
     """
 
     gives_ssm: ClassVar[bool] = True

@@ -27,8 +27,7 @@ class Neuron(NamedTuple):
     for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
-    hardening, relu and
-    saturation the same with kinks. Source: docs/theory.md, "With neurons".
+    hardening, relu and saturation the same with kinks. Source: docs/theory.md, "With neurons".
     """
 
     value: Callable[[Values], Values]

@@ -180,8 +180,7 @@ def sensitivities(
     """`ybar`, and its derivatives by each of `BLOCKS`, flattened by rows.
 
     Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
-    unit; `x0` is the own
-    record's.
+    unit; `x0` is the own record's.
     """
     n, m = k.b.shape
     sizes = shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}

@@ -26,8 +26,7 @@ class Pieces:
     sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
-    the identity, which
-    has none.
+    the identity, which has none.
     """
 
     channels: int
@@ -76,8 +75,7 @@ class Pieces:
         """`S(v)`, its slope at v, and what each parameter does to the channel that it belongs to.
 
         `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
-        t_j lies
-        between 0 and v, negative where v < 0.
+        t_j lies between 0 and v, negative where v < 0.
         """
         if not self.knots:
             return v, np.ones_like(v), np.zeros((*v.shape[:-1], 0))
@@ -115,9 +113,8 @@ class StructuredSpec(ModelSpec):
     S_u(u)`.
 
     What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one
-    of the results of
-    several trainings (`at_start`), null that of the best validation fit. Source: docs/theory.md,
-    "With neurons".
+    of the results of several trainings (`at_start`), null that of the best validation fit. Source:
+    docs/theory.md, "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True

@@ -5,13 +5,9 @@ chunks.
     decoupled)
 
 ModalForm are complex numbers; a real mode is one with zero imaginary part, and the factor two of a
-conjugate pair is
-already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]` with `g[0] = D`
-and
-`g[k] = Re(C lambda^(k-1) B)`.
-Shapes: `decay (n,)` complex, the logarithm of lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)`
-real; `u (e, T, m)`;
-`x0 (e, n)` complex.
+conjugate pair is already in `C`. So the response is `y[k] = Re(C lambda^k x0) + sum_j g[k-j] u[j]`
+with `g[0] = D` and `g[k] = Re(C lambda^(k-1) B)`. Shapes: `decay (n,)` complex, the logarithm of
+lambda; `b (n, m)`, `c (p, n)` complex; `d (p, m)` real; `u (e, T, m)`; `x0 (e, n)` complex.
 """
 
 import math
@@ -41,11 +37,9 @@ class Chunks(torch.autograd.Function):
         counts blocks)
 
     `T[(j, input), (k, output)] = g[k-j]` is the response within a block, `G` the inputs' way to the
-    state after it and
-    `W` the state's way to the outputs. Complex tables are stored as real ones, real and imaginary
-    parts side by side.
-    Differentiates backward, once: autograd's own way through the blocks takes three times as many
-    calls.
+    state after it and `W` the state's way to the outputs. Complex tables are stored as real ones,
+    real and imaginary parts side by side. Differentiates backward, once: autograd's own way through
+    the blocks takes three times as many calls.
     """
 
     @staticmethod

@@ -58,10 +58,9 @@ class Lift(nn.Module):
     prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
-    piecewise-linear
-    map with h kinks: the sorted samples fall into h + 1 runs, each an affine map, so the cost does
-    not grow with h.
-    Else directly. `sorts=False` leaves out the second, which has no forward-mode derivative.
+    piecewise-linear map with h kinks: the sorted samples fall into h + 1 runs, each an affine map,
+    so the cost does not grow with h. Else directly. `sorts=False` leaves out the second, which has
+    no forward-mode derivative.
     """
 
     values: Tensor
@@ -147,9 +146,8 @@ class LRU(nn.Module):
     """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
 
     `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves.
-    With one input
-    `B` is all ones and only `C` is trained: the modal form has exactly that much freedom.
-    Source: Orvieto et al. (2023), section 3.
+    With one input `B` is all ones and only `C` is trained: the modal form has exactly that much
+    freedom. Source: Orvieto et al. (2023), section 3.
     """
 
     flip: Tensor

@@ -28,11 +28,9 @@ class CascadedTanks(Plant):
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
 
     State the levels (V of the level sensors), input pump voltage (V, negative ones pump nothing),
-    output the lower
-    level, disturbance an inflow to the lower tank (V/s). `outflow_upper, inflow_lower,
-    outflow_lower` are k1, k2, k3
-    (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5 (pure); `settling_band` in V. Source:
-    Schoukens et al. 2016.
+    output the lower level, disturbance an inflow to the lower tank (V/s). `outflow_upper,
+    inflow_lower, outflow_lower` are k1, k2, k3 (sqrt(V)/s), `pump_gain` k4 (1/s), `spill_share` k5
+    (pure); `settling_band` in V. Source: Schoukens et al. 2016.
     """
 
     inputs = (Channel(name="pump_voltage", unit="V"),)

@@ -40,14 +40,11 @@ class DCMotor(Plant):
         J_L dw_L/dt = T_s - B_L w_L - T_d - a0 sgn(w_L),   T_s = k_s (th_m - th_L) + B_s (w_m - w_L)
 
     State `(i_a, w_m, w_L, th_m - th_L)`, input voltage (V), output load speed (rad/s), disturbance
-    load torque (N m).
-    `sgn` is set-valued at zero: a shaft at rest stays at rest, exactly, while the other torques on
-    it are within `a0`.
-    Stepped by a Taylor series of order 4 with located switches, steps of at most `solver_step_s`; a
-    speed that touches
-    zero twice within one such step is not seen (`tests/dc_motor_exact.py` does). `settling_band` in
-    rad/s.
-    Source: [Z26] sec. IV; Kara & Eker 2004.
+    load torque (N m). `sgn` is set-valued at zero: a shaft at rest stays at rest, exactly, while
+    the other torques on it are within `a0`. Stepped by a Taylor series of order 4 with located
+    switches, steps of at most `solver_step_s`; a speed that touches zero twice within one such step
+    is not seen (`tests/dc_motor_exact.py` does). `settling_band` in rad/s. Source: [Z26] sec. IV;
+    Kara & Eker 2004.
     """
 
     inputs = (Channel(name="armature_voltage", unit="V"),)

@@ -2,13 +2,10 @@
 on it.
 
 Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from
-`c[q+1] = A c[q]/(q+1)`
-and the truncated series is a one-step method of order `ORDER`. A sign change of a speed (slip ends)
-or a held torque
-beyond the friction level (stick ends) is found by bisection on the same polynomial, so switching
-costs no order.
-State `(i_a, w_m, w_L, th_m - th_L)`; a body is stuck exactly when its speed is 0.0 and its torque
-is within `a0`.
+`c[q+1] = A c[q]/(q+1)` and the truncated series is a one-step method of order `ORDER`. A sign
+change of a speed (slip ends) or a held torque beyond the friction level (stick ends) is found by
+bisection on the same polynomial, so switching costs no order. State `(i_a, w_m, w_L, th_m - th_L)`;
+a body is stuck exactly when its speed is 0.0 and its torque is within `a0`.
 """
 
 from typing import no_type_check

@@ -33,10 +33,8 @@ class Plant(ABC):
     units throughout.
 
     Concrete plants are frozen keyword-only dataclasses, one file and one yaml each, that name their
-    signals as class
-    attributes; wrappers are plants around a plant.
-    Laws (tested for every yaml): the equilibrium is a fixed point; a batch equals its rows; two
-    halves equal the whole;
+    signals as class attributes; wrappers are plants around a plant. Laws (tested for every yaml):
+    the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
     `output(states_at(y)) = y`; `output` never sees the input that acts after it.
     """
 

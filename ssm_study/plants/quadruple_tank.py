@@ -31,9 +31,8 @@ class QuadrupleTank(Plant):
         rest across
 
     State the levels (cm), inputs pump voltages (V), outputs the lower levels as sensor voltages
-    (V), disturbances
-    inflows to the lower tanks (cm^3/s); `settling_band` in V. Source: Johansson 2000, minimum-phase
-    setting.
+    (V), disturbances inflows to the lower tanks (cm^3/s); `settling_band` in V. Source: Johansson
+    2000, minimum-phase setting.
     """
 
     inputs = (Channel(name="pump_1_voltage", unit="V"), Channel(name="pump_2_voltage", unit="V"))

@@ -27,12 +27,9 @@ class StribeckDrive(Plant):
         F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs
 
     State `(i, w)`, input current command (A), output speed (rad/s), disturbance load torque (N m).
-    Each substep solves
-    the current exactly and thresholds the speed by what friction can take away: first order, and
-    rest is exactly 0.0.
-    `settling_band` in rad/s. Source of the friction: Armstrong-Helouvry, Dupont, Canudas de Wit
-    1994; its
-    values are this project's.
+    Each substep solves the current exactly and thresholds the speed by what friction can take away:
+    first order, and rest is exactly 0.0. `settling_band` in rad/s. Source of the friction:
+    Armstrong-Helouvry, Dupont, Canudas de Wit 1994; its values are this project's.
     """
 
     inputs = (Channel(name="current_command", unit="A"),)

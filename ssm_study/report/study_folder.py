@@ -117,8 +117,7 @@ class StudyFolder:
     beside it.
 
     A run of another study is named by its path from `folder`; `shown` names a run to take for the
-    best. Raises
-    `BadRequest` where a table is missing.
+    best. Raises `BadRequest` where a table is missing.
     """
 
     folder: Path

@@ -2,8 +2,7 @@
 noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
-of `e` holds where
-it has been, so there is one `View` for each amplitude:
+of `e` holds where it has been, so there is one `View` for each amplitude:
 
     in total        g    = ||e||_2 / ||u||_2
     by frequency    g(w) = sqrt(S_e(w) / S_u(w)),            measured in every band: nothing stands
@@ -64,8 +63,7 @@ class View:
     `linear` (Q) and `rest`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
-    agree, zero where the
-    plant holds still.
+    agree, zero where the plant holds still.
     """
 
     amplitude: float
@@ -82,14 +80,11 @@ class Mismatch:
     from blocks.
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None
-    without such a
-    record. `unexcited`: bands without input power in the largest record. `loop`: what trials in
-    closed loop show.
-    `stuck`: what stays of the output at rest input after it has moved (friction, play), where more
-    than `AT_REST`;
-    `farthest`: from where a decay at rest input was recorded; both in output scales. `noise`: the
-    sensor's, a sample's
-    power at `ANGLES`, in squares of that scale, where an input repeats.
+    without such a record. `unexcited`: bands without input power in the largest record. `loop`:
+    what trials in closed loop show. `stuck`: what stays of the output at rest input after it has
+    moved (friction, play), where more than `AT_REST`; `farthest`: from where a decay at rest input
+    was recorded; both in output scales. `noise`: the sensor's, a sample's power at `ANGLES`, in
+    squares of that scale, where an input repeats.
     """
 
     views: tuple[View, ...]
@@ -152,8 +147,7 @@ def measure_mismatch(
     """Measure `e = y - y_model` in free run, scaled, on the validation and the mismatch records.
 
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
-    not count. Raises
-    `BadRequest` without a record that moves the input.
+    not count. Raises `BadRequest` without a record that moves the input.
     """
     closed_loop_errors = _moving_loops(model, mismatch_records, start_up_samples)
     open_loop_records = [*validation]
@@ -325,10 +319,9 @@ def _swung(
     """By frequency and in total: what exceeds the noise by `SURE` standard errors, over the input.
 
     Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
-    Welch's average over
-    N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment (Hann's window, half
-    overlapping); by frequency
-    the gain is raised by as many of them, since what a loop that failed shows must refute it.
+    Welch's average over N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment
+    (Hann's window, half overlapping); by frequency the gain is raised by as many of them, since
+    what a loop that failed shows must refute it.
     """
     power_u = welch([record.u])
     power_e = welch([record.e])
@@ -357,10 +350,8 @@ def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
-    noise included.
-    Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`. Below the
-    largest amplitude only
-    what exceeds `SURE` of its standard deviations counts.
+    noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
+    Below the largest amplitude only what exceeds `SURE` of its standard deviations counts.
     """
     both, drive, said = record.spectra()
     drawn = noise * record.period

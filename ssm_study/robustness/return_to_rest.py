@@ -1,10 +1,9 @@
 """What is left of an output at rest input: the motion that does not end, and where it stays off.
 
 Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
-an output should rest
-at the equilibrium; at another, each return is compared with the mean of the others: a single one
-tells the motion only.
-Source: docs/trust.md, "Neither proved nor measured: the prediction".
+an output should rest at the equilibrium; at another, each return is compared with the mean of the
+others: a single one tells the motion only. Source: docs/trust.md, "Neither proved nor measured: the
+prediction".
 """
 
 import numpy as np
@@ -39,10 +38,8 @@ def after_returns(
     """Of the returns: what moves on, and the offsets above `AT_REST`, in output scales.
 
     Those count that outlast the model's response; without any, all that came to rest from `FAR`
-    away, where each did:
-    a model may have a slow mode that the plant has not. Nothing is said where a single return, at
-    an input other than
-    the equilibrium's, came to rest.
+    away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
+    a single return, at an input other than the equilibrium's, came to rest.
     """
     still = list[float]()
     offsets = list[float]()
@@ -130,8 +127,8 @@ def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[
     `NEIGHBOURS` lines.
 
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a
-    loop has fed back and
-    coloured is broad, and does. The relative variance is about 6/T, that of the output's own 2/T.
+    loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of
+    the output's own 2/T.
     """
     tail = y[-max(len(y) // 4, FEWEST) :]
     lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][

@@ -6,12 +6,10 @@ With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians
     x+  = (A + B J_u K) x + B J_u K eps,     eps+ = (A + L J_y C) eps - L e,     u = K (x + eps).
 
 With an internal model `u = K_x (x + eps) + K_z z` and `z+ = A_z z + E (J_y C x + e)`, driven by the
-measured output
-(here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken constant, at the ends
-and the centre of
-their balls, and so are the slopes of neurons, at zero and one: a loop whose neurons switch is not
-among them.
-Source: docs/theory.md, "Small gain for the plant".
+measured output (here D is taken as zero); integrators have `A_z = I`. The Jacobians are taken
+constant, at the ends and the centre of their balls, and so are the slopes of neurons, at zero and
+one: a loop whose neurons switch is not among them. Source: docs/theory.md, "Small gain for the
+plant".
 """
 
 from collections.abc import Iterator
@@ -110,12 +108,10 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
     left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
-    controller runs alone:
-    `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest is unstable for every
-    plant that holds
-    still under small inputs, whatever its certificate says of the model. Field's term: strong
-    stabilisation.
-    Source: Youla, Bongiorno & Lu, Automatica 10 (1974) 159-173.
+    controller runs alone: `xh+ = (A + B J_u K_x + L J_y (C + D J_u K_x)) xh`. At or above one, rest
+    is unstable for every plant that holds still under small inputs, whatever its certificate says
+    of the model. Field's term: strong stabilisation. Source: Youla, Bongiorno & Lu, Automatica 10
+    (1974) 159-173.
     """
     on_state = pair.k[..., : system.order]
     largest = np.zeros(pair.k.shape[:-2])
@@ -133,8 +129,7 @@ class Responses:
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
     `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
-    into two factors: of
-    the observer, and of the controller, G is common.
+    into two factors: of the observer, and of the controller, G is common.
     """
 
     angles: Float[np.ndarray, "F"]

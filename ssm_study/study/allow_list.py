@@ -53,10 +53,8 @@ def refuse_foreign_targets(config: DictConfig) -> None:
     that is not ours.
 
     Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its
-    plugins. Refused
-    as well: interpolations that read the environment (secrets would end up in saved configurations)
-    or build nodes from
-    text, and logging handlers made by factories.
+    plugins. Refused as well: interpolations that read the environment (secrets would end up in
+    saved configurations) or build nodes from text, and logging handlers made by factories.
     """
     tree = OmegaConf.to_container(config, resolve=False)
     assert isinstance(tree, dict)

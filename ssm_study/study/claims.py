@@ -2,8 +2,8 @@
 findings.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
-`Derived` (columns of the
-record, to be compared) and `NotChecked` (what cannot be derived of this run, with the reason).
+`Derived` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of this
+run, with the reason).
 """
 
 import warnings

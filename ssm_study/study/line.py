@@ -1,8 +1,7 @@
 """One run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop -> record.
 
 Each stage is a pure function of its part of the configuration and of the stages before it. It is
-computed into a folder
-of the store, so that what is computed and what is reused are the same bits.
+computed into a folder of the store, so that what is computed and what is reused are the same bits.
 """
 
 import warnings

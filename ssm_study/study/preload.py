@@ -2,8 +2,7 @@
 are forked from.
 
 The code versions are those of the modules as they are in memory now: a file edited while a sweep
-runs changes neither
-what its jobs compute nor the keys under which they keep it.
+runs changes neither what its jobs compute nor the keys under which they keep it.
 """
 
 import importlib
@@ -22,8 +21,7 @@ from ssm_study.plants.dc_motor_kernel import advance_batch
 from ssm_study.study.allow_list import ROOMS
 
 # By the stage that takes it: torch and Lightning, then CVXPY. Together 5 s of a processor, and
-# three quarters of the
-# memory whose page table every fork copies.
+# three quarters of the memory whose page table every fork copies.
 HEAVY = {
     "model": re.compile(r"ssm_study\.(training\.|models\.(baselines|torch_|structured_spec))"),
     "synthesis": re.compile(

@@ -29,12 +29,9 @@ class RecordedCases:
     """A recording by signal, `loop["output"] (N, T, c)` over its N cases; `about` is its metadata.
 
     Cases are named by what stands before the last `/` of their topics, in the order of its number:
-    `/case_3/output` is
-    the signal `output` of the case `/case_3`; `/input` belongs to the one case without a name. A
-    closed loop has
-    reference, input, output, uncontrolled (the plant left alone); a record has input, measured,
-    simulated.
-    Raises `BadRequest` for a signal that a case lacks.
+    `/case_3/output` is the signal `output` of the case `/case_3`; `/input` belongs to the one case
+    without a name. A closed loop has reference, input, output, uncontrolled (the plant left alone);
+    a record has input, measured, simulated. Raises `BadRequest` for a signal that a case lacks.
     """
 
     path: Path

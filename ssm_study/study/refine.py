@@ -38,9 +38,8 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
     """The runs that come of `run`, one after the other, and last why there are no more.
 
     `log` is the record of a trial of the run's controller: one iteration. Without it the trials are
-    the closed loops on
-    the run's own plant. Raises `BadRequest` for a run that is not ok, has no controller or no
-    plant, or for its log.
+    the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
+    controller or no plant, or for its log.
     """
     files = _tried(run, log)
     for _ in range(1 if log else times):

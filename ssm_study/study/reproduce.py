@@ -49,8 +49,7 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
 
 def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
     """Two records of one configuration: every column of the line that differs, what was different
-    around them, and
-    whether all columns agree."""
+    around them, and whether all columns agree."""
     told = {name: declared(name) for name in (*then, *now)}
     names = [
         "status",

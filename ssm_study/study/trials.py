@@ -1,10 +1,9 @@
 """Trials in closed loop: records of the loop itself, by which the mismatch is measured again.
 
 With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
-made again; twice. With
-`refine=[first.csv,second.csv]` the records are the user's logs of trials, columns and clock as in
-the run's own data.
-What such a record shows: `synthesis.mismatch`. Source: docs/trust.md, "The loop as a record".
+made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
+columns and clock as in the run's own data. What such a record shows: `synthesis.mismatch`. Source:
+docs/trust.md, "The loop as a record".
 """
 
 from collections.abc import Sequence

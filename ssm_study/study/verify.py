@@ -2,8 +2,7 @@
 found.
 
 A column of the record is derived and compared, or listed as not checked with its reason; one that
-nothing gives is a
-claim that does not hold. What is derived from what: `study.claims`.
+nothing gives is a claim that does not hold. What is derived from what: `study.claims`.
 """
 
 import json

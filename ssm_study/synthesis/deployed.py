@@ -2,8 +2,7 @@
 limited inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
-`limited_input.py`,
-`unlimited_start.py`; docs/theory.md, "The gains that are deployed".
+`limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
 """
 
 from collections.abc import Callable, Mapping
@@ -155,9 +154,8 @@ class WithinLimits:
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
     """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without
-    room around rest, and
-    where nothing is proved: without a certificate, or of an output that no input holds or that
-    answers it at once.
+    room around rest, and where nothing is proved: without a certificate, or of an output that no
+    input holds or that answers it at once.
     """
     design.parts()
     rest = model.scale.input_equilibrium

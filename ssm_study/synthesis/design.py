@@ -143,10 +143,9 @@ def failed_checks(
     """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
 
     `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
-    acts on where that
-    is not the model itself (integral action). Claims are each part's digest, the model's fields and
-    ball, products,
-    rate limits, and `certified`, or that an infeasible rate is excluded.
+    acts on where that is not the model itself (integral action). Claims are each part's digest, the
+    model's fields and ball, products, rate limits, and `certified`, or that an infeasible rate is
+    excluded.
     """
     try:
         design = Design.from_json(content)
@@ -230,13 +229,10 @@ class Synthesis(ABC):
     per sample).
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
-    scaled units:
-    conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
-    (`synthesis.commanded`). With an
-    `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller is that of the model with these
-    modes z
-    (`theorems.integral_action`) and `integral_weight |z|^2` in its cost: larger removes errors
-    sooner.
+    scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
+    (`synthesis.commanded`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller
+    is that of the model with these modes z (`theorems.integral_action`) and `integral_weight |z|^2`
+    in its cost: larger removes errors sooner.
     """
 
     rate_controller: float

@@ -1,8 +1,8 @@
 """The saddle point of the game Riccati equation and the gradient at it, compiled.
 
 Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one
-kind of array, few
-instances, a compiler that is done in seconds. A step that has no solution raises `LinAlgError`.
+kind of array, few instances, a compiler that is done in seconds. A step that has no solution raises
+`LinAlgError`.
 
 Source: docs/theory.md, "With neurons" (`structured_riccati` has the equation); doubling: Chu, Fan,
 Lin & Wang 2004.

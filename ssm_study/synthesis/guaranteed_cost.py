@@ -2,8 +2,7 @@
 certified.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one
-for which
-`sum r^{-2k} (x^T Q_x x + u^T R u)` is small whatever S_u does.
+for which `sum r^{-2k} (x^T Q_x x + u^T R u)` is small whatever S_u does.
 
 Hypotheses. Those of `state_feedback`, `Q_x >= 0`, `R > 0`; for some `tau > 0`, `kappa = alpha^2/Rt
 - 1/tau > 0` with
@@ -148,8 +147,7 @@ class RiccatiSynthesis(Synthesis):
     """The certified gains of least guaranteed cost for the given weights.
 
     With neurons the search starts from what is `near`: a neighbour's solution for the controller
-    (under False) or for
-    the observer (under True).
+    (under False) or for the observer (under True).
     """
 
     near: Mapping[bool, Solution] = field(default_factory=dict, repr=False, compare=False)

@@ -2,8 +2,7 @@
 is behind it.
 
 A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the
-law asks for several
-times the input. Source: docs/theory.md, "With neurons".
+law asks for several times the input. Source: docs/theory.md, "With neurons".
 """
 
 from dataclasses import replace

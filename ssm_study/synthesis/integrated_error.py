@@ -35,11 +35,9 @@ def release(
     """States `x0` let go at sample 0, the load to be added to `S_u(u)`, and the horizon in samples.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
-    under loads. Not
-    states in which a constant input would hold the model: a model may have a mode so slow that no
-    record ever filled
-    it, and a design that looks fast from there leaves the estimate of that mode behind on the
-    plant.
+    under loads. Not states in which a constant input would hold the model: a model may have a mode
+    so slow that no record ever filled it, and a design that looks fast from there leaves the
+    estimate of that mode behind on the plant.
     """
     linear = at_rest(model)
     visited = []
@@ -94,13 +92,10 @@ def relative_areas(
     """`J / J_uncontrolled`, mean over the released states, of each of the pairs of gains.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
-    area hardly sees a
-    faint tail, on which the time to settle turns; the time does not see what lies beyond the
-    horizon. Observers start
-    from zero. Gains with an internal model are also judged by how soon they remove loads that it
-    makes, constant ones
-    with integrators. No noise, scaled units, inputs within `limits`, where it is `held`. Below one
-    is faster than none.
+    area hardly sees a faint tail, on which the time to settle turns; the time does not see what
+    lies beyond the horizon. Observers start from zero. Gains with an internal model are also judged
+    by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
+    units, inputs within `limits`, where it is `held`. Below one is faster than none.
     """
     x0, load, horizon = release(model, validation, loaded=len(gains.modes) > 0)
     cut = limits or (-LARGEST, LARGEST)

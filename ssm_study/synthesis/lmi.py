@@ -1,10 +1,8 @@
 """[Z26] Theorems 1 and 2 as the paper states them: linear matrix inequalities, through CVXPY.
 
 Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves
-without compiling. The
-solver's status is information: inside the frontier its "infeasible" is often false
-(docs/theory.md), and the verdict on
-what it returns is exact arithmetic's.
+without compiling. The solver's status is information: inside the frontier its "infeasible" is often
+false (docs/theory.md), and the verdict on what it returns is exact arithmetic's.
 """
 
 import time
@@ -41,8 +39,7 @@ class CompiledLmi:
     """Theorem 1 for one pair `a (n, n)`, `b (n, m)`, ready to be solved at any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
-    matter for
-    `guaranteed_cost` only, whose cost is that of the Riccati route.
+    matter for `guaranteed_cost` only, whose cost is that of the Riccati route.
     """
 
     def __init__(
@@ -142,8 +139,7 @@ def paper_lmi(
     block matrix `>= I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
-    every record. A
-    certificate, certified or not; `Infeasible` without matrices.
+    every record. A certificate, certified or not; `Infeasible` without matrices.
     """
     asked: Any = {
         "rate_controller": rate,

@@ -5,10 +5,9 @@ Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the ask
 least effort.
 
 Hypotheses. Those of `state_feedback`; the modes of A with `|lambda| > r` are in the input's reach,
-and none lies on the
-circle of radius r. With `Ah = A/r`, `Bh = B/r` and `S = Ah^T (S^{-1} + Bh Bh^T)^{-1} Ah`, the ball
-is inside the
-frontier: `delta = beta/alpha < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
+and none lies on the circle of radius r. With `Ah = A/r`, `Bh = B/r` and `S = Ah^T (S^{-1} + Bh
+Bh^T)^{-1} Ah`, the ball is inside the frontier: `delta = beta/alpha < 1 / sqrt(1 + lambda_max(Bh^T
+S Bh))`.
 
 Statement. `K = K0 / ((1 - delta^2) alpha)` with `K0 = -(I + Bh^T S Bh)^{-1} Bh^T S Ah` satisfies
 
@@ -18,17 +17,14 @@ Statement. `K = K0 / ((1 - delta^2) alpha)` with `K0 = -(I + Bh^T S Bh)^{-1} Bh^
     [ *               *                   I           ]
 
 on the modes with `|lambda| > r`, which it mirrors at the circle; the others it leaves. At a
-slightly faster rate and a
-wider ball the inequality is strict at the asked ones, and what room there is pays for the slow
-modes.
+slightly faster rate and a wider ball the inequality is strict at the asked ones, and what room
+there is pays for the slow modes.
 
 When not to use it. Where the plant differs from the model: no weight says what matters
-(`guaranteed_cost`). Close to
-the frontier the gain is as large as it has to be.
+(`guaranteed_cost`). Close to the frontier the gain is as large as it has to be.
 
 Reference. [Z26] Theorem 1, eq. (11), solved: docs/theory.md, "The gain in closed form"; for one
-input
-cf. Elia & Mitter 2001, Fu & Xie 2005 (the coarsest quantiser that stabilises).
+input cf. Elia & Mitter 2001, Fu & Xie 2005 (the coarsest quantiser that stabilises).
 
 Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrored to 1/2, `K0 =
 -1.5`.
@@ -64,10 +60,8 @@ SHARES = (
     0.95,
 )  # of the room (in log r) to the frontier at which the gain is built, in order
 # The same with the metric of the whole model, where the block-diagonal one needs more digits than
-# floats have. The
-# theorem is homogeneous in (P, Y, X, sigma): each scale rounds the same matrices to other floats,
-# and where one in five
-# of these is positive definite, the exact verdict picks it.
+# floats have. The theorem is homogeneous in (P, Y, X, sigma): each scale rounds the same matrices
+# to other floats, and where one in five of these is positive definite, the exact verdict picks it.
 WHOLE_SHARES = (0.5, 0.8, 0.35, 0.65, 0.9)
 SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
@@ -110,10 +104,8 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     log r).
 
     At the faster rate and wider ball the fast part of the inequality is an equality; the room in
-    between makes it
-    strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue with `|lambda| = r`,
-    or where floats
-    run out.
+    between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
+    with `|lambda| = r`, or where floats run out.
     """
     modes, fast, faster = _gain_at(problem, share)
     p = with_slow_modes(problem, modes, fast)

@@ -1,8 +1,7 @@
 """Metrics of a minimum-energy gain: by fast and slow modes, and of the whole model.
 
 Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join
-through a Lyapunov
-equation. Derivation: docs/theory.md, "The gain in closed form".
+through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
 """
 
 from dataclasses import dataclass
@@ -86,8 +85,7 @@ def split_modes(
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
     """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the
-    best margin: a
-    smaller one would only spread the entries of P over more digits than floats have.
+    best margin: a smaller one would only spread the entries of P over more digits than floats have.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
@@ -128,8 +126,7 @@ def whole_metric(
     needs more digits.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
-    `NoSolution` without
-    fast modes, or without a solution in floats.
+    `NoSolution` without fast modes, or without a solution in floats.
     """
     if modes.fast == 0:
         raise NoSolution("no fast modes: nothing to couple")

@@ -18,10 +18,8 @@ def aim(
     unknowns.
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
-    deepest inside.
-    `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance` coupled to block
-    `at`.
-    Source: [Z26]; docs/theory.md, "With neurons".
+    deepest inside. `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance`
+    coupled to block `at`. Source: [Z26]; docs/theory.md, "With neurons".
     """
     if objective != "guaranteed_cost":
         matrix = cp.bmat(full(upper))

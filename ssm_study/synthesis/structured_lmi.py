@@ -2,10 +2,9 @@
 Riccati route.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
-`Y = P`, `U = Q`. For
-a ball without radius the rows of its multiplier are left out. Source: docs/theory.md; the
-inequalities stand in
-`theorems.structured_state_feedback` and `theorems.structured_observer`.
+`Y = P`, `U = Q`. For a ball without radius the rows of its multiplier are left out. Source:
+docs/theory.md; the inequalities stand in `theorems.structured_state_feedback` and
+`theorems.structured_observer`.
 """
 
 import time
@@ -37,11 +36,10 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
-    `objective` as in `objectives.aim`; a state feedback's cost stands beside the state, an observer's
-    noise where the step
-    arrives. With `fixed` the gains are that solution's, and only the metric and the multipliers are
-    sought; `of.k`
-    holds the gain, so that one program proves many.
+    `objective` as in `objectives.aim`; a state feedback's cost stands beside the state, an
+    observer's noise where the step arrives. With `fixed` the gains are that solution's, and only
+    the metric and the multipliers are sought; `of.k` holds the gain, so that one program proves
+    many.
     """
 
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:

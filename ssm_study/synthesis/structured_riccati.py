@@ -2,8 +2,8 @@
 gradient search.
 
 With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the
-inequality of
-`theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is the equation
+inequality of `theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is
+the equation
 
     X = A'X A + Q - (A'X B + S)(R + B'X B)^{-1}(B'X A + S'),     inputs (u, p, v),  Bg = B + E G/2,
     C = G' Lambda G/2,
@@ -13,18 +13,15 @@ inequality of
     -Lambda/2)/r^2.
 
 It holds if `X > 0` and the (p, v) block of `H = R + B'X B` is negative definite: then `P = X^{-1}`
-and K is the first
-row of the saddle point. An observer is the same for transposed data. One that injects plays after v
-and before p: the p
-block is negative, and what v has left once (u, p), block 1, answer it; then u is positive. With `g
-= B'X A + S'` the
-u rows of `-H_11^{-1} (g_1 - H_12 E')` and `-2 H_11^{-1} H_12` are `L'` and `L_z'`. The gradient
-costs one Lyapunov
-equation, because the saddle point stays put to first order: in the norm of the loop's Gramian it is
-`(|z_i|^2 - |v_i|^2) / 2 r^2` for `Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`.
+and K is the first row of the saddle point. An observer is the same for transposed data. One that
+injects plays after v and before p: the p block is negative, and what v has left once (u, p), block
+1, answer it; then u is positive. With `g = B'X A + S'` the u rows of `-H_11^{-1} (g_1 - H_12 E')`
+and `-2 H_11^{-1} H_12` are `L'` and `L_z'`. The gradient costs one Lyapunov equation, because the
+saddle point stays put to first order: in the norm of the loop's Gramian it is `(|z_i|^2 - |v_i|^2)
+/ 2 r^2` for `Lambda_i` and `(|u|^2 - |p|^2) / r^2` for `lambda_p`.
 
-Source: docs/theory.md, "With neurons"; Basar & Bernhard 1995 (games),
-Petersen & Hollot 1986 (guaranteed cost).
+Source: docs/theory.md, "With neurons"; Basar & Bernhard 1995 (games), Petersen & Hollot 1986
+(guaranteed cost).
 """
 
 from dataclasses import dataclass, replace
@@ -44,12 +41,10 @@ SLOWEST = (
     1e3  # until the first multipliers hold the rate is slowed by this factor a step, up to that one
 )
 # Weight of the barrier, evaluations at each rate on the way, and the share of that way, in log r,
-# below which the
-# search has come to its end; each where the one before gets stuck.
+# below which the search has come to its end; each where the one before gets stuck.
 TRIES = ((3.0, 4, 0.02), (30.0, 16, 0.02), (30.0, 16, 0.005), (0.3, 30, 0.005))
 # The same at the asked rate, where the cost decides. In steps: straight to the last one the search
-# gets stuck at the
-# edge of what is admissible, at up to seventeen times the cost.
+# gets stuck at the edge of what is admissible, at up to seventeen times the cost.
 LAST = ((0.3, 10), (0.03, 10), (1e-3, 30))
 ROOM = np.arange(
     0.0, 40.0, 2.0
@@ -108,8 +103,8 @@ def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
     where they admit none.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
-    second term keeps
-    the search off the edge of what is admissible, where the gradient of the first one leads.
+    second term keeps the search off the edge of what is admissible, where the gradient of the first
+    one leads.
     """
     try:
         return Saddle(*saddle_point(*game.data, logs, barrier))
@@ -155,9 +150,8 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     before the rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
-    solution at a
-    faster rate, since smaller weights and a slower rate only relax the inequality. Without any it
-    is the solution.
+    solution at a faster rate, since smaller weights and a slower rate only relax the inequality.
+    Without any it is the solution.
     """
     if near is not None and near.logs is None:
         return near  # it is the solution itself
@@ -255,9 +249,8 @@ def solution(game: Game, logs: Vector) -> Solution:
     sigma = float(np.exp(-logs[-1])) if beta > 0 else without_ball(problem, p, k)
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
-        # divides one by r and
-        # multiplies the other, and the neurons' row, by it. So `Lambda = r^2 T`, `eta = r^2 beta^2
-        # sigma`.
+        # divides one by r and multiplies the other, and the neurons' row, by it. So `Lambda = r^2
+        # T`, `eta = r^2 beta^2 sigma`.
         r2 = 1 - problem.rate
         weights = r2 / weights
         sigma = r2 * beta**2 * sigma if beta > 0 else sigma

@@ -47,10 +47,9 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     table.
 
     The declared columns come first, typed; whatever else the records hold follows by name. Runs are
-    sorted by name, so
-    that equal studies give equal tables. Only records that have changed since the last time are
-    read again; all of
-    them `anew`, whatever the last table says. Raises `BadRequest` for a folder without runs.
+    sorted by name, so that equal studies give equal tables. Only records that have changed since
+    the last time are read again; all of them `anew`, whatever the last table says. Raises
+    `BadRequest` for a folder without runs.
     """
     remedy = "give the folder that holds the run folders"
     require(study.is_dir(), "study", study, "no such study folder", remedy)

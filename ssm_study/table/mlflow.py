@@ -24,8 +24,8 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
     many were written.
 
     `store` is a tracking address, by default `sqlite:///STUDY/mlflow.db`. Numbers with a better
-    direction become
-    metrics, everything else parameters. Raises `BadRequest` where MLflow is not installed.
+    direction become metrics, everything else parameters. Raises `BadRequest` where MLflow is not
+    installed.
     """
     try:
         from mlflow import MlflowClient

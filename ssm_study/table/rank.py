@@ -1,8 +1,7 @@
 """Which run is best: the one notion that `show`, the page, the figures and the outcome share.
 
 It asks for a certificate first, then for the plant (did every start settle, and was that predicted
-without the
-plant?), then for time, and among equals for the fit.
+without the plant?), then for time, and among equals for the fit.
 """
 
 import numpy as np
@@ -54,9 +53,8 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     """By outcome class, then those predicted to be stable, then by settling time, then by fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
-    would have chosen
-    without the plant. Settling times are relative to the plant left alone where that is known, so
-    plants compare.
+    would have chosen without the plant. Settling times are relative to the plant left alone where
+    that is known, so plants compare.
     """
     time = column(table, "settling_time_mean_s")
     alone = column(table, "settling_time_open_loop_s")

@@ -49,8 +49,8 @@ def show(
     the whole table.
 
     With `cost`: instead of it what was computed and what reused, stage by stage. With `columns`:
-    which columns hold
-    values, what they are called, which way is better and whether `verify` checks them.
+    which columns hold values, what they are called, which way is better and whether `verify` checks
+    them.
     """
     table, rows = gathered_rows(study, by, where)
     if columns or cost:
@@ -81,8 +81,7 @@ def gathered_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The study's table and its rows to show. A table whose first rows contradict the runs' records
-    is made anew: its
-    seal vouches for its bytes, not for who wrote them."""
+    is made anew: its seal vouches for its bytes, not for who wrote them."""
     table = gather(study, anew)
     rows = ranked(filtered(table, where) if where else table, by)
     if not anew and contradicted(study, rows.head(COMPARED)):
@@ -103,9 +102,8 @@ def column_lines(table: pd.DataFrame) -> list[str]:
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
     """A row per stage that the records name, the costliest first: each distinct one counts once,
-    here or in an earlier
-    study. How many runs needed it, how many distinct ones, what these took, and what reuse
-    saved."""
+    here or in an earlier study. How many runs needed it, how many distinct ones, what these took,
+    and what reuse saved."""
     rows: dict[str, tuple[float, ...]] = {}
     for match in filter(None, (re.fullmatch(r"stage_(\w+)_key", str(column)) for column in table)):
         key = match[0]
@@ -145,10 +143,9 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     """Fixed-width text with as many columns as fit: what pipes and files get.
 
     Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are
-    known; where the width
-    is short, a setting that follows from those before it gives way to the outcomes. Of each run's
-    name only its digits,
-    both certificates in one word, and how many starts settled of how many.
+    known; where the width is short, a setting that follows from those before it gives way to the
+    outcomes. Of each run's name only its digits, both certificates in one word, and how many starts
+    settled of how many.
     """
     controller = table["controller_certified"]
     observer = table["observer_certified"]

@@ -42,9 +42,8 @@ class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
     `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and
-    in the padding, and
-    scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then the loss is
-    `(1 - fit / 100)^2` for one channel.
+    in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all
+    records. Then the loss is `(1 - fit / 100)^2` for one channel.
     """
 
     u: Tensor
@@ -143,8 +142,7 @@ class Fit(pl.LightningModule):
     these are free.
 
     `whole` are the records that the windows were cut from: the training fit that is shown is always
-    that of whole
-    records. Raises `BadRequest` for settings that this model cannot have.
+    that of whole records. Raises `BadRequest` for settings that this model cannot have.
     """
 
     def __init__(self, model: TorchModel, data: DataSet, settings: Training) -> None:
@@ -256,8 +254,8 @@ class Fit(pl.LightningModule):
         """The states that `free_run` estimates from the start-up samples of the validation records.
 
         A record that starts in motion says nothing about a model that simulates it from rest:
-        validation would then
-        stop a training, or choose among several, by the error of the initial state.
+        validation would then stop a training, or choose among several, by the error of the initial
+        state.
         """
         like = next(self.model.parameters())
         records = self.data.validation

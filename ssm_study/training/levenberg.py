@@ -24,8 +24,7 @@ DAMPING_RANGE = (1e-12, 1e12)
 
 class Rule(NamedTuple):
     """`tries` dampings before a step counts as failed, each `grow` times the last; curvatures below
-    `weakest`, relative
-    to the largest, are damped as if they had it."""
+    `weakest`, relative to the largest, are damped as if they had it."""
 
     tries: int
     grow: float
@@ -44,8 +43,7 @@ def levenberg_marquardt_step(
     step.
 
     The damping falls after a step that gains what the quadratic model expects, and grows after
-    others. `solved` gives
-    the step of a damping, or None; arrays are NumPy's or torch's.
+    others. `solved` gives the step of a damping, or None; arrays are NumPy's or torch's.
     """
     for _ in range(rule.tries):
         step = solved(damping)
@@ -65,8 +63,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
     """The optimiser of torch models: `step` takes one accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
-    where the linear model
-    holds. `residual` takes all parameters in a row.
+    where the linear model holds. `residual` takes all parameters in a row.
     """
 
     def __init__(

@@ -30,10 +30,9 @@ class Identification:
     """An identified model, the validation fit its stored numbers reproduce, and how it was reached.
 
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
-    `curve` holds one
-    row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`. `ended` says why
-    training stopped.
-    `choice` is the table of what was tried where sizes were chosen from the data.
+    `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
+    `ended` says why training stopped. `choice` is the table of what was tried where sizes were
+    chosen from the data.
     """
 
     model: Simulator

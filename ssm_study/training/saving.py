@@ -50,9 +50,8 @@ class DurableCheckpointIO(CheckpointIO):
     only.
 
     The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
-    sum without a word).
-    Lightning's own writer goes through TMPDIR; with that on another file system a full disk
-    destroyed the old file.
+    sum without a word). Lightning's own writer goes through TMPDIR; with that on another file
+    system a full disk destroyed the old file.
     """
 
     def save_checkpoint(
@@ -256,11 +255,9 @@ class BestModelCheckpoint(Callback):
     change.
 
     Validation fits of noisy records differ by chance: among states within `tolerance` percent
-    points of the best
-    validation fit the one with the best training fit is kept. Epochs that leave both fits as they
-    were, to the last
-    bit, end the training: a line search that fails at a kink fails again and again. `last.ckpt`
-    every `every_s` s.
+    points of the best validation fit the one with the best training fit is kept. Epochs that leave
+    both fits as they were, to the last bit, end the training: a line search that fails at a kink
+    fails again and again. `last.ckpt` every `every_s` s.
     """
 
     remembered = (

@@ -32,8 +32,7 @@ def choose(spec: StructuredSpec, data: DataSet, seed: int) -> tuple[StructuredSp
     looked at.
 
     First order and neurons on a grid, then the input path, then the ridge. The fit is that of the
-    free run over the
-    held-out pieces. Within `NEARLY` of the best the smallest model is taken.
+    free run over the held-out pieces. Within `NEARLY` of the best the smallest model is taken.
     """
     folds = list(held_out(data))
 

@@ -43,8 +43,8 @@ class StructuredFit(pl.LightningModule):
     buffers.
 
     So a checkpoint is the whole state, and a training that was killed goes on where it was. There
-    is nothing for an
-    optimiser of torch to do: the Jacobian is written out (`Residuals.linearised`).
+    is nothing for an optimiser of torch to do: the Jacobian is written out
+    (`Residuals.linearised`).
     """
 
     damping: torch.Tensor
@@ -227,9 +227,8 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
     `IDLE` (relative).
 
     A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
-    the sector
-    condition that the analysis LMI is about. A neuron between input and output is left where D is
-    zero.
+    the sector condition that the analysis LMI is about. A neuron between input and output is left
+    where D is zero.
     """
     for i in reversed(range(len(model.neurons))):
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):

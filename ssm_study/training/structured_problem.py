@@ -89,9 +89,8 @@ class Residuals:
     """`r = weight (y_hat - y)`, all records from their own x0.
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`:
-    the output is the
-    running sum of the model's, started at `x0`'s last entry. `ridge` weighs the squared parameters
-    that are moved.
+    the output is the running sum of the model's, started at `x0`'s last entry. `ridge` weighs the
+    squared parameters that are moved.
     """
 
     records: Batch

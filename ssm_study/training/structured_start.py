@@ -72,9 +72,8 @@ def screened_poles(
     records best.
 
     With poles and B given the output is linear in C, and in C times the free decay of a record's
-    unknown start: two
-    least-squares problems. ARX weighs the next sample; where that hardly depends on the input it
-    misses slow modes.
+    unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
+    on the input it misses slow modes.
     """
     order = len(begun["a"])
     found = [

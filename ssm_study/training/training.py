@@ -23,9 +23,8 @@ class Training:
     """Simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
 
     The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
-    `BestModelCheckpoint`; the weights: see `penalty`;
-    `integrated_share`: see `Records`; `windows`: see `Windows`. Precision 32 is polished in
-    float64.
+    `BestModelCheckpoint`; the weights: see `penalty`; `integrated_share`: see `Records`; `windows`:
+    see `Windows`. Precision 32 is polished in float64.
     """
 
     optimiser: OptimiserSpec

@@ -226,8 +226,7 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
     hold: int, order: int, feedthrough: bool
 ) -> None:
     """Where the input acts at once, a long ARX model without feedthrough is unstable: its start
-    answered thousandfold,
-    and training ended at a fit of -55,000 %."""
+    answered thousandfold, and training ended at a fit of -55,000 %."""
     for seed in range(6):
         rng = np.random.default_rng(seed)
         u = np.repeat(rng.uniform(-1.7, 1.7, 400 // hold), hold)

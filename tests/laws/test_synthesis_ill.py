@@ -2,8 +2,8 @@
 with its reason.
 
 Defective, nilpotent, zero and nearly unstable matrices, gains over 22 decades, inputs and outputs
-without effect, and
-records that are noise, rest or somebody else's: of the first 153 drawn so, 43 ended the whole run.
+without effect, and records that are noise, rest or somebody else's: of the first 153 drawn so, 43
+ended the whole run.
 """
 
 from collections.abc import Callable

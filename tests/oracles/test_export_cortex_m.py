@@ -2,8 +2,8 @@
 digit.
 
 The committed log says what it gave where the emulator and the compiler are (Debian:
-qemu-system-arm, gcc-arm-none-eabi,
-libnewlib-arm-none-eabi); `python tests/oracles/test_export_cortex_m.py` writes it again.
+qemu-system-arm, gcc-arm-none-eabi, libnewlib-arm-none-eabi); `python
+tests/oracles/test_export_cortex_m.py` writes it again.
 """
 
 import shutil

@@ -348,10 +348,8 @@ def drive_model() -> SSM:
 @pytest.mark.parametrize("stable", [True, False])
 def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stable):
     """Both designs are certified for the model. From rest, with an estimate off by a millionth:
-    friction holds the
-    drive, so the controller runs alone. The stable one forgets; the other pushes until the drive
-    breaks loose, and the
-    input never dies out."""
+    friction holds the drive, so the controller runs alone. The stable one forgets; the other pushes
+    until the drive breaks loose, and the input never dies out."""
     model = drive_model()
     plant = drive()
     weights = (

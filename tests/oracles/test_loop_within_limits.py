@@ -1,6 +1,5 @@
 """Limits and the certificate: inside the stated set no limit ever acts, outside it does; the
-saturated loop contracts
-wherever it is claimed to, for slopes that change at will."""
+saturated loop contracts wherever it is claimed to, for slopes that change at will."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,7 @@
 """`verify` against a liar: each claim altered alone is named alone, and only beyond its tolerance.
 
 Everything is sealed anew after an alteration, and what depends on it made consistent: the lie has
-to be found, not the
-seal.
+to be found, not the seal.
 """
 
 import json

@@ -18,20 +18,15 @@ is printed.
 one line that holds, one that does not
 
 How to use this file. Copy it to `theorems/<name>.py`, take out `abstract=True`, and import it: the
-base class says what
-is not answered. The fields are what `certificate.json` stores and reads back; `conditions` is what
-exact arithmetic
-decides and `verify` derives again; `model_data` and `products` are what a tampered file is held against.
-Where gains are
-searched, add a `Synthesis`, with `feedback_theorem` (`observer_theorem`) set to the class, whose
-`solve` returns what
+base class says what is not answered. The fields are what `certificate.json` stores and reads back;
+`conditions` is what exact arithmetic decides and `verify` derives again; `model_data` and
+`products` are what a tampered file is held against. Where gains are searched, add a `Synthesis`,
+with `feedback_theorem` (`observer_theorem`) set to the class, whose `solve` returns what
 `numbers_of` stores, and one yaml in `conf/synthesis/` with its `_target_`; for gains that are
-given, call `proved`.
-A field that Python reserves is written with an underscore (`lambda_`) and stored without. A
-multiplier that must stay
-diagonal is a vector, `Float[np.ndarray, "q"]`, and enters as `theorem.diagonal(of.lambda_)`. A
-theorem for models with
-neurons has their matrix `e` for a field: without it `verify` takes it for one that knows none.
+given, call `proved`. A field that Python reserves is written with an underscore (`lambda_`) and
+stored without. A multiplier that must stay diagonal is a vector, `Float[np.ndarray, "q"]`, and
+enters as `theorem.diagonal(of.lambda_)`. A theorem for models with neurons has their matrix `e` for
+a field: without it `verify` takes it for one that knows none.
 """
 
 from collections.abc import Mapping
@@ -47,8 +42,7 @@ from ssm_study.certificates.theorem import Blocks, VerificationContext
 @dataclass(frozen=True, kw_only=True)
 class NameOfTheTheorem(StateFeedback, abstract=True):
     """The equation in one line; shapes of the fields of one's own (`y: Float[np.ndarray, "n n"]`),
-    which
-    stand here, beside `a, b, alpha, beta, rate, p, k` of the base."""
+    which stand here, beside `a, b, alpha, beta, rate, p, k` of the base."""
 
     products: ClassVar[
         Mapping[str, tuple[str, str]]

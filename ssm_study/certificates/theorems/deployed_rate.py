@@ -2,8 +2,7 @@
 more than was asked.
 
 Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
-at which some metric
-certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
+at which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.
 
 Hypotheses. Those of `state_feedback` (`observer`); the gain is given.
 
@@ -18,13 +17,11 @@ which is monotone in r (bounded-real lemma). At such r the least solution of
     > 0
 
 satisfies the inequality of `state_feedback`, `[(1 - rate) P - B B^T, A P + alpha B K P, 0; ...] >
-0`, with slack E.
-What is stored lies 0.1 % inside, and exact arithmetic decides.
+0`, with slack E. What is stored lies 0.1 % inside, and exact arithmetic decides.
 
 When not to use it. As a promise for the plant, or as a reason to ask for no rate: the weights chose
-the gain, not the
-rate. For Jacobians known to be diagonal several multipliers prove more; this is then sufficient
-only.
+the gain, not the rate. For Jacobians known to be diagonal several multipliers prove more; this is
+then sufficient only.
 
 Reference. [Z26] Theorem 1, eq. (11), at a given gain; docs/theory.md; Gahinet & Apkarian 1994
 (bounded-real lemma).

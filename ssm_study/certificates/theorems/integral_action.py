@@ -2,35 +2,29 @@
 theorems.
 
 Problem. Remove errors that constants, ramps or sines of known frequency cause, as disturbances or
-as references, with a
-certified rate. Integral action is the constant's case.
+as references, with a certified rate. Integral action is the constant's case.
 
 Hypotheses. Those of `state_feedback`; a linear output map `S_y(v) = G v`, an input for every
-controlled output, and no
-transmission zero of the model at a mode.
+controlled output, and no transmission zero of the model at a mode.
 
 Statement. With `z+ = A_z z + E (y - y*) / s_y`, `A_z` holding for each output the modes asked for,
-1 for a constant, a
-double 1 for a ramp, `e^{+-j 2 pi f step_s}` for a sine, and `u = u* + K_x (xh - x*) + K_z z`,
+1 for a constant, a double 1 for a ramp, `e^{+-j 2 pi f step_s}` for a sine, and `u = u* + K_x (xh -
+x*) + K_z z`,
 
     (x, z)+ = [A 0; E G C A_z] (x, z) + [B; E G D] S_u(u)
 
 is again a linear recurrence behind `S_u`, so the inequality of `state_feedback` with this `(A, B)`,
-`[(1 - rate) P -
-sigma B B^T, ...] > 0`, its frontier and its verdict hold as they stand; z is known exactly, so the
-observer is
-unchanged. The loop contracts: under a disturbance of period T every trajectory tends to one of
-period T, z too, which
-is bounded only if the error has no component at the modes: exactly, whatever `S_u`. Behind a linear
-`S_u` nothing else
-of a sine is left; a curved one leaves harmonics, to which modes of their own can be given.
+`[(1 - rate) P - sigma B B^T, ...] > 0`, its frontier and its verdict hold as they stand; z is known
+exactly, so the observer is unchanged. The loop contracts: under a disturbance of period T every
+trajectory tends to one of period T, z too, which is bounded only if the error has no component at
+the modes: exactly, whatever `S_u`. Behind a linear `S_u` nothing else of a sine is left; a curved
+one leaves harmonics, to which modes of their own can be given.
 
 When not to use it. With a nonlinear output map, fewer inputs than outputs, or inputs that saturate
 for long.
 
 Reference. [Z26] Theorem 1, eq. (11), for the augmented pair, announced as future work in its
-section V; the internal
-model principle: Francis & Wonham 1976.
+section V; the internal model principle: Francis & Wonham 1976.
 
 Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second state, driven by
 `0.5 x`.
@@ -115,8 +109,7 @@ def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1
     on both.
 
     Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
-    steer them all, and
-    where the inputs do not move every output at a mode.
+    steer them all, and where the inputs do not move every output at a mode.
     """
     gain = output_gain(model)
     inputs = model.linear.b.shape[1]

@@ -3,13 +3,11 @@
 Problem. As in `state_feedback`, for a law that commands `v = S_u(u)` and not u.
 
 Hypotheses. The Jacobians of `S_u` lie in a ball that does not hold zero, `|alpha_u| > beta_u`:
-`S_u` is then one to
-one, and `u = S_u^{-1}(v)` exists for every v. No limit of u acts.
+`S_u` is then one to one, and `u = S_u^{-1}(v)` exists for every v. No limit of u acts.
 
 Statement. `S_u(S_u^{-1}(K x)) = K x`, so the inequality of `state_feedback` with `alpha = 1, beta =
-0`,
-`[(1 - rate) P - sigma B B^T, A Y + B X, 0; ...] > 0`, proves that `u = S_u^{-1}(K x)` contracts at
-the rate.
+0`, `[(1 - rate) P - sigma B B^T, A Y + B X, 0; ...] > 0`, proves that `u = S_u^{-1}(K x)` contracts
+at the rate.
 
 When not to use it. Through a dead zone, for the sake of speed: it asks for several times the input
 and buys little.

@@ -5,18 +5,15 @@ Problem. `u = sat(K x)`, each input cut at its limits: what is certified from an
 Hypotheses. Those of `state_feedback`.
 
 Statement. A limit is a map of slopes in [0, 1], so `S_u(sat(.))` has Jacobians `J D`, D diagonal
-with entries in
-[0, 1]. They lie in the ball `alpha_s I + beta_s Delta` with
+with entries in [0, 1]. They lie in the ball `alpha_s I + beta_s Delta` with
 
     alpha_s = beta_s = nu / 2 (one input, slopes of S_u up to nu),    alpha_s = alpha / 2, beta_s =
     |alpha| / 2 + beta,
 
 since `J D - alpha I / 2 = alpha (D - I / 2) + beta Delta D`; the inequality of `state_feedback`
-with it,
-`[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate, at most the model's
-own: with slope zero
-the input does nothing. The observer is told the applied input: its rate holds, and its error
-enters, as without limits.
+with it, `[(1 - rate) P - sigma B B^T, A Y + alpha_s B X, 0; ...] > 0`, proves the rate, at most the
+model's own: with slope zero the input does nothing. The observer is told the applied input: its
+rate holds, and its error enters, as without limits.
 
 When not to use it. Where no limit acts (`unlimited_start`), or with integrators, which a limit
 holds.

@@ -1,14 +1,12 @@
 """An observer with linear output injection contracts its error through a monotone output map.
 
 Problem. `x+ = A x + B S_u(u)`, `y = S_y(C x + D S_u(u))` with `A (n, n)`, `C (p, n)`: find `L` such
-that
-`xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r =
+that `xh+ = A xh + B S_u(u) + L (yh - y)`, `yh = S_y(C xh + D S_u(u))`, comes nearer to `x` by `r =
 sqrt(1 - rate)` a sample.
 
 Hypotheses. Every Jacobian of `S_y` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1`,
-with `|alpha| > beta`;
-for a linear `S_y` `beta = 0`, and observability is the only limit. `S_u` may be anything: it
-cancels.
+with `|alpha| > beta`; for a linear `S_y` `beta = 0`, and observability is the only limit. `S_u` may
+be anything: it cancels.
 
 Statement. If `Q = Q^T, U, V, eta` satisfy
 

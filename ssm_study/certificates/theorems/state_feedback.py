@@ -1,13 +1,11 @@
 """A linear state feedback contracts a linear recurrence behind a monotone input map.
 
 Problem. `x+ = A x + B S_u(u)` with `A (n, n)`, `B (n, m)`: find `K` such that `u = K x` makes the
-distance of any two
-trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
+distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in each sample.
 
 Hypotheses. Every Jacobian of `S_u` lies in the ball `alpha I + beta Delta`, `||Delta||_2 <= 1` (for
-one input: slopes
-in `[alpha - beta, alpha + beta]`), with `|alpha| > beta`. Bounds on singular values alone are not
-enough.
+one input: slopes in `[alpha - beta, alpha + beta]`), with `|alpha| > beta`. Bounds on singular
+values alone are not enough.
 
 Statement. If `P = P^T, Y, X, sigma` satisfy
 
@@ -19,8 +17,8 @@ then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. Exact arithmetic takes `
 stored `K` and `Y`.
 
 When not to use it. For a map whose slopes come near zero: the rate is then limited by the open loop
-(`frontier`). For
-what happens on a plant that is not the model: see `tolerance` and `synthesis.mismatch`.
+(`frontier`). For what happens on a plant that is not the model: see `tolerance` and
+`synthesis.mismatch`.
 
 Reference. [Z26] Theorem 1, eq. (11), in the dual form that its proof derives; docs/theory.md. `Y =
 P` loses nothing.

@@ -5,9 +5,8 @@ Problem. As in `structured_state_feedback`, for the law `u = S_u^{-1}(K xh)`.
 Hypotheses. Those of `inverted_input`; slopes of each neuron in [0, 1].
 
 Statement. `v = S_u(u) = K x` exactly, so the inequality of `structured_state_feedback` with `alpha
-= 1, beta = 0`,
-`[r^2 (Y + Y^T - P), 0, -(F Y + G X)^T Lambda, (A Y + B X)^T, X^T; ...] > 0`, proves that the law
-contracts at the rate.
+= 1, beta = 0`, `[r^2 (Y + Y^T - P), 0, -(F Y + G X)^T Lambda, (A Y + B X)^T, X^T; ...] > 0`, proves
+that the law contracts at the rate.
 
 When not to use it. As `inverted_input`.
 

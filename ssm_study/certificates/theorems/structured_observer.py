@@ -7,8 +7,7 @@ w)`: find `L` and
 nearer to `x` by `r = sqrt(1 - rate)` a sample. `B, D, G` cancel.
 
 Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_y` in the ball `alpha I + beta Delta`,
-`||Delta||_2 <= 1`;
-`L_z = 0` where `H != 0`, for the injection would then depend on itself.
+`||Delta||_2 <= 1`; `L_z = 0` where `H != 0`, for the injection would then depend on itself.
 
 Statement. If `Q = Q^T, U, V, eta` and a diagonal `Lambda > 0`, with `N = Lambda L_z`, satisfy
 
@@ -18,16 +17,14 @@ Statement. If `Q = Q^T, U, V, eta` and a diagonal `Lambda > 0`, with `N = Lambda
     [ *                   *       *                                       U + U^T - Q         ]
 
 then `L = U^{-1} V` and `L_z` do so in the metric `M = Q`. Row 2 makes eta positive: with a negative
-one the first
-corner would certify anything. For a linear `S_y`, `beta = 0`, a small eta drops out.
+one the first corner would certify anything. For a linear `S_y`, `beta = 0`, a small eta drops out.
 
 When not to use it. Without neurons: `observer` has an exact frontier.
 
 Reference. docs/theory.md, "With neurons"; `E = 0` is [Z26] Theorem 2. `U = Q` loses nothing.
 
 Example. `x+ = 0.5 x + 0.4 phi(x)`, `y = x`. With `L = -0.5` alone the error shrinks by 0.4 at slope
-one; injected into
-the neuron as well, `L_z = -1`, nothing is left of it.
+one; injected into the neuron as well, `L_z = -1`, nothing is left of it.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))

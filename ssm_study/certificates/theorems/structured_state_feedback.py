@@ -2,9 +2,8 @@
 slopes.
 
 Problem. `x+ = A x + B v + E w`, `v = S_u(u)`, `w = phi(F x + G v + bias) - phi(bias)` with q
-neurons: find `K` such
-that `u = K x` makes the distance of any two trajectories shrink by `r = sqrt(1 - rate)` or more in
-each sample.
+neurons: find `K` such that `u = K x` makes the distance of any two trajectories shrink by `r =
+sqrt(1 - rate)` or more in each sample.
 
 Hypotheses. Slopes of each neuron in [0, 1]; Jacobians of `S_u` in the ball `alpha I + beta Delta`,
 `||Delta||_2 <= 1`.
@@ -19,16 +18,14 @@ Statement. If `P = P^T, Y, X, sigma > 0` and a diagonal `Lambda > 0` satisfy
     [ *                   *         *                             *                     sigma I ]
 
 then `K = X Y^{-1}` does so in the metric `M = P^{-1}`. With rows and columns 3 multiplied by `T =
-Lambda^{-1}` it is
-linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`, `beta = 0`, a large
-sigma drops out.
+Lambda^{-1}` it is linear in `(P, Y, X, T, sigma)`: the form that is solved. For a linear `S_u`,
+`beta = 0`, a large sigma drops out.
 
 When not to use it. Without neurons: `state_feedback` has an exact frontier. Where a neuron can cut
 the input off.
 
 Reference. docs/theory.md; Revay, Wang & Manchester 2024 (multiplier); `E = 0` is [Z26] Theorem 1.
-`Y = P` loses
-nothing.
+`Y = P` loses nothing.
 
 Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -0.7`: between `0.9 -
 0.56 = 0.34` and

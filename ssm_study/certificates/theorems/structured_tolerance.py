@@ -2,25 +2,21 @@
 to come to rest.
 
 Problem. The loop `u = K xh` with the observer of `structured_observer` runs on a plant with `y =
-y_model + e`,
-`e = Delta(W u)`: how large may the mismatch Delta be? Letters as there and in `tolerance`.
+y_model + e`, `e = Delta(W u)`: how large may the mismatch Delta be? Letters as there and in
+`tolerance`.
 
 Hypotheses. Slopes of each neuron in [0, 1]; `S_u` in the ball `alpha I + beta Delta`; `S_y(v) =
-alpha_out v`; `L_z = 0`
-where `H != 0`. Delta is causal, and `||e||_2 <= s ||W u||_2` from rest: it is held against rest,
-not against another
-trajectory, so the claim is rest and not contraction.
+alpha_out v`; `L_z = 0` where `H != 0`. Delta is causal, and `||e||_2 <= s ||W u||_2` from rest: it
+is held against rest, not against another trajectory, so the claim is rest and not contraction.
 
 Statement. With `xi = (x, eps, x_W)`, `A_xi, B_p, B_e, C_u, C_W` of `tolerance`, and two sets of
-neurons beside them, of
-the plant's model against rest and of the observer against the plant's,
+neurons beside them, of the plant's model against rest and of the observer against the plant's,
 
     w = phi(z) - phi(bias),    z - bias = [F + alpha G K, alpha G K_x, 0] xi + G p,
     d = phi(zh) - phi(z),      zh - z = [0, F + alpha_out L_z C, 0] xi - L_z e,
 
 which enter by `B_w = [E; 0; 0]`, `B_d = [0; E + alpha_out L H; 0]`, if `P, lambda_p, s > 0` and
-diagonal
-`Lambda > 0` (both sets) satisfy, with `Z (xi, p, e)` the two rows above,
+diagonal `Lambda > 0` (both sets) satisfy, with `Z (xi, p, e)` the two rows above,
 
     diag( P - lambda_p beta^2 C_u^T C_u - s^2 C_W^T C_W,  lambda_p I,  I,  2 Lambda ) - [0, -Z^T
     Lambda; *, 0]

@@ -2,14 +2,12 @@
 slopes that vary at will.
 
 Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = y_model + e`, `e
-= Delta(W u)`: how
-large may the mismatch Delta be? Shapes: `K (m, s)`, `L (n, p)`, W a stable filter of the input, m
-channels.
+= Delta(W u)`: how large may the mismatch Delta be? Shapes: `K (m, s)`, `L (n, p)`, W a stable
+filter of the input, m channels.
 
 Hypotheses. `S_u` as in `state_feedback`; `S_y` linear, `S_y(v) = alpha_out v`; Delta is causal, and
-for any two inputs
-`||e - e'||_2 <= s ||W (u - u')||_2` from rest. Nothing is asked of it sample by sample, so no rate
-is claimed.
+for any two inputs `||e - e'||_2 <= s ||W (u - u')||_2` from rest. Nothing is asked of it sample by
+sample, so no rate is claimed.
 
 Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W = [D_W C_u, C_w]`,
 
@@ -22,8 +20,7 @@ Statement. With `xi = (x, eps, x_W)`, `eps = xh - x`, `C_u = [K, K_x, 0]`, `C_W 
     [A_xi B_p B_e]  >  0
 
 then differences of trajectories are square-summable and tend to zero. Without a ball this is small
-gain,
-`s = 1 / ||W T_ue||_inf`; with one, slopes may vary at will, and s is below what the margin at
+gain, `s = 1 / ||W T_ue||_inf`; with one, slopes may vary at will, and s is below what the margin at
 constant slopes says.
 
 When not to use it. As a forecast: that the plant's mismatch is below s is a premise. With a
@@ -182,8 +179,8 @@ class Tolerance(Theorem):
         by.
 
         A search over the one multiplier: at a given `lambda_p` the largest s is a peak over
-        frequency, and P the least
-        solution of a Riccati equation. No solver is asked; one is the oracle of the test.
+        frequency, and P the least solution of a Riccati equation. No solver is asked; one is the
+        oracle of the test.
         """
         if np.abs(np.linalg.eigvals(loop[:, : len(loop)])).max() >= 1:
             return
@@ -216,8 +213,7 @@ def largest_tolerance(
     theorem: type[Tolerance] = Tolerance,
 ) -> Tolerance | None:
     """The largest s that is certified for this weight; None with a nonlinear output map, where none
-    is found, and where
-    no mismatch has an effect (K or L is zero): no number is the largest then.
+    is found, and where no mismatch has an effect (K or L is zero): no number is the largest then.
     """
     started = time.perf_counter()
     if known.balls.output.beta > 0:

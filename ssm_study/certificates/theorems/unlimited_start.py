@@ -6,15 +6,14 @@ Hypotheses. Those of `state_feedback`; the estimate starts exact (`controller_in
 at the rest point.
 
 Statement. Let P prove a rate in (0, 1) for K (the inequality of `state_feedback`), `[l_i, h_i]` be
-the limits of input
-i as scaled deviations from rest, and `v` a level with, for each input and each start `x_j`,
+the limits of input i as scaled deviations from rest, and `v` a level with, for each input and each
+start `x_j`,
 
     l_i < 0 < h_i,    h_i^2 > v K_i P K_i^T,    l_i^2 > v K_i P K_i^T,    [v, x_j^T; x_j, P] > 0.
 
 Then no limit acts from their convex hull and its mirror image: `x^T P^{-1} x < v` there, it falls
-as long as none acts,
-and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every rate that is proved of
-the pair holds.
+as long as none acts, and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below the limits. So every
+rate that is proved of the pair holds.
 
 When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set
 point near a limit.

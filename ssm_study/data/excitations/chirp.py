@@ -16,8 +16,7 @@ class Chirp(Excitation):
     over the record.
 
     Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
-    record, `high_hz` None
-    is `0.5 / clock_s`.
+    record, `high_hz` None is `0.5 / clock_s`.
     """
 
     kind = "chirp"

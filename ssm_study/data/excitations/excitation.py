@@ -111,9 +111,8 @@ class PRBS(Excitation):
     `clock_s`.
 
     Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel
-    starts the register
-    elsewhere. Two levels show a static input nonlinearity at two points only: its slopes are not
-    identifiable.
+    starts the register elsewhere. Two levels show a static input nonlinearity at two points only:
+    its slopes are not identifiable.
     """
 
     kind = "prbs"

@@ -18,8 +18,7 @@ class OwnSignal(Excitation):
     per sampling period.
 
     Records shorter than the file start at a random row of it. `amplitude` None takes the values as
-    they are; a number
-    scales each column to that peak.
+    they are; a number scales each column to that peak.
     """
 
     kind = "file"

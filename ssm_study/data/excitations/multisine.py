@@ -19,11 +19,9 @@ class Multisine(Excitation):
     T the record.
 
     Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat
-    spectrum, which lowers the
-    crest factor peak/rms (random phases: about 3; afterwards about 1.6). `band_low_hz` None is the
-    first line,
-    `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon & Schoukens 2012, sec. 5.3; Van der
-    Ouderaa et al. 1988.
+    spectrum, which lowers the crest factor peak/rms (random phases: about 3; afterwards about 1.6).
+    `band_low_hz` None is the first line, `band_high_hz` None is `0.5 / clock_s`. Source: Pintelon &
+    Schoukens 2012, sec. 5.3; Van der Ouderaa et al. 1988.
     """
 
     kind = "multisine"

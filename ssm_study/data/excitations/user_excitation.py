@@ -27,8 +27,8 @@ class OwnPlantRecord:
     `lower, upper`.
 
     `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first
-    log. `rest` must lie
-    strictly inside the limits. Raises `BadRequest` for a settling time below twenty samples.
+    log. `rest` must lie strictly inside the limits. Raises `BadRequest` for a settling time below
+    twenty samples.
     """
 
     lower: float

@@ -1,9 +1,8 @@
 """MATLAB files of the formats 4 and 5 (to version 7), real matrices only.
 
 Format 5 is read in plain Python with every length checked: `scipy.io.loadmat` ends the whole
-process on some damaged
-files of it (2026-11, found by fuzzing); there it is the tests' oracle. Source: MathWorks, "MAT-File
-Format", R2024a.
+process on some damaged files of it (2026-11, found by fuzzing); there it is the tests' oracle.
+Source: MathWorks, "MAT-File Format", R2024a.
 """
 
 import math

@@ -76,8 +76,7 @@ class Peer(Family):
     @abstractmethod
     def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
         """`rate` is asked of controller and observer where the method takes rates. Raises
-        `BadRequest` for a model or
-        plant that it has no controller for."""
+        `BadRequest` for a model or plant that it has no controller for."""
 
 
 def compared(

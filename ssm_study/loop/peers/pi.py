@@ -22,8 +22,7 @@ class PI(Controller):
     output.
 
     `gain` in input per output unit, `integral_s` in seconds; i is held while a limit keeps the
-    input from what was
-    asked (no wind-up).
+    input from what was asked (no wind-up).
     """
 
     gain: float
@@ -109,8 +108,7 @@ def tyreus_luyben(model: SSM) -> PI:
     calmer rule.
 
     Source: Tyreus & Luyben, Ind. Eng. Chem. Res. 31 (1992) 2625-2628. (Rules from a first-order
-    fit, SIMC among them,
-    do not see an elastic shaft: on the motor they excite its resonance.)
+    fit, SIMC among them, do not see an elastic shaft: on the motor they excite its resonance.)
     """
     (gain, period_s), rest = ultimate(model), float(model.scale.input_equilibrium[0])
     return PI(

@@ -43,9 +43,8 @@ class N4SID(SolvedSpec):
     nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
-    and B is fitted
-    again without it. N4SID takes one record: several are joined end to end, and each joint is an
-    error in A and C.
+    and B is fitted again without it. N4SID takes one record: several are joined end to end, and
+    each joint is an error in A and C.
     """
 
     gives_ssm: ClassVar[bool] = True

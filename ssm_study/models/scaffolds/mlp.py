@@ -72,15 +72,13 @@ class Mlp(Trainable):
     ends or trained in it.
 
     `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
-    whole map are
-    trained, whatever `train_slopes` says (`OneChannel`); of several
+    whole map are trained, whatever `train_slopes` says (`OneChannel`); of several
 
         S = S_L o ... o S_1,  S_l(v) = W^T (phi(W v + b) - phi(b)),  W^T W = I,  phi' in [lower_l,
         upper_l]
 
     Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`;
-    `layer_sector` splits the
-    sector so that the composition of all layers stays inside.
+    `layer_sector` splits the sector so that the composition of all layers stays inside.
     """
 
     depth: int
@@ -195,9 +193,8 @@ class OneChannel(Trainable):
     one asked for.
 
     `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`:
-    `width - 1` leaky
-    ReLUs with slopes `lower, upper` and one linear neuron write every such map, without weights
-    that must be positive.
+    `width - 1` leaky ReLUs with slopes `lower, upper` and one linear neuron write every such map,
+    without weights that must be positive.
     """
 
     depth: int
@@ -258,9 +255,8 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
     """The slopes one layer may have so that `depth` of them in a row keep `[lower, upper]`.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
-    the product lies in
-    the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d = (upper/alpha)^(1/L) - 1`,
-    `alpha` the middle.
+    the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =
+    (upper/alpha)^(1/L) - 1`, `alpha` the middle.
     """
     if channels == 1 or depth == 1:
         return lower ** (1 / depth), upper ** (1 / depth)

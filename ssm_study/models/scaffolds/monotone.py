@@ -29,10 +29,9 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
     j-1]` and `[c, j]`.
 
     Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope
-    interval is the smallest
-    and the largest of `slopes`; the Jacobian is diagonal, so the interval is also the ball.
-    Source: docs/theory.md ("construction"); any piecewise-linear monotone map with h break points
-    has this form.
+    interval is the smallest and the largest of `slopes`; the Jacobian is diagonal, so the interval
+    is also the ball. Source: docs/theory.md ("construction"); any piecewise-linear monotone map
+    with h break points has this form.
     """
 
     breakpoints: Float[np.ndarray, "m h"]
@@ -112,8 +111,7 @@ class Monotone(Trainable):
     them per channel.
 
     The Jacobian is diagonal, so the sector is the ball. The break points move with training: when
-    two cross, the piece
-    between them has zero width and the map stays continuous in its parameters.
+    two cross, the piece between them has zero width and the map stays continuous in its parameters.
     """
 
     def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:  # noqa: ARG002

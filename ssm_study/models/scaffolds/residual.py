@@ -21,10 +21,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     `alpha I + beta Delta`.
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with
-    the network's
-    weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at Lipschitz
-    constant one, so the
-    claim can be checked from these numbers alone. Source: Wang & Manchester (2023).
+    the network's weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at
+    Lipschitz constant one, so the claim can be checked from these numbers alone. Source: Wang &
+    Manchester (2023).
     """
 
     alpha: float
@@ -77,10 +76,8 @@ class Residual(Trainable):
     closed by a linear one.
 
     With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
-    written out, G is a
-    perceptron with Lipschitz multipliers `Psi^2`. It couples the channels. Source: Wang &
-    Manchester (2023), eqs.
-    (8)-(11).
+    written out, G is a perceptron with Lipschitz multipliers `Psi^2`. It couples the channels.
+    Source: Wang & Manchester (2023), eqs. (8)-(11).
     """
 
     depth: int

@@ -2,8 +2,7 @@
 it is trained.
 
 `Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the
-group `scaffold` says.
-Members are found by `names`, the kind that JSON says.
+group `scaffold` says. Members are found by `names`, the kind that JSON says.
 """
 
 from abc import ABC, abstractmethod
@@ -172,8 +171,7 @@ class Trainable(ABC):
     only there.
 
     A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
-    sector. The paper's
-    perceptron with free weights is the exception, and says so.
+    sector. The paper's perceptron with free weights is the exception, and says so.
     """
 
     fixed: ClassVar[
@@ -244,8 +242,8 @@ def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
     percent of it.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels
-    of the data, which
-    fit noise and widen the slope interval that a certificate must cover, cost extra.
+    of the data, which fit noise and widen the slope interval that a certificate must cover, cost
+    extra.
     """
     relative = slopes / slopes.detach().amax(-1, keepdim=True)
     return (torch.sqrt(relative.diff() ** 2 + ROUNDING**2) - ROUNDING).sum(-1)

@@ -55,11 +55,9 @@ def draw(
     PDF.
 
     Those of a single run show `run`, else the study's best. Pure functions of the gathered table
-    and the run folders'
-    files: the same files give the same bytes. A figure of what the study does not have is not
-    drawn, and `tell` hears
-    why. Raises `BadRequest` for a figure nobody wrote. `captions.md` beside them has the caption of
-    each.
+    and the run folders' files: the same files give the same bytes. A figure of what the study does
+    not have is not drawn, and `tell` hears why. Raises `BadRequest` for a figure nobody wrote.
+    `captions.md` beside them has the caption of each.
     """
     study = StudyFolder(folder=study_folder, shown=run)
     paths = []

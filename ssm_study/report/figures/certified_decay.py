@@ -1,8 +1,6 @@
 """Certified against measured contraction, on the model: the distance of pairs of trajectories in
-the certified metric,
-relative to its start (worst and median of many pairs), under the bound r^k that is proved of the
-gains. Left the
-feedback, right the observer."""
+the certified metric, relative to its start (worst and median of many pairs), under the bound r^k
+that is proved of the gains. Left the feedback, right the observer."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

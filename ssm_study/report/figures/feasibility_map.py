@@ -1,6 +1,6 @@
 """Where certificates exist: every run at its slope ratio and controller rate, with the exact
-frontier of each model.
-Below its model's bar a rate can be certified; above it none can, whatever the solver."""
+frontier of each model. Below its model's bar a rate can be certified; above it none can, whatever
+the solver."""
 
 import pandas as pd
 from matplotlib.figure import Figure

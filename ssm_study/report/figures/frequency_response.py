@@ -1,7 +1,6 @@
-"""Frequency response of the model at rest (line) beside the estimate that the validation record gives
-without any model (dots: averaged cross spectra, where the input has power and output and input are
-coherent). First input to first
-output, in physical units."""
+"""Frequency response of the model at rest (line) beside the estimate that the validation record
+gives without any model (dots: averaged cross spectra, where the input has power and output and
+input are coherent). First input to first output, in physical units."""
 
 from typing import Any
 

@@ -1,8 +1,6 @@
 """How each controller copes with what it was not designed for: share of starts settled (%) as
-colour and number, and
-below it the mean settling time (s) of those that do; per controller and situation, mean over the
-runs that compared
-them."""
+colour and number, and below it the mean settling time (s) of those that do; per controller and
+situation, mean over the runs that compared them."""
 
 import pandas as pd
 import seaborn as sns

@@ -29,9 +29,8 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     `report` (Altair).
 
     With `others`, one page shows all studies beside one another:
-    `study_folder/report_with_OTHER.html`.
-    The file carries data, style, scripts and the plotting library; its content policy forbids any
-    request.
+    `study_folder/report_with_OTHER.html`. The file carries data, style, scripts and the plotting
+    library; its content policy forbids any request.
     """
     try:
         from ssm_study.report.page.charts import EXPLORER, panels, specification
