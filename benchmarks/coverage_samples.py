@@ -37,9 +37,7 @@ SETTLED = 1e-2
 BEYOND = 1.5
 HORIZON = 3000  # samples
 FIRST_ORDER = Weights(
-    floor=0.5,
-    output=np.array([[0.7, 1.0], [0.1, 0.4]]),
-    input=np.array([[0.5, 1.0], [0.02, 0.1]]),
+    floor=0.5, output=np.array([[0.7, 1.0], [0.1, 0.4]]), input=np.array([[0.5, 1.0], [0.02, 0.1]])
 )
 
 

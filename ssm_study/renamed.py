@@ -170,7 +170,7 @@ WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {
 WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {
     "noise_gain": Withdrawn(
         since="0.2", remedy="read the column noise_gain_model, which is no claim"
-    ),
+    )
 }
 
 # Columns that records of an earlier version hold: not checked.

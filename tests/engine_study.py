@@ -20,12 +20,7 @@ from ssm_study.engine.stages import Stage, Stages
 from ssm_study.engine.task import Task
 from ssm_study.refusal import require
 
-SETTINGS = {
-    "run": "${run_name:}",
-    "seed": 0,
-    "do": "work",
-    "rate": 1,
-}
+SETTINGS = {"run": "${run_name:}", "seed": 0, "do": "work", "rate": 1}
 
 
 def read(folder: Path) -> float:

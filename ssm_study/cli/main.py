@@ -452,10 +452,7 @@ OPTIONS: dict[str, dict[str, dict[str, Any]]] = {
             "metavar": "TYPE",
             "help": "floats of the C code: double (default) or float",
         },
-        "--yes": {
-            "action": "store_true",
-            "help": "replace an earlier export without asking",
-        },
+        "--yes": {"action": "store_true", "help": "replace an earlier export without asking"},
         "--prefix": {
             "default": "controller",
             "metavar": "NAME",

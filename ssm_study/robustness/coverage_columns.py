@@ -13,14 +13,6 @@ COLUMNS = (
         ITERATED,
     ),
     Column("coverage_reason", "string", word="Why nothing is covered"),
-    Column(
-        "coverage_needed",
-        "Float64",
-        "low",
-        "",
-        "Coverage that fresh data need",
-        "–",
-        ITERATED,
-    ),
+    Column("coverage_needed", "Float64", "low", "", "Coverage that fresh data need", "–", ITERATED),
     Column("coverage_reference", "string", word="Record that decides the coverage"),
 )

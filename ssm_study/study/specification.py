@@ -158,10 +158,7 @@ class Specification:
         require(inside or elsewhere, names, shown, problem, "choose limits around it")
 
     def select(
-        self,
-        *names: str,
-        computed: Mapping[str, Any] = NONE,
-        unkeyed: Mapping[str, Any] = NONE,
+        self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Settings and arguments of a stage, made together so that key and argument cannot differ.
 

@@ -45,10 +45,7 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 
 
 def with_gain_certificates(
-    design: Design,
-    model: Model,
-    balls: Balls,
-    limits: tuple[Inputs, Inputs] | None = None,
+    design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
     """The design with what is proved of its very gains, each exactly verified: the largest rates,
     the tolerance, and what input `limits` (physical) leave.

@@ -271,10 +271,7 @@ def test_a_plan_starts_nothing(tmp_path: Path) -> None:
     assert "6 runs: 0 finished, 6 to do" in output
     assert [
         line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))
-    ] == [
-        ["data", "2", "0", "2"],
-        ["model", "6", "0", "6"],
-    ]
+    ] == [["data", "2", "0", "2"], ["model", "6", "0", "6"]]
 
 
 def test_shared_compositions_are_hydras_own() -> None:

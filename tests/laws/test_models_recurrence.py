@@ -13,10 +13,7 @@ from ssm_study.models import torch_recurrence as recurrence
 from ssm_study.models.spec import explained, from_data, on_ring
 from ssm_study.models.torch_ssm import LRU
 
-EVALUATIONS = {
-    "convolution": recurrence.by_convolution,
-    "chunks": recurrence.by_chunks,
-}
+EVALUATIONS = {"convolution": recurrence.by_convolution, "chunks": recurrence.by_chunks}
 Evaluation = Callable[..., torch.Tensor]
 
 

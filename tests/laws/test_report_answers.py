@@ -9,11 +9,7 @@ from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.data import question
 from ssm_study.table.columns import swept
 
-QUESTIONS = (
-    "Where does feasibility end",
-    "better fit",
-    "prediction hold",
-)
+QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
 
 
 def said(table: pd.DataFrame, about: str) -> str:

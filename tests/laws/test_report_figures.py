@@ -74,11 +74,7 @@ def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
     assert not (studies[kind] / "figures").exists()
 
 
-NEEDS_SEVERAL = {
-    "robustness",
-    "peers",
-    "feasibility_map",
-}  # runs or controllers
+NEEDS_SEVERAL = {"robustness", "peers", "feasibility_map"}  # runs or controllers
 
 
 def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(

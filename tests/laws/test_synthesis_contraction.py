@@ -8,10 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssm_study.bounds.gramians import (
-    gramian,
-    local_property,
-)
+from ssm_study.bounds.gramians import gramian, local_property
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier

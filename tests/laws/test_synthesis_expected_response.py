@@ -28,11 +28,7 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
     gains: Any = np.zeros((4, 1, 1))
     grid = Candidates(feedback=(), ks=gains, observing=(), ls=gains[:1])
     return ExpectedResponse(
-        model=motor_model(),
-        balls=BALLS,
-        candidates=grid,
-        mismatch=Mismatch(views=()),
-        margin=1.0,
+        model=motor_model(), balls=BALLS, candidates=grid, mismatch=Mismatch(views=()), margin=1.0
     )
 
 

@@ -62,10 +62,7 @@ def test_an_input_disc_around_zero_is_the_tolerance_to_seven_digits(seed: int) -
     loop, into_u = tolerance.Tolerance.matrices(older)
     outputs = np.vstack([older.beta * into_u, into_u])
     system = StateSpace(
-        a=loop[:, : len(loop)],
-        b=loop[:, len(loop) :],
-        c=outputs,
-        d=np.zeros((2, 2)),
+        a=loop[:, : len(loop)], b=loop[:, len(loop) :], c=outputs, d=np.zeros((2, 2))
     )
     response = frequency_response(system, np.linspace(0, np.pi, 40001))
 

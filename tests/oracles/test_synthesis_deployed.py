@@ -314,11 +314,7 @@ def stored() -> tuple[dict, StateSpace]:
     )
     limits = np.array([-4.0]), np.array([6.0])
     whole = with_gain_certificates(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, limits)
-    expected = {
-        "state_feedback_deployed",
-        "observer_deployed",
-        "tolerance",
-    }
+    expected = {"state_feedback_deployed", "observer_deployed", "tolerance"}
     assert set(whole.extra_certificates) == {
         *expected,
         "state_feedback_limited",

@@ -40,9 +40,7 @@ def test_a_stored_configuration_that_stands_for_more_than_itself_is_refused(
         stored_yaml(file)
 
 
-def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(
-    tmp_path: Path,
-) -> None:
+def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(tmp_path: Path) -> None:
     shared = {"order": 4}
     file = tmp_path / "config.yaml"
     file.write_text(yaml_text({"model": shared, "again": shared, "few": [1.0e-5, "1e5"]}))

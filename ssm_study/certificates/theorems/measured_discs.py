@@ -66,13 +66,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import DUAL
-from ssm_study.certificates.theorem import (
-    Blocks,
-    Theorem,
-    VerificationContext,
-    diagonal,
-    stacked,
-)
+from ssm_study.certificates.theorem import Blocks, Theorem, VerificationContext, diagonal, stacked
 from ssm_study.systems import JacobianBall, error_input_matrix
 
 OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is controlled

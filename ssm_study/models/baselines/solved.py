@@ -21,9 +21,7 @@ from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
 SLOWEST = 0.9999  # an unstable identified pole is scaled back to this radius, or a free run would overflow
-INSTALL = {
-    "nfoursid": 'pip install "ssm-study[baselines]"',
-}
+INSTALL = {"nfoursid": 'pip install "ssm-study[baselines]"'}
 MOST_TERMS = 20
 
 

@@ -10,12 +10,7 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
 from ssm_study.signals import DataSet
-from ssm_study.study.loop_recordings import (
-    NOISE_FREE,
-    closed_on,
-    read_experiment,
-    write_experiment,
-)
+from ssm_study.study.loop_recordings import NOISE_FREE, closed_on, read_experiment, write_experiment
 from ssm_study.study.stages.free_run import ModelRun
 
 Experiment = tuple[LoopRuns, str]  # and what it was done on
