@@ -1,1 +1,1 @@
-"""What is identified."""
+"""The models that are identified from records."""

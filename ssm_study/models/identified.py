@@ -72,7 +72,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def system(self) -> System:
-        """What the theorems are about: the recurrence."""
+        """The system that the theorems are about: the linear recurrence."""
         return self.linear
 
     def lift(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:

@@ -186,7 +186,7 @@ def _reached(model: Any, lifted: Lifted) -> Gramian:
 def _linearised(
     model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What S_y is given from `x0` on `(T, p)`, and its derivative by `x0` `(T, p, n)`."""
+    """Input of S_y on a free run from `x0` `(T, p)`, and its derivative by `x0` `(T, p, n)`."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):

@@ -1,5 +1,5 @@
-"""What `conf/model/ssm.yaml` says, where training starts (on a ring, or fitted to data), and the
-trainable model."""
+"""The settings of `conf/model/ssm.yaml`, where training starts (on a ring, or fitted to data), and
+the trainable model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -77,7 +77,8 @@ def phi(
 
 
 def shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
-    """Of each matrix of a recurrence with n states, m lifted inputs, p outputs and q neurons."""
+    """Shape of each matrix of a recurrence with n states, m lifted inputs, p outputs and q
+    neurons."""
     linear = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
     return linear | {"e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}
 
@@ -147,7 +148,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @cached_property
     def matrices(self) -> "Matrices":
-        """What the compiled recurrence takes."""
+        """The matrices and the codes of the neurons, as the compiled recurrence takes them."""
         from ssm_study.models.structured_kernel import (
             Matrices,
         )  # numba: reading a model does without
@@ -195,7 +196,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
-        """Of a stored one-layer model too: that with q = 0. Raises as `Explicit` does."""
+        """The stored model, a one-layer one with q = 0. Raises as `Explicit` does."""
         if data.get("neurons"):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))

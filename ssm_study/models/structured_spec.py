@@ -1,5 +1,5 @@
-"""What `conf/model/structured.yaml` says, and the maps S_u and S_y as they are trained, derivatives
-written out."""
+"""The settings of `conf/model/structured.yaml`, and the maps S_u and S_y as they are trained,
+derivatives written out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -202,8 +202,8 @@ class StructuredSpec(ModelSpec):
         return self.starts + (self.among_starts is not None)
 
     def at_start(self, start: int) -> "StructuredSpec":
-        """What start k trains. With `among_starts` each odd k and the last have half the states,
-        the last no neurons.
+        """The settings that start k trains. With `among_starts` each odd k and the last have half
+        the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """

@@ -130,8 +130,8 @@ def _toeplitz(
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
-    """What `_toeplitz` spread, gathered: rows of length 2 s - 1 instead of 2 s put a diagonal into
-    a column."""
+    """Sums along the diagonals of a block Toeplitz table, the adjoint of `_toeplitz`: rows of
+    length 2 s - 1 instead of 2 s put a diagonal into a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
     skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
     return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)

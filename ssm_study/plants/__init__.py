@@ -1,1 +1,1 @@
-"""What is controlled."""
+"""The plants that are controlled."""

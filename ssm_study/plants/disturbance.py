@@ -1,4 +1,4 @@
-"""What the world does to a plant meanwhile: a disturbance over time, the same for every case."""
+"""Disturbances that act on a plant over time, the same for every case."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -101,7 +101,7 @@ class Plant(ABC):
 
     @abstractmethod
     def output(self, x: States) -> Outputs:
-        """What the sensor reads, before the input of the same sample acts."""
+        """The sensor's reading before the input of the same sample acts."""
 
     def simulate(
         self,

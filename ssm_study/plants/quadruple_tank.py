@@ -112,7 +112,7 @@ class QuadrupleTank(Plant):
         return (into + fallen - out) / np.array(self.area_cm2)
 
     def _pumped(self, u: Inputs) -> States:
-        """What the pumps put into each tank, cm^3/s; a negative voltage pumps nothing."""
+        """Flow from the pumps into each tank, cm^3/s; a negative voltage pumps nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
         below = np.array(self.share_below)
         return np.concatenate([below * flow, ((1 - below) * flow)[:, ::-1]], axis=1)

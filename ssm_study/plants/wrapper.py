@@ -37,7 +37,7 @@ class Wrapper(Plant):
         return (*self.plant.states, *self.memory)
 
     def fresh_memory(self) -> Float[np.ndarray, "r"]:
-        """What the appended states of a case are when it starts."""
+        """Values of the appended states of a case at its start: zeros by default."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:

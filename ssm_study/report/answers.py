@@ -1,4 +1,4 @@
-"""What a study shows about its three questions, in sentences computed from its table.
+"""Answers of a study to its three questions, in sentences computed from its table.
 
 Where feasibility ends, whether a better fit means a better loop, and whether the prediction holds.
 The best run and the failures have parts of the page of their own.

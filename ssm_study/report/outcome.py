@@ -1,5 +1,5 @@
-"""What a run came to, on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and where the
-figures lie."""
+"""The outcome of a run on one screen, in the blocks MODEL, PROVED, PREDICTED and SEEN, and where
+the figures lie."""
 
 import math
 import re
@@ -96,7 +96,8 @@ def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str =
 
 
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """What was identified: fit, benchmark scores, slopes, how fast it decays without control."""
+    """Rows on the identified model: fit, benchmark scores, slopes, how fast it decays without
+    control."""
     yield (
         "fit_test_percent",
         "Fit on the test record",
@@ -116,7 +117,7 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """What exact arithmetic holds of the gains that are used, on the model."""
+    """Rows on the rates that exact arithmetic proves on the model for the gains that are used."""
     for side, theorem in THEOREMS.items():
         name = f"{side}_certified_rate"
         limit = f"at most {printed(record, f'{side}_rate_limit')}"
@@ -135,7 +136,8 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """What is proved with a limited input, and from which initial outputs the full rate holds."""
+    """Rows on the rate proved with a limited input, and on the initial outputs from which the full
+    rate holds."""
     label = LIMITS_OF[_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
@@ -178,7 +180,8 @@ def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """What model and records say of the plant before the controller is tried on it."""
+    """Rows on the prediction that model and records allow before the controller is tried on the
+    plant."""
     yield "evidence", "Evidence", str(record.get("evidence"))
     label = "Prediction for the plant" if _on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
@@ -193,7 +196,8 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """What the closed loop did: starts that settled, how fast, and what the noise reached."""
+    """Rows on the measured closed loop: starts that settled, how fast, and what the noise
+    reached."""
     count = printed(record, "stable_count", ".0f")
     starts = printed(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"

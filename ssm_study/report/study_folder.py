@@ -1,4 +1,4 @@
-"""What a figure is drawn from: the study's gathered table and the files of its runs."""
+"""Data that figures are drawn from: the study's gathered table and the files of its runs."""
 
 import io
 import json
@@ -63,8 +63,8 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
-        """None for a baseline too: it is identified and scored, but nothing can be certified of
-        it."""
+        """The identified model; None for a baseline too: it is identified and scored, but nothing
+        can be certified of it."""
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM) else None
@@ -93,12 +93,12 @@ class RunFolder:
 
     @cached_property
     def validation(self) -> RecordedCases | None:
-        """Of several records the first; they may differ in length."""
+        """The first of the validation records, which may differ in length."""
         return self._recording("validation", most=1)
 
     @cached_property
     def test(self) -> RecordedCases | None:
-        """Likewise."""
+        """The first of the test records, which may differ in length."""
         return self._recording("test", most=1)
 
     @cached_property

@@ -39,7 +39,7 @@ def words(name: object) -> str:
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """What a prediction rests on, each number beside its bound.
+    """The grounds of a prediction, each number beside its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """

@@ -1,2 +1,2 @@
-"""What the records say about the plant: its mismatch with the model, and whether a loop stands
+"""The plant's mismatch with the model, measured from records, and whether a loop stays stable with
 it."""

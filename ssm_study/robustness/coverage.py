@@ -98,7 +98,7 @@ class AveragedSpectrum:
     sure: Powers
 
     def deviation_power(self, centre: float) -> Powers:
-        """What `e - c m` shows in each bin beyond its noise."""
+        """Power of `e - c m` in each bin beyond its noise."""
         power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
         return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
 
@@ -167,8 +167,8 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """What all records show; `reason` is the sentence that says why nothing can be covered, None
-    where it can."""
+    """Mismatch spectra of all records; `reason` is the sentence that says why nothing can be
+    covered, None where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
@@ -359,7 +359,8 @@ def _power(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
 
 
 def _noise_of(records: Sequence[_Run]) -> Float[np.ndarray, "F"]:
-    """What does not repeat, a sample's power in each band: the median over the records."""
+    """Noise power of a sample in each band, from what does not repeat: the median over the
+    records."""
     powers = []
     for run in records:
         first, second = run.periods(run.e)

@@ -59,7 +59,7 @@ Spectra = tuple[
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """What the records of one amplitude show, scaled units, at `ANGLES`: see the module for
+    """Mismatch seen in the records of one amplitude, scaled units, at `ANGLES`: see the module for
     `linear` (Q) and `rest`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
@@ -98,14 +98,14 @@ class Mismatch:
 
     @property
     def offset(self) -> float:
-        """What may stay of the output at rest input, in bands of settling (-): at most, with 95 %
-        confidence."""
+        """Largest offset of the output that may stay at rest input, in bands of settling (-), with
+        95 % confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
         return worst / self.band
 
     @property
     def band(self) -> float:
-        """Of settling, in output scales."""
+        """Band of settling, in output scales."""
         return BAND * self.farthest
 
     @property
@@ -198,8 +198,9 @@ def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> 
 
 
 def _rests_after_motion(moving: list["_Errors"], response: int) -> tuple[list[float], list[float]]:
-    """What is left of the output where the input has come to rest: all offsets above `AT_REST`,
-    and the swings above `FAINT`, which a decay may not show, since it starts elsewhere."""
+    """Offsets and swings of the output where the input has come to rest: all offsets above
+    `AT_REST`, and the swings above `FAINT`, which a decay may not show, since it starts
+    elsewhere."""
     offsets = []
     swings = []
     for errors in moving:
@@ -214,7 +215,7 @@ def _rests_after_motion(moving: list["_Errors"], response: int) -> tuple[list[fl
 
 
 def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """Those of the two kinds of rests that stay farther off: one rest counts once."""
+    """The list with the larger greatest offset of two kinds of rests: one rest counts once."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 
@@ -305,8 +306,8 @@ def unscored(trial: Trajectory, start_up_samples: int) -> int:
 
 
 def _in_loop(records: list[_Errors], noise: Float[np.ndarray, "F"] | None) -> View:
-    """What trials in closed loop show: the largest of any, since a large swing would hide a small
-    one in their mean."""
+    """Mismatch seen in trials in closed loop: the largest of any, since a large swing would hide a
+    small one in their mean."""
     shown = [_swung(record, noise) for record in records]
     return _sizes(
         records, np.max([resolved for resolved, _ in shown], axis=0), max(gain for _, gain in shown)
@@ -316,7 +317,8 @@ def _in_loop(records: list[_Errors], noise: Float[np.ndarray, "F"] | None) -> Vi
 def _swung(
     record: _Errors, noise: Float[np.ndarray, "F"] | None
 ) -> tuple[Float[np.ndarray, "F"], float]:
-    """By frequency and in total: what exceeds the noise by `SURE` standard errors, over the input.
+    """Gain of the error over the input, by frequency and in total, counting what exceeds the noise
+    by `SURE` standard errors.
 
     Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
     Welch's average over N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment
@@ -337,8 +339,8 @@ def _swung(
 
 
 def _noise(records: list[_Errors]) -> Float[np.ndarray, "F"]:
-    """What does not repeat, a sample's power in each band: the same at all amplitudes, so their
-    median serves all."""
+    """Noise power of a sample in each band, from what does not repeat: the same at all amplitudes,
+    so the median of the records serves all."""
     spectra = [(record.spectra()[0], record.period) for record in records]
     return np.asarray(
         np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0)
@@ -398,7 +400,7 @@ def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
 def divided(
     values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
 ) -> Inexact[np.ndarray, "F"]:
-    """By a power that may vanish."""
+    """Quotient of values and a power that may vanish."""
     return values / np.maximum(by, np.finfo(float).tiny)
 
 

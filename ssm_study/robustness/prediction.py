@@ -55,7 +55,7 @@ PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 sa
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """What a pair of gains is expected to do on the plant; every table names its columns so (all
+    """Prediction of how a pair of gains does on the plant; every table names its columns so (all
     -)."""
 
     mismatch_margin: float

@@ -1,4 +1,5 @@
-"""What is left of an output at rest input: the motion that does not end, and where it stays off.
+"""Offset and motion of an output at rest input: the motion that does not end, and where it stays
+off.
 
 Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
 an output should rest at the equilibrium; at another, each return is compared with the mean of the
@@ -35,9 +36,9 @@ def is_return(record: Trajectory) -> bool:
 def after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
-    """Of the returns: what moves on, and the offsets above `AT_REST`, in output scales.
+    """Motions that go on after returns to rest, and the offsets above `AT_REST`, in output scales.
 
-    Those count that outlast the model's response; without any, all that came to rest from `FAR`
+    Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
     a single return, at an input other than the equilibrium's, came to rest.
     """
@@ -105,7 +106,7 @@ def after_motion(
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:
-    """What is left of an output in the last quarter of its record at rest input: offset or swing,
+    """Offset or swing, the larger, of an output in the last quarter of its record at rest input,
     noise removed."""
     tail, noise = _tail(y)
     offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)

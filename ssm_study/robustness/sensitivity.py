@@ -153,8 +153,8 @@ class Responses:
         ls: list[Float[np.ndarray, "n p"]],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Of one controller with its internal model and each of these observers, at slopes of `S_u`
-        and `S_y`."""
+        """Response of one controller with its internal model and each of these observers, at slopes
+        of `S_u` and `S_y`."""
         (slope_in, slope_out), n, p = slope, linear.order, ls[0].shape[1]
         summed = k[:, n:] @ self.to_state(modes, error_input_matrix(modes, p))
         loop = (k[:, :n] + slope_out * summed @ linear.c[:p]) @ self.to_state(linear.a, linear.b)

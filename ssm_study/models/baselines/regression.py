@@ -220,7 +220,8 @@ class _OutputError:
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     def _jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """By every parameter that the output is linear in; the columns of F are left empty."""
+        """Derivative of one record's output by every parameter that it is linear in; the columns of
+        F are left zero."""
         f = parameters[: self.order]
         n = self.order
         jacobian = np.zeros((len(u), len(parameters)))

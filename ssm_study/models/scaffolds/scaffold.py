@@ -158,8 +158,8 @@ class Scaffold(Family, Explicit):
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """What the model gives its scaffoldings: width, sector, and samples of the signal each will see
-    `(N, m)`."""
+    """Data that a model gives its scaffoldings: width, sector, and samples of the signal each will
+    see `(N, m)`."""
 
     width: int
     slopes: tuple[float, float]

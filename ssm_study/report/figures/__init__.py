@@ -28,13 +28,13 @@ def names() -> list[str]:
 
 
 def _module(name: str) -> ModuleType:
-    """Of a name that another package has too, ours."""
+    """Module of a figure by its name; ours where another package has one of the same name."""
     ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
     return import_module(f"{__name__}.{name}" if ours else modules("figures")[name])
 
 
 def caption(name: str) -> str:
-    """What the figure shows, in a sentence or two: the docstring of its file."""
+    """Caption of a figure, a sentence or two: the docstring of its file."""
     return " ".join((_module(name).__doc__ or "").split())
 
 

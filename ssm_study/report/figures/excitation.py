@@ -18,7 +18,7 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Of the first input channel; coverage, order and warning as they were found when the data set
+    """Draw the first input channel; coverage, order and warning are those found when the data set
     was made."""
     kept, record = study.of_best(
         "excitation", "record", otherwise="No run left an excitation to draw."

@@ -59,7 +59,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Of the plant that was simulated, in volts, and what both shafts' friction adds at rest.
+    """Dead-zone of the plant that was simulated, V, and the voltage that both shafts' friction adds
+    at rest.
 
     None for a recording, beside which the group's default plant stands.
     """

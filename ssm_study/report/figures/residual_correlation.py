@@ -1,6 +1,6 @@
-"""What the model leaves unexplained on the test record: correlation of the error of the free run with
-itself (left) and with the input (right). Outside the grey band (95 % for white noise) something is
-left to explain; a free run of a nonlinear plant hardly ever stays inside."""
+"""Correlation of the error of the free run on the test record with itself (left) and with the input
+(right). Outside the grey band (95 % for white noise) something is left to explain; a free run of a
+nonlinear plant hardly ever stays inside."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Of the first input and output channel, over the whole record."""
+    """Draw the correlations of the first input and output channel over the whole record."""
     test, record = study.of_best("test", "record", otherwise="No run left a test record.")
     start = int(record.get("start_up_samples") or 0)
     error = (test["measured"] - test["simulated"])[0, start:, :1]

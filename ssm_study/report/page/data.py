@@ -1,4 +1,4 @@
-"""What the report page carries: the table by columns, trajectories of the best runs, reasons,
+"""Data that the report page carries: the table by columns, trajectories of the best runs, reasons,
 provenance."""
 
 import base64
@@ -83,7 +83,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 
 
 def question(table: pd.DataFrame) -> str:
-    """What the sweep asks: `What changes with the model order and the controller rate?`."""
+    """The question of a sweep: `What changes with the model order and the controller rate?`."""
     said = (
         (name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table)
     )
