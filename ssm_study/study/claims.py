@@ -1,5 +1,5 @@
-"""What the files of a run and its configuration give, section by section: columns derived again and
-findings.
+"""Columns derived again and findings, section by section, from the files of a run and its
+configuration.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
 `Derived` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of this
@@ -193,7 +193,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
 
 
 def model(run: RunFiles) -> Claims:
-    """What is proved of the stored model, and that it runs at the records' sampling time."""
+    """Claims of the stored model: what is proved of it, and that it runs at the records' sampling
+    time."""
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s

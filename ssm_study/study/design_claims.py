@@ -1,4 +1,5 @@
-"""What `certificate.json` claims, decided again in exact arithmetic, and the columns that follow from it."""
+"""The claims of `certificate.json`, decided again in exact arithmetic, and the columns that
+follow."""
 
 import re
 from collections.abc import Iterator
@@ -120,7 +121,8 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
 
 
 def requested_system(run: RunFiles) -> System:
-    """What the state feedback is certified for, or would be: the model, and the internal model.
+    """The system that the state feedback is certified for, or would be: the model, and the internal
+    model.
 
     A design without a state feedback states none, so the one that was requested counts.
     """
@@ -135,8 +137,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def information(part: Theorem | Infeasible) -> list[str]:
-    """What stands beside the matrices and decides nothing: the margin and the condition number,
-    derived again."""
+    """Errors in the numbers beside the matrices that decide nothing: the margin and the condition
+    number, derived again."""
     if isinstance(part, Infeasible):
         return []
     again = margin(next(iter(part.as_floats(**part.variables).values())))

@@ -1,4 +1,5 @@
-"""What a section of `verify` finds: a claim that holds or does not, columns derived, what is not checked."""
+"""Findings of a section of `verify`: a claim that holds or does not, columns derived, claims not
+checked."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -189,8 +189,8 @@ class Study(Task["Specification"]):
         return facts | {"status": INFEASIBLE if missing else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """What a study is read by: a number where the configuration has it (`Column.setting`), a
-        part by its kind."""
+        """The settings that a study is read by: a number where the configuration has it
+        (`Column.setting`), a part by its kind."""
         from ssm_study.study.trials import lineage
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
@@ -243,8 +243,8 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """What the configuration has at `plant.step_s`, as `plant__step_s`; no key of which a column is
-    declared.
+    """Columns for the keys that have none declared: the value at `plant.step_s` becomes
+    `plant__step_s`.
 
     Of a part, `training/optimiser` or `peer@loop.peer`, its kind.
     """

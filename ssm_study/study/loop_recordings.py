@@ -85,8 +85,8 @@ def write_experiment(
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """What `write_experiment` kept, and what the loop was closed on. Raises `BadRequest` if a file
-    lacks a topic."""
+    """The recordings that `write_experiment` stored, and the name of what the loop was closed on.
+    Raises `BadRequest` if a file lacks a topic."""
     path, on_model, noise_free = (
         folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE)
     )

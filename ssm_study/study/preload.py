@@ -1,5 +1,5 @@
-"""What every job of a sweep would find out for itself: imported once by the server its processes
-are forked from.
+"""Preloading of what every job of a sweep needs: imported once by the server its processes are
+forked from.
 
 The code versions are those of the modules as they are in memory now: a file edited while a sweep
 runs changes neither what its jobs compute nor the keys under which they keep it.

@@ -1,5 +1,5 @@
-"""What stands beside the numbers of a recording: times, names, units and words that a reader of it
-alone goes by."""
+"""Labels beside the numbers of a recording: times, names, units and words that a reader of it alone
+goes by."""
 
 from collections.abc import Iterator, Mapping
 

@@ -74,7 +74,7 @@ class RecordedCases:
 
     @property
     def settling_band(self) -> float:
-        """What counts as settled, in the output's unit; of a closed loop."""
+        """Band within which a closed loop counts as settled, in the output's unit."""
         return float(self.about["settling_band"])
 
     @property

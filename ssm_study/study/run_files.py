@@ -1,5 +1,5 @@
-"""What `verify` goes by: the files of a run folder, each read once, and the parts that its
-configuration describes."""
+"""The files of a run folder that `verify` reads, each once, and the parts that its configuration
+describes."""
 
 import json
 from contextlib import chdir
@@ -122,7 +122,7 @@ class RunFiles:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """What data and model allow to be said of the plant."""
+        """The judgement of the plant that data and model allow."""
         shown = measure_mismatch(
             self.model, self.data.validation, self.data.start_up_samples, self.data.mismatch_records
         )
@@ -150,7 +150,7 @@ class RunFiles:
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """What the training records applied, as `excitation.mcap` has it."""
+        """The inputs that the training records applied, as `excitation.mcap` has them."""
         return [
             signal.values
             for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")
@@ -163,8 +163,8 @@ class RunFiles:
 
     @property
     def excitation(self) -> dict[str, float]:
-        """What a next record (`OwnPlantRecord`) takes, by this one: its inputs with rest, its
-        model's response, s."""
+        """Settings of a next record (`OwnPlantRecord`), taken from this one: its inputs with rest,
+        its model's response, s."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
@@ -192,7 +192,7 @@ class RunFiles:
 
     @property
     def plant(self) -> Plant:
-        """What the loop was closed on."""
+        """The plant, or identified model, that the loop was closed on."""
         return self.specification.plant or IdentifiedPlant.of(self.model)
 
     @property

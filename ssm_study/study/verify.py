@@ -27,7 +27,7 @@ UNGIVEN = "nothing in the run's files gives it"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """What became of every claim; iterating gives the findings."""
+    """The verdict on every claim; iterating gives the findings."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
@@ -99,7 +99,7 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _cause(finding: Checked) -> str:
-    """What was found, without the stored value where nothing gives the column."""
+    """Text of a finding, without the stored value where nothing gives the column."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
@@ -156,8 +156,8 @@ def _judged(run: RunFiles) -> Verification:
 
 
 def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """What the sections give; whatever a damaged file makes a reader raise is a claim that does not
-    hold."""
+    """Results of all sections; whatever a damaged file makes a reader raise is a claim that does
+    not hold."""
     try:
         sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
     except (

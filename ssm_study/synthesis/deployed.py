@@ -1,4 +1,4 @@
-"""What is proved of a pair of gains once it is chosen: the largest rates, the mismatch tolerated,
+"""Certificates for a pair of gains once it is chosen: the largest rates, the mismatch tolerated,
 limited inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
@@ -99,8 +99,8 @@ def at_largest_rate(part: Side) -> Side | None:
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """What is proved with limited inputs; nothing of neurons, without a certificate, or of limits
-    not around rest."""
+    """Certificates with limited inputs; none for neurons, without a certificate, or for limits not
+    around rest."""
     parts = (
         design.state_feedback,
         *(
@@ -142,7 +142,8 @@ class WithinLimits:
 
     @classmethod
     def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """As the parts of a certificate have it; None where they have no set of starts."""
+        """The limits read from the parts of a certificate; None where they have no set of
+        starts."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         low, high = outputs_of(model, parts[SETS].starts)
@@ -177,8 +178,8 @@ def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, O
 
 
 def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """What is found; None where floats do not hold what it takes: nothing is claimed then, and the
-    design stands."""
+    """The theorem that `find` returns; None where floats do not hold what it takes: nothing is
+    claimed then, and the design stands."""
     try:
         with within_floats():
             return find()

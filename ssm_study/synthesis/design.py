@@ -64,8 +64,8 @@ class DesignAttempt:
     started: float
 
     def refused(self) -> Infeasible | None:
-        """What no method can do, with the number that decides; None if the request lies inside the
-        frontier."""
+        """Refusal of a request that no method can meet, with the number that decides; None if the
+        request lies inside the frontier."""
         ball = self.ball
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
@@ -322,7 +322,8 @@ class Synthesis(ABC):
         return request.first_certified(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """What is solved for the controller; `observes`: for the observer, of the dual system."""
+        """The problem solved for the controller, or with `observes` for the observer, of the dual
+        system."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)

@@ -58,7 +58,7 @@ def rank(area: float, score: float) -> Rank:
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """What is needed to score the pairs of one grid against the records."""
+    """Data needed to score the pairs of one grid against the records."""
 
     model: Model
     balls: Balls

@@ -94,7 +94,8 @@ def solved(a, b):
 @compiled
 @no_type_check
 def log_det(a):
-    """Of a positive definite a, by Cholesky's lower factor; raises for any other."""
+    """Logarithm of the determinant of a positive definite a, by Cholesky's lower factor; raises for
+    any other."""
     n = len(a)
     total = 0.0
     lower = np.zeros(a.shape)

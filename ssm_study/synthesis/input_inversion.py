@@ -49,14 +49,14 @@ def behind(model: Model, records: Trajectories) -> Trajectories:
 def shown_behind(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """What the records show, relative to v."""
+    """Mismatch that the records show, relative to v."""
     return measure_mismatch(
         commanded(model), behind(model, records), start_up_samples, behind(model, mismatch_records)
     )
 
 
 def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch:
-    """What the records show relative to what a design, or a specification, commands; `shown` is
+    """Mismatch relative to the input that a design, or a specification, commands; `shown` is
     relative to u."""
     undone = law.inverts if isinstance(law, Design) else law.invert_input
     return (
@@ -84,7 +84,7 @@ def inverting(design: Design) -> Design:
 
 
 def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """What a design is about: the model itself, or with input v."""
+    """Model and balls that a design is about: the model itself, or with input v."""
     if not design.inverts:
         return model, balls
     made = commanded(model)

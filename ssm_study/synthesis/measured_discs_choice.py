@@ -1,5 +1,5 @@
-"""Of the designs that are predicted to be stable, the fastest whose proof covers what the records
-show.
+"""Choice of the fastest design whose proof covers what the records show, among those that are
+predicted to be stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and

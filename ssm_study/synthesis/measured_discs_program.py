@@ -218,7 +218,7 @@ class AngleProgram:
     bounds: Float[np.ndarray, "R"]
 
     def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
-        """Of the matrix at each angle."""
+        """Smallest eigenvalue of the matrix at each angle."""
         whole = self.constant + np.tensordot(x, self.linear, axes=1)
         return np.asarray(np.linalg.eigvalsh(whole)[:, 0])
 

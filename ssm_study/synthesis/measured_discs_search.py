@@ -172,7 +172,7 @@ def _with_margin(
 def own_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """What each free signal weighs by itself in the form: |e|^2 one, |p|^2 its multiplier, and so
+    """Weight of each free signal by itself in the form: |e|^2 one, |p|^2 its multiplier, and so
     on."""
     order = len(forms.a)
     whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
@@ -343,7 +343,7 @@ class WeightProgram:
 
     @property
     def accuracy(self) -> float:
-        """By how much angles may be missed: more where each is a large matrix."""
+        """The amount by which angles may be missed: more where each is a large matrix."""
         return COARSE if self.grid.model.shape[1] > LARGE else JOINT
 
     @property

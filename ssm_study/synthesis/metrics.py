@@ -234,8 +234,8 @@ def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) ->
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """What is proved within input limits; of several inputs or outputs what all share. Empty where
-    nothing is."""
+    """Columns on what is proved within input limits; of several inputs or outputs what all share.
+    Empty where nothing is."""
     if (found := WithinLimits.of(model, design.extra_certificates)) is None:
         return {}
     limits: Any = design.extra_certificates[SETS]
@@ -257,8 +257,8 @@ def limit_facts(design: Design, model: Model) -> dict[str, Any]:
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """What the two LMIs of [Z26], solved by Clarabel at the same rates, have to say: information,
-    not the verdict."""
+    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates:
+    information, not the verdict."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = of_commands(design, model, balls)

@@ -1,4 +1,4 @@
-"""What a linear matrix inequality is solved for: any solution, the deepest inside, or the least
+"""Objectives of a linear matrix inequality: any solution, the deepest inside, or the least
 guaranteed cost."""
 
 from typing import Any

@@ -69,8 +69,8 @@ class Game:
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """What `saddle_point` takes: `A, B` of the equation, inputs `(u, p, v)`, how u and p enter
-        neurons, weights.
+        """Arguments of `saddle_point`: `A, B` of the equation, inputs `(u, p, v)`, how u and p
+        enter neurons, weights.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.

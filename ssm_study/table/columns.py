@@ -84,7 +84,7 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """What to do about a misspelt column."""
+    """Advice on a misspelt column: the nearest names, or how to list them."""
     near = get_close_matches(
         name, list(names), n=3, cutoff=0.5
     )  # cutoff: half of the letters in order
@@ -115,7 +115,7 @@ def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, s
 
 
 def requested(table: pd.DataFrame, name: str) -> pd.Series:
-    """What was requested of a setting in each run: for a rate that `auto` chose, `auto`."""
+    """The value requested of a setting in each run: for a rate that `auto` chose, `auto`."""
     if not name.startswith("rate_"):
         return table[name]
     chosen = text(table, "rates_chosen").str.contains(name.removeprefix("rate_"))

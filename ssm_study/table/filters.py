@@ -104,7 +104,7 @@ class _Prepared(ast.NodeTransformer):
         return ast.BoolOp(ast.And(), [comparison, *present])
 
     def _missing(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
-        """What stands for `x == null` or `x != null`."""
+        """Expression that replaces `x == null` or `x != null`."""
         equal = isinstance(operator, ast.Eq | ast.Is)
         if not isinstance(side, ast.Name) or not (
             equal or isinstance(operator, ast.NotEq | ast.IsNot)

@@ -50,7 +50,7 @@ def predicted(table: pd.DataFrame) -> pd.Series:
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """By outcome class, then those predicted to be stable, then by settling time, then by fit.
+    """The table sorted by outcome class, then predicted to be stable, then settling time, then fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
     would have chosen without the plant. Settling times are relative to the plant left alone where

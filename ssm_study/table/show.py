@@ -247,8 +247,8 @@ def summary(table: pd.DataFrame, shown: int) -> list[str]:
 
 
 def over_folds(table: pd.DataFrame) -> list[str]:
-    """Of each model's settings: mean and standard deviation of the fit on what the folds held
-    out."""
+    """Lines with mean and standard deviation of the fit on the held-out folds, for each model's
+    settings."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
     others = [

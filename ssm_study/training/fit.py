@@ -76,7 +76,8 @@ class Records(nn.Module):
         return model(self.u, x0, **self._lifted(model))
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
-        """As `simulate`, and the states after the last sample, padding included."""
+        """The outputs as `simulate` gives them, and the states after the last sample, padding
+        included."""
         return model.advance(self.u, x0, **self._lifted(model))
 
     def _lifted(self, model: TorchModel) -> dict[str, Signals]:
@@ -119,7 +120,7 @@ class InitialStates(nn.Module):
         )
 
     def defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
-        """Those of multiple shooting as residuals whose squared sum is the penalty, see
+        """Defects of multiple shooting as residuals whose squared sum is the penalty, see
         `Windows`."""
         reached = ends[self.later - 1]  # where the window before ends
         size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight

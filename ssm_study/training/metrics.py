@@ -1,5 +1,5 @@
-"""What identifying a model leaves behind: the model, the evidence that it fits, and what training
-says of itself."""
+"""Results of identifying a model: the model, the evidence that it fits, and the facts of the
+training."""
 
 from dataclasses import dataclass
 from typing import Any

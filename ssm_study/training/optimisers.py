@@ -117,5 +117,5 @@ class Adam(OptimiserSpec):
 
 
 def trainable(model: "nn.Module") -> "list[nn.Parameter]":
-    """What an optimiser moves."""
+    """The parameters that an optimiser moves."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]

@@ -63,8 +63,8 @@ def _held_out_fits(data: DataSet, delay: int) -> np.ndarray:
 
 
 def _without_fold(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """What trains and what is held out: whole records where there are enough, else pieces of the
-    long ones."""
+    """Records that train and records that are held out: whole ones where there are enough, else
+    pieces of the long ones."""
     if len(records) >= FOLDS:
         kept = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
         return kept, records[fold::FOLDS]

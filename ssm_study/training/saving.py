@@ -183,7 +183,7 @@ def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> p
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """What a checkpoint belongs to: model, settings, and the records as they are scaled and
+    """Hash of what a checkpoint belongs to: model, settings, and the records as they are scaled and
     scored."""
     digest = hashlib.sha256(
         f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
@@ -301,7 +301,7 @@ class BestModelCheckpoint(Callback):
 
     @property
     def seconds(self) -> float:
-        """Of this training, with those before an interruption."""
+        """Duration of this training in seconds, with the time before an interruption."""
         return time.perf_counter() - self.began
 
     def on_save_checkpoint(

@@ -58,7 +58,7 @@ def chosen(row: Row) -> Row:
 
 
 def smallest(table: list[Row]) -> Row:
-    """Of those within `NEARLY` of the best."""
+    """Row of the smallest model among those within `NEARLY` of the best fit."""
     near = [one for one in table if one[FIT] >= max(other[FIT] for other in table) - NEARLY]
     return min(
         near,
@@ -86,8 +86,8 @@ def held_out(data: DataSet) -> Iterator[DataSet]:
 
 
 def _fit(spec: StructuredSpec, fold: DataSet, seed: int) -> float:
-    """Of the start that fits the kept pieces best, on the held-out ones, percent; never below
-    zero."""
+    """Fit on the held-out pieces, percent, never below zero, of the start that fits the kept pieces
+    best."""
     fits = [StructuredFit(spec, fold, seed + 1000 * start) for start in range(spec.starts)]
     for fit in fits:
         fit.advance(STEPS)

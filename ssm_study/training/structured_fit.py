@@ -182,7 +182,7 @@ class StructuredFit(pl.LightningModule):
         self.log("fit_validation_percent", mean_fit(self.stored(), self.data.validation, self.data))
 
     def configure_optimizers(self) -> None:
-        """None: a step needs the Jacobian, not a gradient."""
+        """Configure no optimiser: a step needs the Jacobian, not a gradient."""
 
     def stored(self) -> StructuredSSM:
         """The explicit numbers; with `integrated` the running sum is one more state per output."""

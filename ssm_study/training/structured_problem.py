@@ -102,11 +102,11 @@ class Residuals:
     ridge: float = 0.0
 
     def ridge_of(self, block: str) -> float:
-        """Of the squared parameters of a block in the penalty."""
+        """Weight of a block's squared parameters in the penalty."""
         return 0.0 if block in UNWEIGHTED else self.ridge
 
     def matrices(self, theta: Theta) -> Matrices:
-        """What the compiled recurrence takes."""
+        """The matrices and the codes of the neurons, as the compiled recurrence takes them."""
         if self.rate is not None:
             theta = theta | explicit(_free(theta), self.rate)._asdict()
         return Matrices.of(theta, codes(self.neurons))
@@ -173,7 +173,7 @@ class Residuals:
         return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1), turn
 
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
-        """What each free parameter does to A, E and F, in columns."""
+        """Derivative of A, E and F by the free parameters, a column each."""
         units = np.eye(pack(theta, FREE_CORE).size)
         turned = derivative(_free(theta), Free(**unpack(units, theta, FREE_CORE)), self.rate or 1.0)
         return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T

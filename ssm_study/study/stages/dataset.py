@@ -23,7 +23,7 @@ def compute_dataset(
 
 
 def write_dataset(folder: Path, records: DataSet) -> None:
-    """What `read_dataset` reads."""
+    """Write a data set as `read_dataset` reads it."""
     from safetensors.numpy import save_file
 
     from ssm_study.data.assembly import dataset_to_tensors

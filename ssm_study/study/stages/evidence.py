@@ -11,13 +11,13 @@ from ssm_study.study.stages.free_run import ModelRun
 
 
 def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
-    """What data and model allow to be said of the plant, before anything is."""
+    """Judge what data and model allow to be said of the plant, and write it to `evidence.json`."""
     judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 
 
 def read_judgement(folder: Path) -> Judgement:
-    """What the records allow to be said of the plant."""
+    """Read the stored judgement of the plant."""
     return Judgement.from_json(read_json(folder / "evidence.json"))
 
 

@@ -56,7 +56,7 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """None where there was no pair to close the loop with."""
+    """Read the closed-loop experiment; None where there was no pair to close the loop with."""
     return read_experiment(folder) if (folder / "closed_loop.mcap").is_file() else None
 
 

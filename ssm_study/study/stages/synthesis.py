@@ -64,7 +64,7 @@ def compute_synthesis(
 
 
 def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """What the records for the mismatch show of it by frequency."""
+    """Mismatch by frequency that the records for it show."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
@@ -72,8 +72,8 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
 
 
 def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """What the test record of a log shows, which neither fit nor design has seen; None for a
-    simulated plant."""
+    """Mismatch that the test record of a log shows, which neither fit nor design has seen; None for
+    a simulated plant."""
     from ssm_study.robustness.coverage import measure_premise
 
     if data.metadata.get("source") == "simulated":
