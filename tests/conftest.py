@@ -196,7 +196,8 @@ def once(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @pytest.fixture(scope="module")
 def made_once() -> Iterator[None]:
-    """Of copies of one run, each with one file changed, nearly all is made again alike."""
+    """Compute a result once for equal arguments: of copies of one run, each with one file changed,
+    nearly all is computed again alike."""
     with pytest.MonkeyPatch.context() as patch:
         for place in MADE_AGAIN:
             patch.setattr(place, once(resolve_name(place)))

@@ -144,7 +144,7 @@ def every_command() -> dict[str, str]:
 
 
 def files_to_write(page: Path) -> dict[str, str]:
-    """What the reader is told to write: blocks with a path as their title."""
+    """Files that the reader is told to write: blocks with a path as their title."""
     return {path: dedent(text) for _, path, text in WRITTEN.findall(page.read_text())}
 
 

@@ -45,8 +45,8 @@ def _add_outer(left, right, out):  # out[i, j] += left[i] right[j], record by re
 @njit(error_model="numpy")
 @no_type_check
 def _derivatives(k, v, x0, y, weight):
-    """Of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything kept, then
-    backward."""
+    """Derivatives of `sum (weight (ybar - y))^2`, `v (N, T, m, AT_ONCE)`: forward with everything
+    kept, then backward."""
     n = k.a.shape[0]
     q = k.e.shape[1]
     m = v.shape[2]

@@ -100,8 +100,8 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
 
 
 def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope():
-    """As of one layer for the model at rest or half way; a faster rate than they have refuses
-    them."""
+    """Gains at frozen slopes are those of one layer for the model at rest or half way; a faster
+    rate than they have refuses them."""
     stand, balls, _ = with_neurons()
     candidates = replace(SMALL, **FEW).candidates(stand, balls)
     frozen = [i for i, made in enumerate(candidates.feedback) if made.near[False].logs is None]

@@ -1,4 +1,4 @@
-"""What the terminal offers: defaults, names by a part, questions, the page, progress."""
+"""The terminal's offers: defaults, names by a part, questions, the page, progress."""
 
 import io
 import sys

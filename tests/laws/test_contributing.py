@@ -57,7 +57,7 @@ def {FOUND}(tmp_path):
 
 
 def guides() -> dict[str, dict[str, str]]:
-    """Of each guide the files of its example: path to content."""
+    """The files of each guide's example: path to content."""
     found: dict[str, dict[str, str]] = {}
     for name, text in GUIDE.findall((ROOT / "CONTRIBUTING.md").read_text()):
         shown = text + "".join((ROOT / page).read_text() for page in PAGE.findall(text))
@@ -83,7 +83,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def judged(copy: Path) -> list[str]:
-    """What passed there: one line each."""
+    """The checks that passed in the copy: one line each."""
     (copy / "tests" / "laws" / "test_here.py").write_text(HERE)
     paths = sorted({path for laws in LAWS.values() for path in laws.split()})
     words = ["-n", "0", "-rp", "-p", "no:randomly", "-k", " or ".join([*LAWS, FOUND])]

@@ -232,8 +232,8 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
 
 
 def benchmark(arguments: list[str], clone: Path) -> None:
-    """As `python benchmarks/x.py` runs it, without a new interpreter; what it reads of others is
-    made first."""
+    """Run `python benchmarks/x.py` without a new interpreter; what it reads of others is made
+    first."""
     for word in arguments:
         if word.startswith("results/") and "reference" not in word:
             reading(["show", word], clone)

@@ -55,8 +55,8 @@ def test_a_module_says_what_it_answers() -> None:
 
 
 def test_every_public_name_is_told() -> None:
-    """Of a figure, `figure` and `draw` are the interface of its room: the module's docstring tells
-    them."""
+    """Every public name has a docstring, except `figure` and `draw` of a figure, the interface of
+    its room: the module's docstring tells them."""
     silent = [
         f"{path}: {node.name}"
         for path, node in named(Public)  # type: ignore[arg-type]
@@ -155,7 +155,8 @@ def test_the_rules_can_refuse() -> None:
 
 @pytest.mark.parametrize("length", [2, 4])
 def test_shapes_are_checked_anew_in_every_test(length: int) -> None:
-    """Of each function the first calls: the second test would find none of them left."""
+    """The shapes are checked in each function's first calls: the second test would find none of
+    them left."""
     with pytest.raises(TypeCheckError, match="fit_percent"):
         fit_percent(np.zeros((3, 1)), np.zeros((length, 1)))
     for _ in range(100):

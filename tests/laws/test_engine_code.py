@@ -44,7 +44,7 @@ def _each_text_is_scanned_once() -> Iterator[None]:
 
 
 def versions(folder: Path) -> dict[str, str]:
-    """By stage: the version of what computes it, and of what measures it, over the sources in
+    """Version by stage of what computes it, and of what measures it, over the sources in
     `folder`."""
     sources = Code({"ssm_study": folder})
     found = {}
@@ -65,7 +65,8 @@ def scratch(tmp_path: Path) -> Path:
 
 
 def stale(folder: Path, file: str, pattern: str, instead: str) -> set[str]:
-    """What an edit makes stale: the first match of `pattern` in `file` becomes `instead`."""
+    """The stages that an edit makes stale: the first match of `pattern` in `file` becomes
+    `instead`."""
     path = folder / file
     before = versions(folder)
     text = path.read_text()

@@ -207,7 +207,8 @@ def test_a_failed_gathering_keeps_the_old_table(
 
 @contextmanager
 def no_file_longer_than(size: int) -> Iterator[None]:
-    """What a full disk does to writers in native code as well: a short write, then an error."""
+    """Limit the size of files as a full disk does, to writers in native code as well: a short
+    write, then an error."""
     previous = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))

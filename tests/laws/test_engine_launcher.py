@@ -88,7 +88,8 @@ def wait_for(condition: Any, seconds: float = 30.0) -> None:
 
 
 def nothing_lives_on(folder: Path) -> None:
-    """What was killed is dead in an instant; on a busy machine the instant can be seen."""
+    """Wait until no killed process lives: each dies in an instant, which can be seen on a busy
+    machine."""
     wait_for(lambda: living(folder) == [], seconds=10)
 
 

@@ -152,7 +152,7 @@ def test_a_sweep_can_stop_at_its_first_failure(tmp_path: Path) -> None:
 
 
 class Unwritable(Exception):
-    """As writers of other libraries raise."""
+    """Exception of the kind that writers of other libraries raise."""
 
 
 CAUSES = {

@@ -26,7 +26,7 @@ from ssm_study.engine.slurm import executor, settled  # noqa: E402
 
 
 def begun(folder: Path, how: str) -> JobReturn:
-    """What a node runs: a whole run, or one that is killed in the middle of it."""
+    """Run the job of a node: a whole run, or one that is killed in the middle of it."""
 
     def work(_: Any) -> dict[str, float]:
         if how == "killed":
@@ -90,7 +90,7 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
 
 
 def refusing(folder: Path) -> JobReturn:
-    """What a node runs whose job raises before the run has a record."""
+    """Return of a node's job that raises before the run has a record."""
     returned = JobReturn(overrides=[str(folder)], status=JobStatus.FAILED)
     returned.return_value = ValueError("no such thing on this node")
     return returned

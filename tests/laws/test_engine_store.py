@@ -290,7 +290,7 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
         ).result.key
 
     def planned() -> list[list[str]]:
-        """By stage: needed, there, to compute, seconds of each."""
+        """Rows of the plan by stage: needed, there, to compute, seconds of each."""
         return [
             said.split()
             for said in plan(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[3:6]

@@ -1,5 +1,5 @@
-"""What the import contracts of `pyproject.toml` cannot say: how long files and functions are, and
-which names classes have."""
+"""Rules that the import contracts of `pyproject.toml` cannot say: how long files and functions are,
+and which names classes have."""
 
 import ast
 from pathlib import Path
@@ -15,7 +15,7 @@ LONGEST_FUNCTION = 70  # until every room is unpacked: then 400, 40
 
 
 def lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Of the body, its docstring left out."""
+    """Number of lines of a function's body, its docstring left out."""
     first = function.body[1:] if ast.get_docstring(function) is not None else function.body
     return (function.end_lineno or 0) - first[0].lineno + 1 if first else 0
 

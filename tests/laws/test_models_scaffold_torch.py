@@ -58,8 +58,8 @@ def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
 @pytest.mark.parametrize("name", ["mlp", "monotone"])
 @given(seed=st.integers(0, 10_000))
 def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, seed: int) -> None:
-    """By differences of the map between its kinks; at each kink at most a hundredth is rounded
-    off."""
+    """The roughness is checked by differences of the map between its kinks; at each kink at most a
+    hundredth is rounded off."""
     scaffold = shaken(SPECS[name], seed, 1)
     pieces = scaffold.pieces()
     assert pieces is not None
@@ -170,7 +170,7 @@ def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
 
 @given(seed=st.integers(0, 10_000))
 def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
-    """What the loop feels are secants, not derivatives: `mu <= (S(v) - S(w)) / (v - w) <= nu`."""
+    """The loop feels secants, not derivatives: `mu <= (S(v) - S(w)) / (v - w) <= nu`."""
     v = np.linspace(-5, 5, 301)[:, None]
     for name in CERTIFIED:
         values = shaken(SPECS[name], seed, 1).freeze()(v)[:, 0]

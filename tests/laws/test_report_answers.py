@@ -1,4 +1,4 @@
-"""What the page says in words must be what the table says in numbers."""
+"""The page's words must say the same as the table's numbers."""
 
 import pandas as pd
 import pytest

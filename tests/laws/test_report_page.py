@@ -291,8 +291,8 @@ def test_the_first_screen_says_what_the_loop_was_closed_on(
 def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_reason(
     browser: Any, tmp_path: Path
 ) -> None:
-    """Of a run without certificate the page said that nothing failed and that every certified
-    controller settled."""
+    """A run without certificate must be listed: the page said that nothing failed and that every
+    certified controller settled."""
     table = report_tables.table(60)
     table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(
         run=["bare", "untried"]

@@ -268,7 +268,8 @@ def test_what_was_swept_stands_before_what_came_of_it() -> None:
 
 
 def test_settings_of_the_command_tell_runs_apart() -> None:
-    """Those that no column of their own repeats: in `show`, in filters and on the page."""
+    """Settings that no column of their own repeats tell runs apart: in `show`, in filters and on
+    the page."""
     settings = [(step_s, undone) for step_s in (0.005, 0.02) for undone in (False, True)]
     table = table_of(
         {
@@ -461,7 +462,7 @@ def test_a_missing_study_is_refused(tmp_path: Path) -> None:
 
 
 def change_something(study: Path, what: str) -> None:
-    """What may happen between two gatherings."""
+    """Make one of the changes that may happen between two gatherings."""
     if what == "new run":
         (study / "f").mkdir()
         write_record(

@@ -39,8 +39,8 @@ def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize("ball", BALLS)
 def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> None:
-    """As the status of each says; no two are the same matrices, as they would be with scales a
-    power of two apart."""
+    """The status of each attempt gives its rate; no two are the same matrices, as they would be
+    with scales a power of two apart."""
     asked = problem(ball)
     made: list[tuple[float, str]] = []
     built: list[float] = []
@@ -95,7 +95,8 @@ def test_the_smallest_tau_itself_is_not_admissible() -> None:
 
 
 def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> None:
-    """Of `(A/r, alpha B/r)`: a ball without radius is a known linear input."""
+    """The regulator is that of `(A/r, alpha B/r)`: a ball without radius is a known linear
+    input."""
     ball = JacobianBall(alpha=2.0, beta=0.0)
     r = np.sqrt(0.9)
     asked = problem(ball)

@@ -1,5 +1,5 @@
-"""What a certificate promises, measured: contraction in its metric, the separation bound, Gramians
-on the way."""
+"""The promises of a certificate, measured: contraction in its metric, the separation bound,
+Gramians on the way."""
 
 from dataclasses import replace
 

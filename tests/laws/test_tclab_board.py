@@ -27,8 +27,8 @@ STEP_S = 10.0
 
 @dataclass
 class FakeBoard:
-    """What `tclab.TCLab()` answers: the laboratory's own equation behind a heater, and the clock it
-    goes by."""
+    """A stand-in for `tclab.TCLab()`: the laboratory's own equation behind a heater, and the clock
+    it goes by."""
 
     plant: Any
     now: float = 0.0

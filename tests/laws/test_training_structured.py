@@ -167,8 +167,8 @@ def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Re
 @pytest.mark.parametrize("rate", [None, 0.95])
 @pytest.mark.parametrize("integrated", [False, True])
 def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: bool) -> None:
-    """Of all blocks at once: the core through its parametrisation, both scaffoldings, unequal
-    records, their starts."""
+    """The Jacobian is checked for all blocks at once: the core through its parametrisation, both
+    scaffoldings, unequal records, their starts."""
     one, theta = problem(3, rate, integrated)
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack(theta, free)

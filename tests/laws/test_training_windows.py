@@ -140,7 +140,7 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
 
 
 def test_the_residuals_of_shooting_are_its_objective() -> None:
-    """What Levenberg-Marquardt squares is what the others minimise, defects included."""
+    """Levenberg-Marquardt squares what the others minimise, defects included."""
     fit = fit_of(MODELS["ssm"], unequal(), SHOOTING)
     assert fit.starts is not None
     with torch.no_grad():

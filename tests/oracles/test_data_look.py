@@ -1,4 +1,4 @@
-"""What `look` says of a log, against logs whose plant is known."""
+"""The report of `look` on a log, against logs whose plant is known."""
 
 import sys
 from pathlib import Path

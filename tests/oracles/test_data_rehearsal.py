@@ -24,7 +24,7 @@ GAINS = (160.0, 243.0)
 
 @pytest.fixture(autouse=True)
 def _trusted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """As `--with benchmarks/rehearsal` has it, for one test."""
+    """Trust the rehearsal package for one test, as `--with benchmarks/rehearsal` does."""
     monkeypatch.setenv(extensions.FOLDER, str(FOLDER))
     extensions.packages.cache_clear()
     yield

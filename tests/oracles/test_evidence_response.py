@@ -126,7 +126,8 @@ def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
 
 
 def test_pieces_shorter_than_the_model_s_response_say_nothing():
-    """What outlasts a piece counts as noise in it: pieces of 250 samples, a response of 460."""
+    """A response longer than a piece counts as noise in it: pieces of 250 samples, a response of
+    460."""
     hidden = case(WHITE, answer(WHITE, noise=1.0))
     slow = replace(hidden.model, linear=replace(hidden.model.linear, a=np.array([[0.995]])))
     assert findings(replace(hidden, model=slow)) == []
@@ -273,8 +274,8 @@ def test_a_model_with_neurons_is_judged():
 
 
 def test_inputs_that_oppose_each_other_have_their_own_response():
-    """Of `x+ = 0.9 x + u_1 - u_2` as of either input alone: 90 % of the sum of `0.9^k` are over
-    after 22 samples."""
+    """The response of `x+ = 0.9 x + u_1 - u_2` is that of either input alone: 90 % of the sum of
+    `0.9^k` are over after 22 samples."""
     a = np.array([[0.9]])
     c = np.ones((1, 1))
     for b in ([[1.0]], [[1.0, -1.0]]):

@@ -1,5 +1,5 @@
-"""What stays off after the input has moved: a valve that sticks rests at rest input, and away from
-rest."""
+"""Offsets that stay after the input has moved: a valve that sticks rests at rest input, and away
+from rest."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -233,8 +233,8 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
 
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
-    """Of means with equal variances v the difference from the mean of n others has the variance v +
-    v / n."""
+    """The difference of a mean of variance v from the mean of n others has the variance v + v /
+    n."""
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal((400, 1))
     outputs = [level + noise for level in rng.uniform(-1, 1, count)]

@@ -192,8 +192,8 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
 
 
 def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path) -> None:
-    """As if 0.99 were stored, which its matrices do not prove: what they do prove, to a 4096th of
-    that."""
+    """A stored rate of 0.99, which the matrices do not prove, is replaced by what they do prove, to
+    a 4096th of that."""
     design = Design.load(certified / "certificate.json")
     none = np.array([np.inf])
     part = design.state_feedback

@@ -1,5 +1,4 @@
-"""What is predicted of a design on the plant: the margin by frequency, and the controller by
-itself."""
+"""Predictions of a design on the plant: the margin by frequency, and the controller by itself."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -224,8 +223,8 @@ def test_an_integrator_holds_where_the_plant_does():
 
 @pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
 def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
-    """What small records show passes at slope 1 and not at 0.1, where S_u bends beyond or within
-    half the amplitude."""
+    """Small records pass at slope 1 and not at 0.1, where S_u bends beyond or within half the
+    amplitude."""
     limit = MonotoneScaffold(
         breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]])
     )

@@ -120,7 +120,8 @@ def test_no_pairs_no_rate():
 
 
 def test_the_remaining_error_is_the_mean_over_the_last_tenth():
-    """Of 120 samples that is 12: an error in the first of them counts, one before it does not."""
+    """The last tenth of 120 samples is 12: an error in the first of them counts, one before it does
+    not."""
     for first, error in ((108, 2.0), (107, 0.0)):
         run = rollouts([24.0 * (k == first) for k in range(120)])
         loop = LoopRuns(

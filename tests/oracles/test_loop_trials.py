@@ -1,5 +1,5 @@
-"""What a trial in closed loop shows of the mismatch: the gain that sustains its motion, nothing of
-one that rests."""
+"""The mismatch that a trial in closed loop shows: the gain that sustains its motion, nothing of one
+that rests."""
 
 from dataclasses import replace
 

@@ -1,5 +1,5 @@
-"""What a record shows at its amplitude: noise told from what repeats, phase from size, rest from
-what is left."""
+"""The mismatch that a record shows at its amplitude: noise told from what repeats, phase from size,
+rest from what is left."""
 
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -67,8 +67,8 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
 
 
 def radius(model: SSM, pair: Gains, factor: float) -> float:
-    """Of the loop of the plant that answers `1 + factor` times what the model does: states (x,
-    estimate)."""
+    """Spectral radius of the loop of a plant that answers `1 + factor` times what the model does:
+    states (x, estimate)."""
     (a, b, c, d), k, more = (getattr(model.linear, name) for name in "abcd"), pair.k, 1 + factor
     injected = pair.l @ c - factor * pair.l @ d @ k
     matrix = np.block([[a, b @ k], [-more * pair.l @ c, a + b @ k + injected]])

@@ -50,7 +50,7 @@ def pair() -> tuple[SSM, Design]:
 
 
 def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
-    """What the unlimited loop asks for from rest at `y0`, noise-free."""
+    """Inputs that the unlimited loop requests from rest at `y0`, noise-free."""
     law = ObserverFeedback.of(model, design)
     x = equilibrium(model, np.array([y0]))[0][None]
     memory = x.copy()

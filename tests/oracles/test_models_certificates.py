@@ -1,4 +1,4 @@
-"""What a scaffolding claims of itself, checked by another route."""
+"""The claims of a scaffolding about itself, checked by another route."""
 
 import numpy as np
 import pytest

@@ -160,7 +160,7 @@ FILES = (
 
 @pytest.fixture(scope="module")
 def derived(smoke_run: Path, record: dict[str, Any]) -> dict[str, Any]:
-    """What the files of the run give."""
+    """Columns derived from the files of the run."""
     run = RunFiles(path=smoke_run, record=record)
     found = [
         item.columns for section in SECTIONS for item in section(run) if isinstance(item, Derived)

@@ -56,8 +56,8 @@ def test_gains_are_certified_just_inside_their_largest_rate() -> None:
 
 @pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])
 def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndarray) -> None:
-    """By two routes that share no line: a semidefinite program, and a Riccati equation with a
-    search."""
+    """The tolerance is found by two routes that share no line: a semidefinite program, and a
+    Riccati equation with a search."""
     system = drawn(2, n=4, q=3, radius=0.9)
     still = StructuredSystem(**{**vars(system), "e": 0 * system.e, "h": 0 * system.h})
     known, proved = found(still, weight)

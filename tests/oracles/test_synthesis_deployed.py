@@ -1,5 +1,5 @@
-"""What is proved of the gains that are deployed, each by several routes, and the cases that must be
-refused."""
+"""The certificates of the gains that are deployed, each by several routes, and the cases that must
+be refused."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""What each objective of the inequality promises of the matrices that come back, checked in
+"""The promises of each objective of the inequality about the matrices that come back, checked in
 NumPy."""
 
 import numpy as np

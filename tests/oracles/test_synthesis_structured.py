@@ -102,8 +102,8 @@ def test_neurons_without_effect_leave_the_exact_frontier(side: str, seed: int) -
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize(("ball", "h"), [(KNOWN, 0.0), (WIDE, 0.0), (KNOWN, 0.3)])
 def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, h: float) -> None:
-    """By two routes that share no line: a semidefinite program, and Riccati equations with a
-    search."""
+    """The costs come by two routes that share no line: a semidefinite program, and Riccati
+    equations with a search."""
     system = drawn(9, h=h if side == "observer" else 0.0)
     problem = asked(system, side, ball, 0.15)
     slow = StructuredLmi(problem=problem, objective="guaranteed_cost").solve(problem.rate)

@@ -43,7 +43,7 @@ def run_of(study: Path) -> Path:
 
 
 def one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """What the command says as it ends with status 2."""
+    """The sentence with which the command ends, with status 2."""
     assert main(words) == 2
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1

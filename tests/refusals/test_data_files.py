@@ -121,8 +121,8 @@ def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) 
 
 
 def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> None:
-    """As Hydra gives them: integers. The first line is a row; a bad cell is found in the line where
-    it stands."""
+    """Columns are numbered by integers, as Hydra gives them. The first line is a row; a bad cell is
+    found in the line where it stands."""
     path = csv(tmp_path)
     bare = tmp_path / "bare.csv"
     bare.write_text("\n".join(lines()[1:]))
@@ -146,7 +146,7 @@ def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> 
 
 
 def test_names_that_count_are_names(tmp_path: Path) -> None:
-    """As pandas writes an array."""
+    """Column names may be numbers, as pandas writes an array."""
     pd.DataFrame(np.stack([GOOD["u"], GOOD["y"]], axis=1)).to_csv(tmp_path / "log.csv", index=False)
     built = data(tmp_path / "log.csv", input=0, output=1).build(0)
     assert len(built.training[0]) == 120

@@ -1,4 +1,4 @@
-"""What cannot be exported says so in one sentence."""
+"""A run that cannot be exported says so in one sentence."""
 
 import json
 from pathlib import Path

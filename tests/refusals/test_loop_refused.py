@@ -1,4 +1,4 @@
-"""What the loop refuses, in one sentence, and how a diverging loop is recorded."""
+"""The refusals of the loop, in one sentence, and how a diverging loop is recorded."""
 
 from dataclasses import replace
 

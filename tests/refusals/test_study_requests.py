@@ -215,8 +215,8 @@ def test_more_threads_than_cores(
 
 
 def test_one_thread_unless_asked(tmp_path: Path) -> None:
-    """What torch itself says in a fresh process, after a request that is refused before any
-    work."""
+    """The number of threads that torch itself reports in a fresh process, after a request that is
+    refused before any work."""
     program = (
         "import sys; from ssm_study.cli.main import main\n"
         "status = main(['run', 'experiment=smoke', 'model.order=-1', *sys.argv[1:]])\n"

@@ -1,4 +1,4 @@
-"""What synthesis must refuse, and tampering that verification must find."""
+"""The refusals of synthesis, and tampering that verification must find."""
 
 import copy
 import json

@@ -1,5 +1,5 @@
-"""What stands between a method's matrices and a stored claim, each step against a fault that would
-let it pass."""
+"""The steps between a method's matrices and a stored claim, each against a fault that would let it
+pass."""
 
 import copy
 import json
