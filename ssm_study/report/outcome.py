@@ -78,11 +78,15 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
 
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
-    return record.get("loop_on") != "identified model"
+    """Whether words may speak of a plant: a log has none, also where no loop was closed."""
+    is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
+    return record.get("loop_on") != "identified model" and not is_log
 
 
 def loop_place(record: Mapping[str, Any]) -> str:
     """Where the loop was closed: `simulated plant` or `identified model`."""
+    if not _on_plant(record):
+        return "identified model"
     place = record.get("loop_on")
     return "simulated plant" if place in (None, "plant") else str(place)
 

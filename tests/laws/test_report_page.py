@@ -260,7 +260,7 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
         "return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)"
     )
     said = "the stability margin is 2 (above 1 is needed) and the spectral radius of the controller 0.9 (below 1 is needed)."
-    assert lines[0] == f"Predicted for the plant\nIt stays stable: {said}"
+    assert lines[0] == f"Predicted for the plant\nIt stays stable, with doubts: {said}"
     assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
     told = "The records leave a doubt. The record is short. Note: One amplitude: the record shows no other."
     assert lines[2:] == [f"Evidence: doubt\n{told}"], "what matters first"
