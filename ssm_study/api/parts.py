@@ -150,6 +150,7 @@ class Parts:
         self.choices |= {key: value for key, value in pairs if key in GROUPS}
         self.trees = {name: load_tree(name, choice) for name, choice in self.choices.items()}
         self.details: list[str] = []
+        self.added: set[str] = set()
         nested = [(key, value) for key, value in pairs if "@" in key or "/" in key]
         settings = [(key, value) for key, value in pairs if "@" not in key and "/" not in key]
         for key, value in nested:
@@ -178,8 +179,14 @@ class Parts:
         part = key.partition(".")[0]
         known = part in self.trees and "." in key
         require(known, key, text, "is no setting of data, model or design", REMEDY)
-        self.details.append(f"{key}={text}")
+        self.details.append(f"{self._sign(key)}{key}={text}")
         assign(self.trees, key, value)
+
+    def _sign(self, path: str) -> str:
+        """Signs before a word: Hydra takes fields that the yaml files lack only as additions."""
+        if not self._has(path):
+            self.added.add(path)
+        return "++" if path in self.added else ""
 
     def _has(self, path: str) -> bool:
         """Whether the yaml files have a value at a dotted path."""
@@ -194,7 +201,7 @@ class Parts:
         """Set fields of a part, those that are not None."""
         for name, value in settings.items():
             if value is not None:
-                sign = "" if self._has(f"{part}.{name}") else "++"
+                sign = self._sign(f"{part}.{name}")
                 assign(self.trees, f"{part}.{name}", value)
                 self.details.append(f"{sign}{part}.{name}={write_value(value)}")
 

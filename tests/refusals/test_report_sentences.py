@@ -39,7 +39,7 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "model": (lambda study: (run_of(study) / "model.json").write_text("{"), "the file is damaged"),
     "yaml": (
         lambda study: (run_of(study) / ".hydra/config.yaml").write_text("a: [b"),
-        "the file is damaged",
+        "run the study again",
     ),
 }
 
