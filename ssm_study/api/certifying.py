@@ -28,7 +28,8 @@ SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 @dataclass(frozen=True, kw_only=True)
 class GainCertificate:
-    """What is proved of one gain: the rate, the theorem's certificate, and how much is possible.
+    """Guarantee for one gain: its certified rate, the theorem's certificate, and the rates
+    possible.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
     there is none; `certificate` holds its matrices. `rate_of_gain` is the supremum for this gain

@@ -173,7 +173,7 @@ class Design:
         }
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
-        """What is certified when the input is limited, in physical units.
+        """Guarantee of the design under a limited input, in physical units.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
@@ -216,7 +216,7 @@ class Design:
         return save_run(self, folder)
 
     def summary(self) -> pd.Series:
-        """What is proved and what is predicted of the design, in units."""
+        """Table of what is proved and what is predicted of the design, with units."""
         lines: dict[str, Any] = {}
         if not self.certificate.feasible:
             lines["infeasible"] = self.facts.get("infeasible_reason", "no controller was found")
@@ -238,7 +238,8 @@ class Design:
         return pd.Series(lines, name="design", dtype=object)
 
     def _prediction_lines(self) -> dict[str, str]:
-        """What the records let one expect of the plant."""
+        """Lines of the summary that predict from the records how the plant behaves in closed
+        loop."""
         facts = self.facts
         words = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
         margin = facts.get("resolved_margin")

@@ -207,7 +207,7 @@ class Model:
         return pd.concat(rows, ignore_index=True)
 
     def summary(self) -> pd.Series:
-        """What is known of the model: class, size, fits, poles, slopes, evidence."""
+        """Table of the model's properties: class, size, fits, poles, slopes, evidence."""
         facts = self.facts
         lines: dict[str, Any] = {
             "class": type(self.simulator).__name__,

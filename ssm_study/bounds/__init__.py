@@ -1,2 +1,2 @@
-"""What is provable of a model: slopes, Lipschitz constants, Gramians, Hankel singular values,
-balancing."""
+"""Properties of a model that can be proved: slopes, Lipschitz constants, Gramians, Hankel singular
+values, balancing."""

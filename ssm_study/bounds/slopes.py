@@ -1,5 +1,5 @@
-"""What is provable of a scaffolding: its ball of Jacobians (docs/theory.md), and how each bound
-earned its trust."""
+"""Proved bounds on the slopes of a scaffolding: the ball that holds its Jacobians (docs/theory.md),
+and how each bound earned its trust."""
 
 from dataclasses import dataclass
 from fractions import Fraction

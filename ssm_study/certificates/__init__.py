@@ -1,2 +1,2 @@
-"""What is claimed of a design and decided in exact arithmetic: theorems, one a file, and the
-certificates they make."""
+"""Claims about a design that exact arithmetic decides: theorems, one a file, and the certificates
+they make."""

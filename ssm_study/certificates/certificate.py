@@ -1,5 +1,5 @@
-"""What synthesis hands on: the certificates of a design, or why there are none, and the file they
-are kept in.
+"""Certificates of a design, or the reason why there are none, as synthesis returns them, and the
+file that stores them.
 
 Which fields a certificate has is its theorem's matter (`synthesis.theorem`). Source: [Z26],
 docs/theory.md.
@@ -66,8 +66,8 @@ class Side(Theorem, abstract=True):
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Those that are deployed, by their letters: `k`, or `l` and, where neurons are injected
-        into, `l_z`."""
+        """Gain matrices that are deployed, by their letters: `k`, or `l` and, where neurons are
+        injected into, `l_z`."""
         return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
 
     @property
@@ -93,8 +93,8 @@ class Side(Theorem, abstract=True):
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """What is stored of a method's answer `found` to `problem`: every number that `conditions`
-        uses."""
+        """Fields to store from a method's answer `found` to `problem`: every number that
+        `conditions` uses."""
 
 
 class OfProblem(Side, abstract=True):

@@ -1,5 +1,5 @@
-"""What is possible: the exact largest rate any certificate of [Z26] Theorems 1 and 2 can reach,
-without a solver.
+"""The exact largest rate that any certificate of [Z26] Theorems 1 and 2 can reach, computed without
+a solver.
 
 Theorem 1 is feasible iff `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`, S of minimum energy;
 Theorem 2 is the

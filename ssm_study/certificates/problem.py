@@ -1,5 +1,5 @@
-"""What every method solves: Theorem 1's inequality for one pair; Theorem 2's is the same for the
-transposed pair.
+"""The problem that every synthesis method solves: Theorem 1's inequality for one pair; Theorem 2's
+is the same for the transposed pair.
 
 Source: [Z26], with the corrections of docs/theory.md.
 """

@@ -1,5 +1,4 @@
-"""What a theorem answers, and what follows: its certificate is stored, decided exactly, read back
-and verified.
+"""Base classes of theorems: a certificate is stored, decided exactly, read back and verified.
 
 A theorem is one file in `theorems/` with one final class: its fields are what `certificate.json`
 stores, its `conditions` block matrices, stated once with `+, -, *, @, .T`; in which numbers
@@ -92,7 +91,7 @@ def condition(matrix: Float[np.ndarray, "n n"]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class VerificationContext:
-    """What a verifier derives from `model.json` by itself, beside which a certificate is held.
+    """Data that a verifier derives from `model.json` by itself and compares a certificate with.
 
     `system` is the model's recurrence and `controlled` what the state feedback acts on (with
     integral action another); `gains` are those of the parts that stand beside this one in the file,

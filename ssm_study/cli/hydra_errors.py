@@ -1,4 +1,5 @@
-"""What Hydra refuses, said in one sentence with the request that was probably meant."""
+"""One-sentence messages for requests that Hydra refuses, each with the request that was probably
+meant."""
 
 import re
 from difflib import get_close_matches

@@ -57,7 +57,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _told(error: Exception, arguments: list[str]) -> BadRequest:
-    """What ended the command, in one sentence."""
+    """Describe in one sentence the error that ended the command."""
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError):

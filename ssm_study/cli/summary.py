@@ -50,8 +50,8 @@ def conclude_run(config: DictConfig) -> bool:
 
 
 def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """What the file holds, if it is younger than every record, every coming and going of a run, and
-    all `files`.
+    """Read the list in the file, if it is younger than every record, every start and end of a run,
+    and all `files`; else return an empty list.
 
     Figures that are younger show another run of the study.
     """
@@ -67,7 +67,7 @@ def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
 def _outcome(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Of a study gathered and drawn: how the run went, as a coloured terminal of that width shows
+    """Gather and draw a study; return how the run went, as a coloured terminal of that width shows
     it."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome

@@ -14,7 +14,7 @@ from ssm_study.extensions import configurations
 
 
 def folders() -> list[Path]:
-    """Of yaml files by group: ours first, as the search goes."""
+    """Folders that hold yaml files by group: ours first, in the order of the search."""
     return [configuration_folder(), *configurations()]
 
 

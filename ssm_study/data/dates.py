@@ -95,7 +95,8 @@ def zone_seconds(zone: str) -> float:
 
 
 def the_reading_that_increases(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
-    """Of several readings of the same dates the one in which time runs forwards, and evenly."""
+    """Choose from several readings of the same dates the one in which time runs forwards, and
+    evenly."""
     if not readings:
         return np.full(samples, np.nan)
     forwards = [one for one in readings if (known_steps(one) >= 0).all()]

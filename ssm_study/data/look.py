@@ -1,4 +1,4 @@
-"""What is in a log, on one screen: columns, clock, what moves what, and the command that fits it.
+"""Overview of a log on one screen: columns, clock, what moves what, and the command that fits it.
 
 Each sentence is a measurement on the log alone; none of them decides anything about a model.
 Lags and noise come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two
@@ -62,7 +62,7 @@ class ColumnFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class LogLook:
-    """What a log holds: facts of its columns, sentences, the command, and the signals if read."""
+    """Contents of a log: facts of its columns, sentences, the command, and the signals if read."""
 
     path: Path
     columns: list[ColumnFacts]
@@ -89,7 +89,7 @@ def look(
     step_s: float | None = None,
     settings: TextSettings | None = None,
 ) -> LogLook:
-    """What is in a log, and the command that fits it.
+    """Examine a log and propose the command that fits it.
 
     Input and output are guessed by their names and by which column holds levels, unless they are
     named. Raises `BadRequest` for a file that cannot be read at all.

@@ -253,7 +253,8 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 
 def _records(path: Path) -> Iterator[records.McapRecord]:
-    """Of the file and of its chunks; `BadRequest` before more than `LARGEST` bytes are unpacked."""
+    """Yield the records of the file and of its chunks; raises `BadRequest` before more than
+    `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         reader = StreamReader(

@@ -77,7 +77,7 @@ class Columns:
 
     @property
     def text_settings(self) -> TextSettings:
-        """What is stated of the layout of a text."""
+        """Settings of the layout of a text file that the configuration states."""
         return TextSettings(separator=self.separator, decimal=self.decimal, header=self.header)
 
     @property
@@ -96,8 +96,8 @@ class Columns:
 
     @property
     def measured(self) -> tuple[Channel, ...]:
-        """What stands in the files; the `outputs` unless `differentiate` makes them rates, in the
-        unit per second."""
+        """Channels that stand in the files: the `outputs`, unless `differentiate` makes those
+        rates, in the unit per second."""
         return _channels(self.output, self.output_unit, "output", self.apart)
 
     @property

@@ -95,14 +95,15 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
 
 
 def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Of `folds` equal pieces number `fold` tests, the one before it validates (before the first:
-    the last)."""
+    """Cut a record into `folds` equal pieces: number `fold` tests, the one before it validates
+    (before the first: the last), the others train."""
     piece = folds * np.arange(len(record)) // len(record)
     return _cut(record, np.select([piece == fold, piece == (fold - 1) % folds], [2, 1], 0))
 
 
 def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
-    """What is left of a record without one of so many equal pieces, and that piece."""
+    """Cut one of `folds` equal pieces out of a record; return the remaining pieces, and that
+    piece."""
     start, end = (round(len(record) * k / folds) for k in (fold, fold + 1))
     return [piece for piece in (record[:start], record[end:]) if len(piece)], record[start:end]
 

@@ -39,7 +39,8 @@ BYTE_ORDER_MARKS = (
 
 @dataclass(frozen=True, kw_only=True)
 class TextSettings:
-    """What the user states of a text file; None is found by itself.
+    """Layout of a text file as the user states it; a setting that is None is detected from the
+    file.
 
     `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
     ","; `header` is whether the first row of cells holds names.
@@ -81,7 +82,7 @@ class TextLayout:
     remarks: list[str] = field(default_factory=list)
 
     def describe(self) -> str:
-        """What was found, in one line."""
+        """Describe the detected layout in one line."""
         decimal = ", decimal comma" if self.decimal == "," else ""
         encoding = "" if self.encoding.startswith("utf-8") else f", encoding {self.encoding}"
         header = "no names" if self.names is None else "a line of names"

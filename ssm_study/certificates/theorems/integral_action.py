@@ -174,8 +174,8 @@ def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
 
 
 def controlled_system(model: Model, feedback: StateFeedback) -> System:
-    """What a state feedback is certified for: the model's recurrence, with the internal model that
-    it states, if any.
+    """System that a state feedback is certified for: the model's recurrence, with the internal
+    model that it states, if any.
 
     The verifier holds this statement beside what was asked for.
     """

@@ -85,7 +85,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """What the neurons give and what they see: model against rest, observer against model,
+        """Pairs of the neurons' outputs and inputs: model against rest, observer against model,
         observer against rest."""
         n = of.c.shape[1]
         z = of.f @ rows.x + of.g @ rows.drive

@@ -72,7 +72,7 @@ class StructuredObserver(OfProblem, Observer):
         return not _looped(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
 
     def failed_checks(self, known: VerificationContext) -> list[str]:
-        """As every theorem, and the hypothesis on `L_z`."""
+        """Checks that fail: those of every theorem, and the hypothesis on `L_z`."""
         looped = _looped(self.h, self.l_z) and self.certified
         return [
             ".l_z: must be zero, for neurons stand in the output (H)"

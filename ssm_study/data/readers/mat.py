@@ -232,7 +232,7 @@ def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
 
 
 def _version_4(path: Path) -> Iterator[tuple[str, Value]]:
-    """By scipy, whose reader of this format is plain Python."""
+    """Read a MATLAB version 4 file with scipy, whose reader of this format is plain Python."""
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", RuntimeWarning

@@ -51,7 +51,7 @@ class Table:
     nameless: bool = False
 
     def row_name(self, row: int) -> str:
-        """What the file calls row `row`, counted from 0."""
+        """Name that the file gives to row `row`, counted from 0."""
         number = row + self.first_row if self.row_numbers is None else self.row_numbers[row]
         return f"{self.row_word} {number}"
 
