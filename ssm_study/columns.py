@@ -1,5 +1,5 @@
-"""What a number of a record is called, in which unit, and how it is printed, ranked and verified:
-said once."""
+"""Definitions of the columns of a record, stated once: name, unit, and how each is printed, ranked
+and verified."""
 
 from dataclasses import dataclass
 from fnmatch import fnmatchcase

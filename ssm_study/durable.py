@@ -54,7 +54,8 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
 
 
 def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
-    """As `write_atomically`; the text is strict JSON (no NaN), one key per line."""
+    """Write a value as strict JSON (no NaN), one key per line, in the manner of
+    `write_atomically`."""
     write_atomically(path, json_bytes(value), durable)
 
 

@@ -37,8 +37,8 @@ class Family(ABC):
 
     @classmethod
     def members(cls, room: ModuleType) -> dict[str, type[Any]]:
-        """By name, those of every file in the room and of trusted packages (`extensions`) among
-        them."""
+        """Members of the family by name, with those of every file in the room and of trusted
+        packages (`extensions`) among them."""
         load()
         for module in pkgutil.iter_modules(room.__path__):
             import_module(f"{room.__name__}.{module.name}")

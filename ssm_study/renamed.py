@@ -135,8 +135,9 @@ COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """What is gone: since which version, and what to do instead. `neutral` is the value of a
-    setting that changed nothing: a stored configuration that has it is read without it."""
+    """Entry of something withdrawn: since which version, and what to do instead. `neutral` is the
+    value of a setting that changed nothing: a stored configuration that has it is read without
+    it."""
 
     since: str
     remedy: str

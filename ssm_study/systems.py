@@ -230,7 +230,7 @@ def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[n
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """What an internal model does while a limit acts: integrators (ones on the diagonal) rest,
+    """Modes of an internal model while a limit acts: integrators (ones on the diagonal) rest,
     oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 

@@ -1,5 +1,5 @@
-"""What is done by Hydra's private names, all in this file: composing a request once, and a thousand
-jobs with it.
+"""Uses of Hydra's private names, all in this file: composing a request once, and a thousand jobs
+with it.
 
 Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
 of a second each. Here the request is composed once, and so are all jobs that differ in plain values
@@ -60,8 +60,8 @@ class Loader(ConfigLoaderImpl):
 
 
 class Command(Hydra):
-    """What `hydra.main` does with the arguments of a command, over the configuration `name` in
-    `folder`.
+    """Command line of a Hydra application: does what `hydra.main` does with the arguments, over the
+    configuration `name` in `folder`.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before
     Hydra makes the callbacks, the launcher and the sweeper that it names.
@@ -155,8 +155,8 @@ class Chosen:
 
     @cached_property
     def shown(self) -> tuple[str, ...] | None:
-        """What the name of the run shows, where nothing else is interpolated: OmegaConf is slow at
-        that."""
+        """Settings that the name of the run shows; None where anything else is interpolated
+        (OmegaConf is slow at that)."""
         found = NAME.fullmatch(str(self.tree.get("run", "")))
         others = any("${" in str(value) for key, value in self.tree.items() if key != "run")
         return tuple(word.strip() for word in found[1].split(",")) if found and not others else None
@@ -175,8 +175,8 @@ class Chosen:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Those of the job with these values by their dotted path; unchanged sections are the same
-        objects."""
+        """Settings of the job with these values by their dotted path; unchanged sections are the
+        same objects."""
         assert self.shown is not None
         found = Settings(self.tree)
         for section in {path.partition(".")[0] for path in values}:

@@ -1,4 +1,5 @@
-"""What a result depends on, read from the sources: never from a list that somebody keeps.
+"""Fingerprints of the code that a result depends on, read from the sources: never from a list that
+somebody keeps.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these
 use, followed through imports anywhere in a file. Sources are compared as syntax trees, without
@@ -259,7 +260,7 @@ def _files() -> list[tuple[metadata.Distribution, str]]:
 
 
 def _kept(path: Path, module: str) -> Module:
-    """What the file says, from the cache where its content is known."""
+    """Scan a source file, or take the result from the cache where its content is known."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"

@@ -131,8 +131,7 @@ def _speak_into(folder: Path) -> None:
 
 
 def conclude(job: Job) -> Outcome:
-    """What became of a job whose process has ended: its record says, or else how the process
-    died."""
+    """Outcome of a job whose process has ended: its record says, or else how the process died."""
     assert job.process is not None
     job.process.join()
     kill_group(job)  # what the job started and left behind
@@ -146,8 +145,8 @@ def conclude(job: Job) -> Outcome:
 def note_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """What the run's record says; if it says nothing final and nobody is at it, a failure with
-    `text` as traceback.
+    """Outcome in the run's record; if that is not final and no process is at the run, record a
+    failure with `text` as traceback.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.

@@ -36,7 +36,7 @@ from ssm_study.refusal import require
 
 @runtime_checkable
 class Sweep(Protocol):
-    """What Hydra hands to a launcher."""
+    """Sweep as Hydra hands it to a launcher."""
 
     hydra_context: HydraContext
     task_function: TaskFunction
@@ -172,8 +172,8 @@ class Processes(Launcher):
 
 
 def preload(task: Task[Any], jobs: list[Job]) -> None:
-    """What every job would import and read for itself: also the code that their keys depend on (0.2
-    s)."""
+    """Load in advance what every job would import and read for itself: also the code that their
+    keys depend on (0.2 s)."""
     planned = KeyedStages(store_of(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it

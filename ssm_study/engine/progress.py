@@ -65,7 +65,8 @@ class Progress:
         return "; ".join(parts + ([f"{int(left // 60)}:{int(left % 60):02d} left"] if left else []))
 
     def seconds_left(self) -> float | None:
-        """By the mean pace of the runs done in this sweep; None before the first."""
+        """Seconds left, estimated from the mean pace of the runs done in this sweep; None before
+        the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
         return (

@@ -130,7 +130,7 @@ def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
 
 
 def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
-    """Of a run that is not executed now: what its folder says."""
+    """Outcome of a run that is not executed now, taken from the record in its folder."""
     if before is None:
         return Outcome(
             folder=folder,

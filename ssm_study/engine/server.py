@@ -202,8 +202,8 @@ def thread_limits(threads: int) -> dict[str, str]:
 
 
 def _settle_memory_and_threads(threads: int) -> None:
-    """What the variables would do, for libraries that the sweep's own process has loaded
-    already."""
+    """Apply the settings of the environment variables to libraries that the sweep's own process has
+    loaded already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
             ctypes.CDLL(None).mallopt(parameter, value)
@@ -212,8 +212,8 @@ def _settle_memory_and_threads(threads: int) -> None:
 
 
 def _into_large_pages() -> None:
-    """What the server has in memory, so that a fork copies a short page table: 35 -> 13 ms per job,
-    for 0.8 s once.
+    """Collapse the server's memory into large pages, so that a fork copies a short page table: 35
+    -> 13 ms per job, for 0.8 s once.
 
     Linux 6.1 and later; elsewhere nothing happens.
     """

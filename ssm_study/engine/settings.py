@@ -135,7 +135,7 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
 
 
 def entry(settings: Any, path: str) -> Any:
-    """What stands at a dotted path, None where nothing does."""
+    """Value at a dotted path of the settings; None where nothing stands there."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None
     return settings

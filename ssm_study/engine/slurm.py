@@ -71,8 +71,8 @@ def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """What the job returned; or a failed run: where Slurm ended it, one that the same command does
-    again."""
+    """Outcome that the job returned; or a failed run: where Slurm ended it, one that the same
+    command does again."""
     state = ended(submitted, patience_s)
     try:
         if state != FORGOTTEN:

@@ -51,12 +51,12 @@ class Task(ABC, Generic[R]):
         """Take every stage of the request. Values are read only inside stages: a plan has none."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """What is known once all stages stand; `run.facts` are their columns, `status` may be
-        `infeasible`."""
+        """Compute the facts known once all stages stand; `run.facts` are their columns, `status`
+        may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
-        """What was asked for: columns of the record from the start."""
+        """Parameters of the request: columns of the record from the start."""
         return {}
 
     def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
@@ -140,7 +140,7 @@ class Task(ABC, Generic[R]):
         )
 
     def finished(self, config: DictConfig | Settings) -> Outcome | None:
-        """What a run that is not to be executed says of itself; None for one that is.
+        """Outcome of a run that is not to be executed; None for one that is.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
@@ -168,7 +168,8 @@ class RunStages(Store):
     announces: bool = False
 
     def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
-        """As the store does it; before a stage is computed its name is printed."""
+        """Compute or reuse a stage like the store; the name of a stage is printed before it is
+        computed."""
 
         def announced(folder: Path) -> None:
             if self.announces:

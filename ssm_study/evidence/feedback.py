@@ -171,7 +171,8 @@ def growth(data: DataSet) -> tuple[float, float]:
 
 
 def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
-    """What the input added over a stride and the one before, the output's rise, and its past."""
+    """Regression rows: what the input added over a stride and the one before, the output's rise,
+    and its past."""
     hats = [
         np.interp(column, at, corner)
         for column, at in zip(u.T, nodes, strict=True)
@@ -219,7 +220,7 @@ def fed_back(data: DataSet, first: int) -> float:
 
 
 def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Of the scored half: powers of the input, of `w`, of `w` clipped, and of what `v` leaves of
+    """Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v` leaves of
     that."""
     (past, y, u), (own_past, own_y, own_u) = fitted, scored
     on_u, on_y = (np.linalg.lstsq(past, side, rcond=ROUNDING)[0] for side in (u, y))

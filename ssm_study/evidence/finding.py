@@ -1,5 +1,5 @@
-"""What speaks against a judgement: one sentence with its number and what to do, at one of three
-levels."""
+"""Findings that speak against a judgement: one sentence with its number and what to do, at one of
+three levels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """What is judged: the records, and the model's free runs of validation and test."""
+    """Case to be judged: the records, and the model's free runs of validation and test."""
 
     data: DataSet
     model: Model

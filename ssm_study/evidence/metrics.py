@@ -34,8 +34,8 @@ class Judgement:
 
     @property
     def reasons(self) -> str | None:
-        """What speaks against the plant's judgement, the gravest first; notes follow where there is
-        nothing else."""
+        """Findings against the plant's judgement in one text, the gravest first and notes last;
+        None where there are none."""
         told = sorted(
             self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
         )

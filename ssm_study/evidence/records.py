@@ -1,5 +1,5 @@
-"""What the records have visited: ranges, levels, spectra, length, drift, and records that are one
-another."""
+"""Conditions that the records have visited: ranges, levels, spectra, length, drift, and records
+that are one another."""
 
 from collections.abc import Iterator
 

@@ -1,5 +1,5 @@
-"""What the records say of the answer to the input: how long it lasts, how late it comes, at which
-frequencies it shows.
+"""Response of the output to the input in the records: how long it lasts, how late it comes, at
+which frequencies it shows.
 
 Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear
 filter of the inputs explains. Dead time: the first lag of the impulse response that is clearly not
@@ -49,8 +49,8 @@ def findings(case: Case) -> list[Finding]:
 
 
 def kept_over(case: Case) -> float:
-    """What the model's slowest mode leaves of itself over the longest training record: all of it
-    for an integrator."""
+    """Share of the model's slowest mode that remains after the longest training record: 1 for an
+    integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 

@@ -154,7 +154,8 @@ class Device:
 
     @staticmethod
     def _lifted_limit(controller: PortableController, limit: Vector) -> float:
-        """What S_u makes of a limit, at most of `WIDEST` scaled inputs."""
+        """Image of an input limit under the input map S_u, the limit clipped to `WIDEST` scaled
+        inputs."""
         scaled = controller.scale.scaled_input(limit.astype(float))
         return float(_mapped(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 

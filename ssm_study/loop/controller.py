@@ -1,4 +1,4 @@
-"""What closes the loop: a law from measured outputs to held inputs, batched over cases.
+"""Controllers that close the loop: a law from measured outputs to held inputs, batched over cases.
 
 A controller is a discrete-time system of its own. Its memory is one array `(N, s)`, so a thousand
 cases step together and nothing is hidden in an object.
@@ -49,7 +49,7 @@ class Controller(ABC):
         return np.zeros((cases, 0))
 
     def targets(self, reference: Reference) -> Plan:
-        """What is followed at each sample; by default the reference itself."""
+        """Signal to follow at each sample; by default the reference itself."""
         return reference
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:

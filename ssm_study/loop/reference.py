@@ -1,5 +1,5 @@
-"""What the output should follow: a signal as a disturbance is one, of offsets from rest, the same
-for every output."""
+"""References that the output should follow: signals like disturbances, of offsets from rest, the
+same for every output."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -138,7 +138,7 @@ REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of t
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """What one experiment left: the controlled plant, the plant left alone from the same states,
+    """Runs of one experiment: the controlled plant, the uncontrolled plant from the same states,
     and the model.
 
     `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
@@ -161,8 +161,8 @@ class LoopRuns:
 
 
 class ComparisonTable(ABC):
-    """What a run leaves beside its record, `comparison.csv`: one flat row per case, missing values
-    None."""
+    """Table that a run writes beside its record, `comparison.csv`: one flat row per case, missing
+    values None."""
 
     @abstractmethod
     def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:

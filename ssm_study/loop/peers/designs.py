@@ -12,7 +12,7 @@ from ssm_study.synthesis.lmi import LmiSynthesis
 
 
 class UncontrolledPeer(Peer, names=("uncontrolled",)):
-    """What every controller is measured against."""
+    """Uncontrolled plant, against which every controller is measured."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Uncontrolled:
         return Uncontrolled.of(plant)

@@ -49,7 +49,7 @@ class LqgPeer(Peer, names=("lqg",)):
 
 
 def weights_of(plant: Plant, known: Identified, rate: float) -> Synthesis:
-    """Those of `synthesis=riccati`, with the sensor's own noise, mean over the outputs; a linear
+    """Weights of `synthesis=riccati`, with the sensor's own noise, mean over the outputs; a linear
     design has no rate."""
     noise = max(
         float(np.mean(np.array(plant.noise_variance) / known.model.scale.output_scale**2)), 1e-6

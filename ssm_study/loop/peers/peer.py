@@ -29,7 +29,7 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """What every controller may know: the model, the balls of its Jacobians, the validation
+    """Data that every controller may use: the model, the balls of its Jacobians, the validation
     record."""
 
     model: Model
@@ -49,7 +49,7 @@ class Identified:
 
     @cached_property
     def without_neurons(self) -> SSM:
-        """What a textbook's design takes the model for: neurons by their slopes at rest, within A,
+        """Linear model as a textbook's design sees it: neurons by their slopes at rest, within A,
         B, C and D."""
         if isinstance(self.model, SSM):
             return self.model
@@ -66,7 +66,8 @@ class Identified:
         )
 
     def chosen(self, synthesis: "Auto") -> Design:
-        """What `auto` takes, knowing all this."""
+        """Design that `auto` chooses from the model, the balls, the validation records and the
+        mismatch."""
         return synthesis.design(self.model, self.balls, self.validation, self.shown)
 
 
