@@ -71,9 +71,9 @@ for answer in answers(study.table):
 # *whatever* the solver.
 
 # %%
-for name in ("feasibility_map", "rates"):
-    png, _ = figures.draw([name], study.folder)
-    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
+png, _ = figures.draw(["feasibility_map"], study.folder)
+caption = figures.caption("feasibility_map")
+display(Image(filename=str(png), retina=True), Markdown(f"*{caption}*"))
 
 # %% [markdown]
 # ## Why is a run infeasible?

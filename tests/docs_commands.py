@@ -69,27 +69,32 @@ SMALL_OPTIONS = {
 }
 SMALL_SOURCE = {  # pattern: what stands in its place
     "closed_loop_log.py": {
-        r"^SAMPLES, POLE,.*": "SAMPLES, POLE, GAIN, NOISE, DRIFT, SEEDS = 1200, 0.9, 3.0, 0.15, 0.95, 1",
+        r"^SAMPLES = .*": "SAMPLES = 1200",
+        r"^SEEDS = .*": "SEEDS = 1",
         r'^    "model=ssm",': '    "model=ssm",\n    "training.max_epochs=2",',
     },
     "loop_batch.py": {r'"study=benchmark"': '"study=benchmark", "experiment=smoke"'},
     "plants_error.py": {
-        r"^CASES, SAMPLES, STEPS_S = .*": "CASES, SAMPLES, STEPS_S = 1, 40, (5e-4, 2.5e-4)"
+        r"^CASES = .*": "CASES = 1",
+        r"^SAMPLES = .*": "SAMPLES = 40",
+        r"^STEPS_S = .*": "STEPS_S = (5e-4, 2.5e-4)",
     },
-    "plants_mcap.py": {r"^SAMPLES, ROUNDS = .*": "SAMPLES, ROUNDS = 500, 1"},
+    "plants_mcap.py": {r"^SAMPLES = .*": "SAMPLES = 500", r"^ROUNDS = .*": "ROUNDS = 1"},
     "plants_simulation.py": {
-        r"^CASES, SAMPLES = .*": "CASES, SAMPLES = 2, 40",
+        r"^CASES = .*": "CASES = 2",
+        r"^SAMPLES = .*": "SAMPLES = 40",
         r"^PART = .*": "PART = 20",
         r"^ROUNDS = .*": "ROUNDS = 1",
     },
-    "synthesis_bounds.py": {r"^COUNT, STARTS = .*": "COUNT, STARTS = 1, 1"},
+    "synthesis_bounds.py": {r"^COUNT = .*": "COUNT = 1", r"^STARTS = .*": "STARTS = 1"},
     "synthesis_maps.py": {
         r"^FLOORS = .*": "FLOORS = (0.1, 0.5)",
         r"^RATES = .*": "RATES = (0.05, 0.3)",
         r"for share in \(.*\)": "for share in (0.5,)",
     },
     "synthesis_paper_lmi.py": {
-        r"^COUNT, BLOCK = .*": "COUNT, BLOCK = 3, 3",
+        r"^COUNT = .*": "COUNT = 3",
+        r"^BLOCK = .*": "BLOCK = 3",
         r'"paper_lmi.csv"$': '"paper_lmi_again.csv"',  # the committed one has every model
     },
     "synthesis_times.py": {r"^REPETITIONS = .*": "REPETITIONS = {}"},
