@@ -198,10 +198,10 @@ def test_a_run_that_cannot_be_refined_is_refused(logged, first, tmp_path):
         "no such file": (logged, tmp_path / "absent.csv"),
         "the header has voltage, speed": (
             logged,
-            write(tmp_path / "other.csv", moving, moving, "voltage,speed"),
+            write(tmp_path / "other.csv", moving, 2 * moving, "voltage,speed"),
         ),
         "the input never moves": (logged, write(tmp_path / "still.csv", 0 * moving, moving)),
-        "log a longer trial": (logged, write(tmp_path / "short.csv", moving[:20], moving[:20])),
+        "log a longer trial": (logged, write(tmp_path / "short.csv", moving[:20], 2 * moving[:20])),
     }
     for said, (run, log) in refused.items():
         with pytest.raises(BadRequest, match=said):
@@ -213,7 +213,7 @@ def test_a_log_at_another_sampling_time_is_refused(logged, tmp_path):
     config = (run / ".hydra" / "config.yaml").read_text().replace("time: null", "time: t")
     (run / ".hydra" / "config.yaml").write_text(config.replace("step_s: 0.05", "step_s: null"))
     t = np.arange(200)
-    np.savetxt(tmp_path / "slow.csv", np.column_stack([0.1 * t, np.sin(t), np.sin(t)]), delimiter=",",
+    np.savetxt(tmp_path / "slow.csv", np.column_stack([0.1 * t, np.sin(t), np.cos(t)]), delimiter=",",
                header="t,input,output", comments="")  # fmt: skip
     with pytest.raises(BadRequest, match=r"sampling time is 0\.05 s"):
         list(refine(run, tmp_path / "slow.csv"))
