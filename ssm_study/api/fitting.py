@@ -83,7 +83,9 @@ def fit(
     data = parts.build("data").build(parts.numbers["seed"])
 
     seed = parts.numbers["seed"]
-    trained, identification = identify(spec, training, data, seed, progress=progress)
+    trained, identification = identify(
+        spec, training, data, seed, progress=progress, workplace=folder
+    )
     simulator = reduction.reduce(trained) if spec.gives_ssm else trained
     return Model(
         simulator=simulator,

@@ -28,15 +28,22 @@ Limit = float | list[float] | None
 
 
 def identify(
-    spec: "ModelSpec", training: "Training", data: DataSet, seed: int, *, progress: bool
+    spec: "ModelSpec",
+    training: "Training",
+    data: DataSet,
+    seed: int,
+    *,
+    progress: bool,
+    workplace: Path,
 ) -> tuple[Any, "Identification"]:
     """Train a model on the training records; returns it with its dead time, and how it was found.
 
-    A model of one layer with a dead time is trained on records shifted by it.
+    A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
+    folder of `workplace` while the training runs.
     """
     dead_time = getattr(spec, "dead_time", 0)
     shifted = data.shift_out_dead_time(dead_time) if dead_time else data
-    with TemporaryDirectory(prefix="ssm-study-") as folder:
+    with TemporaryDirectory(prefix="training-", dir=workplace) as folder:
         identification = training.identify(spec, shifted, seed, Path(folder), progress)
     model: Any = identification.model
     return (model.delayed(dead_time) if dead_time else model), identification
