@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ssm_study.data.readers.reader import Table, folded, title_without_unit
 from ssm_study.refusal import BadRequest, at_least, require
@@ -291,7 +291,9 @@ def cut_at_holes(
     return interpolated(time_s, values, inputs, stretches, period_s, remarks)
 
 
-def hole_remarks(steps: Float[np.ndarray, "T"], holes: np.ndarray, period_s: float) -> list[str]:
+def hole_remarks(
+    steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
+) -> list[str]:
     """How many holes there are, and how long, in words."""
     if not len(holes):
         return []
@@ -346,7 +348,9 @@ def interpolated(
     )
 
 
-def nearest_row(clock: Float[np.ndarray, "K"], times: Float[np.ndarray, "T"]) -> np.ndarray:
+def nearest_row(
+    clock: Float[np.ndarray, "K"], times: Float[np.ndarray, "T"]
+) -> Int[np.ndarray, "K"]:
     """Index of the recorded time that is nearest to each instant of the clock."""
     after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
     return np.where(clock - times[after - 1] < times[after] - clock, after - 1, after)

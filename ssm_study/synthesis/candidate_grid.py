@@ -1,4 +1,7 @@
-"""The grid of rates and weights over which `auto` solves for gains. Source: docs/closed_loop.md."""
+"""The grid of rates and weights over which `auto` solves for gains.
+
+Source: docs/theory.md, "The frontier"; docs/closed_loop.md, "Rates chosen for you".
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,7 +4,9 @@
 
 Pairs that are faster than the open loop on the model come before all others: a controller that does
 next to nothing is safe, and helps nobody. The mismatch is not a number but a sample: the fastest design that just passes is the one that any
-optimism of the measured mismatch lets through. Source: docs/closed_loop.md, "Rates chosen for you".
+optimism of the measured mismatch lets through.
+Source: docs/closed_loop.md, "Rates chosen for you"; of the margin: docs/theory.md, "Small gain for
+the plant".
 """
 
 from collections.abc import Iterator

@@ -3,7 +3,8 @@ predicted to be stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and
-P; the chosen design's is then decided exactly. Source: docs/closed_loop.md, "Rates chosen for you".
+P; the chosen design's is then decided exactly. Source: docs/theory.md, "Measured discs";
+docs/closed_loop.md, "Rates chosen for you".
 """
 
 from collections.abc import Callable, Iterator
@@ -76,13 +77,9 @@ def coverage_by_frequency(
 ) -> float:
     """The largest kappa of the joint program over the centres; it ends at the first that is
     `enough`."""
-    from ssm_study.synthesis.measured_discs_search import (
-        CENTRES,
-        LoopForms,
-        WeightBasis,
-        WeightProgram,
-        theorem_of,
-    )
+    from ssm_study.synthesis.measured_discs_program import LoopForms
+    from ssm_study.synthesis.measured_discs_search import CENTRES, theorem_of
+    from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
 
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)

@@ -29,27 +29,22 @@ from ssm_study.synthesis.measured_discs_program import (
     LoopForms,
     normalised,
 )
+from ssm_study.synthesis.measured_discs_weights import (
+    COARSE,
+    LARGEST,
+    WeightBasis,
+    WeightProgram,
+    own_weights,
+)
 from ssm_study.systems import StructuredSystem
 
 CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` only when they are wide
-POLES = (0.5, 0.9)  # of the weights, with as many at zero
-ORDER = 4  # of each weight
 INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
 ROOMS = (1e-3, 1e-2)  # margins by frequency, in units of each free signal's own weight
-WIDEST = 2.25  # times what records show, in power: weights are widened up to here
-ROOM = 0.02  # the model lies inside the disc by this share
-NEAR_ZERO = 1e-2  # share of its mean over the circle below which a squared gain never falls
-CEPSTRUM = 2**15  # points of the circle for a spectral factor
 SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
-LARGEST = 1e6  # of nu = kappa^2: beyond it, nothing that e does matters
 SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
-JOINT = 3e-5  # by how much angles of the joint program may miss: far less than kappa is taken back
-COARSE = 1e-3
-LARGE = 4  # free signals
 KEPT = 0.5  # of the margin by frequency, for the equation
 FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean
-CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
-EVENLY = np.linspace(0, np.pi, 2001)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,17 +164,6 @@ def _with_margin(
     return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
 
 
-def own_weights(
-    forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
-) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal by itself in the form: |e|^2 one, |p|^2 its multiplier, and so
-    on."""
-    order = len(forms.a)
-    whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
-    own = np.abs(np.diagonal(whole)[order:])
-    return np.asarray(np.maximum(own, 1e-9 * own.max()))
-
-
 def _numbers(
     forms: LoopForms,
     weights: Weights,
@@ -265,198 +249,6 @@ def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> flo
     """The smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
     return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in ("inequality", "p"))
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeightBasis:
-    """Squared gains `sum_j x_j phi_j`, `phi_0 = 1 / |den|^2`, `phi_j = 2 cos(j w) / |den|^2`."""
-
-    poles: tuple[float, ...] = POLES
-    order: int = ORDER
-
-    def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-        """`|den|^2`."""
-        factors = [np.abs(1 - pole * np.exp(-1j * angles)) ** 2 for pole in self.poles]
-        return np.asarray(np.prod(factors, axis=0)) if factors else np.ones(len(angles))
-
-    def at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """Each basis function at each angle."""
-        return self.numerators(angles) / self.denominator(angles)
-
-    def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """One, and `2 cos(j w)`."""
-        rows = [np.ones(len(angles)), *(2 * np.cos(j * angles) for j in range(1, self.order + 1))]
-        return np.stack(rows)
-
-    def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
-        """The spectral factor with zeros inside the circle as `[A, B; C, D]`; raises `NoSolution`
-        where there is none."""
-        if coefficients[0] <= 0:
-            return np.zeros((1, 1))
-        if self.order == 0 and not self.poles:
-            return np.array([[np.sqrt(coefficients[0])]])
-        numerator = spectral_factor(coefficients)
-        denominator = np.real(np.poly(self.poles)) if self.poles else np.ones(1)
-        size = max(len(numerator), len(denominator))
-        padded = np.pad(denominator, (0, size - len(denominator)))
-        a, b, c, d = scipy.signal.tf2ss(np.pad(numerator, (0, size - len(numerator))), padded)
-        return np.block([[a, b], [c, d]])
-
-
-def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """`n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)`, its zeros inside the circle;
-    raises `NoSolution`.
-
-    By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
-    poles outside (Oppenheim & Schafer, Discrete-Time Signal Processing, chapter 13).
-    """
-    order = len(coefficients) - 1
-    circle = np.zeros(CEPSTRUM)
-    circle[: order + 1] = coefficients
-    circle[len(circle) - order :] = coefficients[:0:-1]
-    power = np.fft.fft(circle).real
-    if power.min() <= 0:
-        raise NoSolution("a squared gain is not positive everywhere")
-    cepstrum = np.fft.ifft(np.log(power)).real
-    cepstrum[0] /= 2
-    cepstrum[CEPSTRUM // 2 :] = 0.0
-    factor = np.fft.ifft(np.exp(np.fft.fft(cepstrum))).real[: order + 1]
-    again = np.convolve(factor, factor[::-1])[order:]
-    if np.abs(again - coefficients).max() > 1e-3 * coefficients[0]:
-        raise NoSolution("a squared gain has no spectral factor")
-    return np.asarray(factor)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WeightProgram:
-    """The joint program of weights, multipliers and `nu = kappa^2` around one centre.
-
-    Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
-    and each band has a `widening` of its own.
-    """
-
-    forms: LoopForms
-    grid: FormsAtAngles
-    centre: float
-    items: tuple[Item, ...]
-    basis: WeightBasis
-
-    @property
-    def accuracy(self) -> float:
-        """The amount by which angles may be missed: more where each is a large matrix."""
-        return COARSE if self.grid.model.shape[1] > LARGE else JOINT
-
-    @property
-    def linear(self) -> Any:
-        """The matrix of each unknown but nu, at each angle."""
-        phi = self.basis.at(self.grid.angles)[:, :, None, None]
-        parts = [-phi * self.grid.model, -phi * self.grid.input, self.grid.multipliers]
-        return np.concatenate(parts)
-
-    def item_rows(self) -> Float[np.ndarray, "I n"]:
-        """`sum over an item's lines of (X model + Y input) / seen` by the coefficients x, y."""
-        rows = []
-        for item in self.items:
-            phi = self.basis.at(item.angles)
-            row = np.concatenate([phi @ item.model_power, phi @ item.input_power])
-            rows.append(row / item.seen)
-        return np.array(rows)
-
-    def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
-        """Rows on (x, y) and their bounds: X exceeds `c^2`, so that the disc holds `e = 0`, and
-        neither comes near zero."""
-        mean = self.basis.at(EVENLY).mean(axis=1)
-        clear = self.basis.at(CIRCLE).T - NEAR_ZERO * mean
-        none = np.zeros_like(clear)
-        least = np.full(len(CIRCLE), self.centre**2 * (1 + ROOM))
-        on_x = np.hstack([clear, none])
-        on_y = np.hstack([none, clear])
-        return np.concatenate([on_x, on_y]), np.concatenate([least, np.zeros(len(CIRCLE))])
-
-    def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
-        """The largest nu, and x, y, multipliers; raises `NoSolution`."""
-        linear = self.linear
-        scale = normalised(linear)
-        count = len(scale)
-        weights = 2 * (self.basis.order + 1)
-        rows_xy, least_xy = self.weight_rows()
-        seen = self.item_rows()
-        top = np.zeros((len(seen) + len(rows_xy), 1 + count))
-        top[: len(seen), 0] = -1.0
-        top[:, 1 : 1 + weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
-        bottom = np.zeros((2 * (count - weights) + 1, 1 + count))
-        bottom[: count - weights, 1 + weights :] = np.eye(count - weights)
-        bottom[count - weights : -1, 1 + weights :] = -np.eye(count - weights)
-        bottom[-1, 0] = -1.0
-        most = np.full(count - weights, -MOST)
-        last = np.array([-LARGEST])
-        bounds = [np.zeros(len(seen)), least_xy, np.zeros(count - weights), most, last]
-        program = AngleProgram(
-            constant=self.grid.centred[self.centre],
-            linear=np.concatenate([np.zeros_like(linear[:1]), linear / scale[:, None, None, None]]),
-            rows=np.concatenate([top, bottom]),
-            bounds=np.concatenate(bounds),
-        )
-        goal = np.zeros(1 + count)
-        goal[0] = 1.0
-        x, _ = program.maximise(goal, self.accuracy)
-        return float(x[0]), x[1:] / scale
-
-    def widened(
-        self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
-    ) -> Float[np.ndarray, "n"]:
-        """At a fixed nu the weights that are widest beyond what records show, each band up to
-        `WIDEST`; a margin of `room` times each free signal's own weight is left in the loop."""
-        weights = 2 * (self.basis.order + 1)
-        own = own_weights(self.forms, self.centre, np.maximum(unknowns[weights:], 0.0))
-        root = 1 / np.sqrt(own)
-        units = np.outer(root, root)  # each free signal in units of its own weight
-        linear = self.linear * units
-        scale = normalised(linear)
-        count = len(scale)
-        rows_xy, least_xy = self.weight_rows()
-        seen = self.item_rows()
-        bands = sorted({item.where.rpartition(", ")[2] for item in self.items})
-        place = [bands.index(item.where.rpartition(", ")[2]) for item in self.items]
-        total = count + len(bands)
-        rows = np.zeros((len(seen) + len(rows_xy), total))
-        rows[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
-        rows[np.arange(len(seen)), count + np.array(place)] = -nu
-        right = np.concatenate([np.zeros(len(seen)), least_xy])
-        ends = np.concatenate([np.eye(total)[weights:], -np.eye(total)[weights:]])
-        least = np.concatenate([np.zeros(count - weights), np.ones(len(bands))])
-        most = np.concatenate([np.full(count - weights, MOST), np.full(len(bands), WIDEST)])
-        none = np.zeros((len(bands), *linear.shape[1:]))
-        program = AngleProgram(
-            constant=self.grid.centred[self.centre] * units - room * np.eye(len(own)),
-            linear=np.concatenate([linear / scale[:, None, None, None], none]),
-            rows=np.concatenate([rows, ends]),
-            bounds=np.concatenate([right, least, -most]),
-        )
-        goal = np.concatenate([np.zeros(count), np.ones(len(bands))])
-        x, _ = program.maximise(goal, self.accuracy)
-        return np.asarray(x[:count] / scale)
-
-    def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
-        """Filters of the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
-        `NoSolution`."""
-        size = self.basis.order + 1
-        x = unknowns[:size] / nu
-        y = unknowns[size : 2 * size] / nu
-        floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
-        if floor == 0:
-            floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
-        left = x - floor**2 * autocorrelation(self.basis.poles, size)
-        return Weights(
-            floor=float(floor), output=self.basis.filter(left), input=self.basis.filter(y)
-        )
-
-
-def autocorrelation(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
-    """Coefficients of `|den|^2` in ones and `2 cos(j w)`."""
-    denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
-    whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
-    return np.pad(whole, (0, size - len(whole)))
 
 
 def largest_coverage(

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy
+from jaxtyping import Float
 
 from ssm_study.data.readers.reader import Reader, Table, check_named
 from ssm_study.refusal import BadRequest
@@ -87,13 +88,14 @@ class MatReader(Reader, names=(".mat",)):
         return Table(columns=columns, skipped=skipped)
 
 
-def one_matrix(columns: dict[str, np.ndarray]) -> bool:
+def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
     """Whether all columns are of one matrix."""
     return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
 
 
-def numbers_of(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Vectors by name, matrices by columns, and why other objects were skipped."""
+def numbers_of(path: Path) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str]]:
+    """Vectors by name, matrices by columns, and why other objects were skipped; raises `BadRequest`
+    where the file is not whole."""
     try:
         contents = parse(path)
     except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)

@@ -108,7 +108,8 @@ def units_of(layout: TextLayout) -> list[str]:
 
 
 def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
-    """The rows as columns of text; every row must have as many cells as the others."""
+    """The rows as columns of text; raises `BadRequest` where a row has not as many cells as the
+    others."""
     separator = layout.separator
     rows = layout.rows
     if separator == " ":

@@ -5,6 +5,7 @@ controller's gain for every slope; the full one is the unit circle."""
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Inexact
 from matplotlib.figure import Figure
 
 from ssm_study import style
@@ -41,7 +42,11 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def pole_groups(model: Any, k: np.ndarray, l: np.ndarray) -> dict[str, np.ndarray]:  # noqa: E741
+def pole_groups(
+    model: Any,
+    k: Float[np.ndarray, "u z"],
+    l: Float[np.ndarray, "e y"],  # noqa: E741
+) -> dict[str, Inexact[np.ndarray, "_"]]:
     """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest; modes of the plant's load out."""
     linear = at_rest(model)
     n = len(linear.a)
