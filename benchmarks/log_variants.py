@@ -7,7 +7,7 @@ right, refused in a sentence, wrong in silence (another step or other numbers), 
 files that are not ambiguous at least 95 % are to be read, and none may be wrong.
 """
 
-import sys
+import argparse
 import tempfile
 from collections import Counter
 from dataclasses import dataclass
@@ -194,7 +194,9 @@ def outcome(variant: Variant, folder: Path) -> tuple[str, str]:
 
 def main() -> None:
     """Draw the files, print the counts and what was not read."""
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 500
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("count", nargs="?", type=int, default=500, help="how many files")
+    count = parser.parse_args().count
     ends: Counter[str] = Counter()
     remarks: list[str] = []
 

@@ -106,15 +106,21 @@ def assign(tree: Tree, path: str, value: Any) -> None:
 def read_value(text: str) -> Any:
     """Value of a setting written as text: a number, true, false, null, a list or a text."""
     try:
-        value = yaml.safe_load(text)
+        return _read_numbers(yaml.safe_load(text))
     except yaml.YAMLError:
         return text
-    if isinstance(value, str):
-        try:
-            return float(value)  # YAML reads 1e-3 as a text
-        except ValueError:
-            return value
-    return value
+
+
+def _read_numbers(value: Any) -> Any:
+    """Numbers such as 1e-3, which YAML reads as texts, as numbers; lists item by item."""
+    if isinstance(value, list):
+        return [_read_numbers(item) for item in value]
+    if not isinstance(value, str):
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return value
 
 
 def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
