@@ -95,6 +95,7 @@ def run(folder: Path, u: np.ndarray, y: np.ndarray, *more: str) -> tuple[int, di
         "study=s",
     ]
     quick = [
+        "model=structured",
         "model.order=3",
         "model.neurons=3",
         "model.starts=1",
