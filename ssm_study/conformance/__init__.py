@@ -28,7 +28,8 @@ def choices(group: str) -> list[str]:
 @cache
 def part(group: str, choice: str) -> Any:
     """The object a study would get for `group=choice`."""
-    from ssm_study.api.parts import load_tree
+    from ssm_study.cli.from_python import composed
     from ssm_study.construction import construct_part
+    from ssm_study.engine.settings import plain
 
-    return construct_part(group, load_tree(group, choice))
+    return construct_part(group, plain(composed([f"{group}={choice}"]))[group])

@@ -108,7 +108,7 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
         scored.append(asked[-1])
         return relative_areas(*asked)
 
-    monkeypatch.setattr("ssm_study.synthesis.auto.relative_areas", noted)
+    monkeypatch.setattr("ssm_study.synthesis.expected_response.relative_areas", noted)
     falling = replace(motor_model(), scaffold_in=LinearScaffold(gain=-np.eye(1)))
     falling = falling.with_linear(replace(falling.linear, b=-falling.linear.b))
     asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
