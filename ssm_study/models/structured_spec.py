@@ -225,10 +225,8 @@ class StructuredSpec(ModelSpec):
         inward, outward = (
             Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
         )
-        shared = {
-            name: getattr(self, name)
-            for name in ("order", "slope_lower", "slope_upper", "feedthrough")
-        }
+        shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper")}
+        shared["feedthrough"] = self.feedthrough is True  # `auto` is decided before
         width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 

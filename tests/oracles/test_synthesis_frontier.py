@@ -297,7 +297,7 @@ def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.Mo
     q = np.eye(4)
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
     for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
-        monkeypatch.setattr(modes, "doubled", lambda *_, s=spoilt: s)
+        monkeypatch.setattr("ssm_study.certificates.riccati.doubled", lambda *_, s=spoilt: s)
         np.testing.assert_allclose(
             solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6
         )
