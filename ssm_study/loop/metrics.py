@@ -54,7 +54,6 @@ COLUMNS = (
         "Float64",
         "low",
         word="Swing that settled loops keep up without noise",
-        unchecked="from one more simulation without noise, which no recording holds",
         unit="settling bands",
     ),
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),

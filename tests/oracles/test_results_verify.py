@@ -87,7 +87,13 @@ NUMBERS = {
     **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop")},
     **dict.fromkeys(("integral_squared_error", "final_error_worst", "empirical_rate"), ONE_FORMULA),
     **dict.fromkeys(
-        ("estimate_decay_rate", "certified_bound_excess_plant", "noise_gain_measured"), ONE_FORMULA
+        (
+            "estimate_decay_rate",
+            "certified_bound_excess_plant",
+            "noise_gain_measured",
+            "swings_at_rest",
+        ),
+        ONE_FORMULA,
     ),
     **dict.fromkeys(
         ("limit_lower", "limit_upper", "unlimited_from", "unlimited_to", "noise_gain_model"),
