@@ -72,8 +72,9 @@ def _load_default(group: str, entry: Any) -> Tree:
     is_absolute = path.startswith("/")
     nested = path.removeprefix("/") if is_absolute else f"{group}/{path}"
     place = place or path.rpartition("/")[2]
-    tree = deepcopy(load_tree(nested, str(choice)))
-    return {place: Replacement(tree)}
+    tree: Tree = {}
+    assign_nested(tree, place, Replacement(deepcopy(load_tree(nested, str(choice)))))
+    return tree
 
 
 class Replacement(dict[str, Any]):
@@ -101,6 +102,14 @@ def assign(tree: Tree, path: str, value: Any) -> None:
         require(isinstance(inner, dict), path, value, f"there is no part {name}", "check its name")
         place = inner
     place[last] = value
+
+
+def assign_nested(tree: Tree, path: str, value: Any) -> None:
+    """Set what stands at a dotted path, making the trees above it where there are none."""
+    *parents, last = path.split(".")
+    for name in parents:
+        tree = tree.setdefault(name, {})
+    tree[last] = value
 
 
 def read_value(text: str) -> Any:

@@ -10,7 +10,11 @@ from ssm_study.engine.settings import plain
 from ssm_study.refusal import BadRequest
 
 CONF = Path(__file__).parents[2] / "conf"
-CHOICES = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+CHOICES = [
+    (group, path.stem)
+    for group in (*GROUPS, "plant")
+    for path in sorted((CONF / group).glob("*.yaml"))
+]
 WORDS = (
     ("model=ssm", "model.order=4", "scaffold@model.scaffold_in=monotone"),
     ("model=structured", "model.ridge=1e-3", "model.kinds=[tanh,relu]"),
