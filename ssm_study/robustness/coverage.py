@@ -233,8 +233,10 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
     noise = record.sides * record.noise
     variance = record.sides * (noise * record.noise / 2 + record.noise * np.maximum(repeats, 0.0))
     bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
-    drive = np.array([record.input_power[bands == b].mean() for b in range(len(ANGLES))])
-    dark = drive < EXCITED * drive.mean()
+    powers = [record.input_power[bands == b] for b in range(len(ANGLES))]
+    has_lines = np.array([len(power) > 0 for power in powers])  # a short period has few lines
+    drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
+    dark = drive < EXCITED * drive[has_lines].mean()
 
     def item(lines: np.ndarray, where: str, *, doubtful: bool, unexcited: bool = False) -> Item:
         error = SURE * np.sqrt(variance[lines].sum()) if doubtful else 0.0
@@ -249,14 +251,16 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
         )
 
     items = [item(bands == -1, MEAN, doubtful=not sure)]
-    for b, angle in enumerate(ANGLES):
-        where = f"around {angle:.2f} rad/sample"
+    for b in np.flatnonzero(has_lines):
+        where = f"around {ANGLES[b]:.2f} rad/sample"
         items.append(item(bands == b, where, doubtful=not sure, unexcited=bool(dark[b])))
     for size in GROUPS:
         for start in range(0, len(ANGLES), size):
             ends = ANGLES[[start, min(start + size, len(ANGLES)) - 1]]
             where = f"{ends[0]:.2f} to {ends[1]:.2f} rad/sample"
             lines = (bands >= start) & (bands < start + size)
+            if not lines.any():
+                continue
             unexcited = bool(dark[start : start + size].all())
             items.append(item(lines, where, doubtful=not sure, unexcited=unexcited))
     return [*items, item(bands >= -1, TOTAL, doubtful=False)]

@@ -34,7 +34,13 @@ def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
 ) -> None:
     """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for good."""
     command = [sys.executable, "-m", "ssm_study.cli", "run", *ENDLESS, f"results_dir={tmp_path}"]
-    training = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    # Programs in the background inherit that Ctrl-C is ignored: a terminal's do not.
+    training = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
     wait_for_file(tmp_path / ".store", "last.ckpt")
     training.send_signal(number)
     _, errors = training.communicate(timeout=60)

@@ -13,12 +13,14 @@ from ssm_study.robustness.coverage import (
     INTEGRATES,
     NO_MISMATCH,
     NOT_AT_REST,
+    MismatchSpectrum,
     Premise,
     Weights,
     measure_premise,
+    repeating_items,
     running_sum,
 )
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.mismatch import ANGLES, measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
@@ -267,3 +269,24 @@ def test_a_certificate_reads_back_to_the_same_numbers() -> None:
     again = Design.from_json(made.to_json())
     assert coverage_facts(again, model, known) == coverage_facts(made, model, known)
     assert again.to_json() == made.to_json()
+
+
+def test_a_short_period_has_bands_without_lines() -> None:
+    """No item speaks of a band that no line lies in, and those that do are finite."""
+    lines = 17  # a period of 32 samples, the shortest that counts: half of the bands hold no line
+    rng = np.random.default_rng(0)
+    model = rng.normal(size=(2, lines, 1)) + 1j * rng.normal(size=(2, lines, 1))
+    record = MismatchSpectrum(
+        name="short",
+        amplitude=1.0,
+        angles=np.linspace(0, np.pi, lines),
+        sides=np.concatenate([[1.0], np.full(lines - 2, 2.0), [1.0]]),
+        model=model,
+        error=0.1 * model,
+        input_power=np.ones(lines),
+        noise=np.zeros(lines),
+    )
+    items = repeating_items(record, 0.0, sure=True)
+    assert all(len(item.angles) > 0 for item in items)
+    assert all(np.isfinite(item.seen) and not item.dark for item in items)
+    assert sum(" around " in item.where for item in items) < len(ANGLES)
