@@ -211,7 +211,9 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
 
     STUDY stands for any: here for the paper's.
     """
-    if arguments[0] == "look":  # of the log that lies in the clone, not of a study
+    if (
+        arguments[0] == "look" and len(arguments) > 1
+    ):  # of the log that lies in the clone, not of a study
         return arguments
     if arguments[1:] in ([], ["--help"]):
         return [arguments[0], "--help"]  # a page speaks of the command, not of a study
