@@ -109,15 +109,22 @@ class Item:
     angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
-    part of what is seen.
+    part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
     """
 
-    where: str
+    record: str
+    place: str
+    is_band: bool
     angles: Powers
     model_power: Powers
     input_power: Powers
     seen: float
     dark: bool
+
+    @property
+    def where(self) -> str:
+        """Record and place in its spectrum, in words."""
+        return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,15 +150,20 @@ class Weights:
     def need(self, items: Sequence[Item]) -> tuple[float, str]:
         """The least kappa at which every item holds, and where it is needed; infinite where a
         reference vanishes."""
-        needs = [(self._need_of(item), item.where) for item in items]
+        needs = [(self.need_of_item(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
-    def _need_of(self, item: Item) -> float:
+    def need_of_item(self, item: Item) -> float:
+        """The least kappa at which this item holds."""
         if item.seen <= 0:
             return 0.0
-        reference = self.on_output(item.angles) @ item.model_power
-        reference += self.on_input(item.angles) @ item.input_power
+        reference = self.reference_power(item)
         return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
+
+    def reference_power(self, item: Item) -> float:
+        """`sum over the item's lines of (X model + Y input)`."""
+        of_output = self.on_output(item.angles) @ item.model_power
+        return float(of_output + self.on_input(item.angles) @ item.input_power)
 
 
 def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
@@ -238,11 +250,20 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
     drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
     dark = drive < EXCITED * drive[has_lines].mean()
 
-    def item(lines: np.ndarray, where: str, *, doubtful: bool, unexcited: bool = False) -> Item:
+    def item(
+        lines: np.ndarray,
+        place: str,
+        *,
+        doubtful: bool,
+        unexcited: bool = False,
+        is_band: bool = False,
+    ) -> Item:
         error = SURE * np.sqrt(variance[lines].sum()) if doubtful else 0.0
         seen = measured[lines].sum() if unexcited else repeats[lines].sum() - error
         return Item(
-            where=f"{record.name}, {where}",
+            record=record.name,
+            place=place,
+            is_band=is_band,
             angles=record.angles[lines],
             model_power=(record.sides * record.model_power)[lines],
             input_power=(record.sides * record.input_power)[lines],
@@ -252,17 +273,19 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
 
     items = [item(bands == -1, MEAN, doubtful=not sure)]
     for b in np.flatnonzero(has_lines):
-        where = f"around {ANGLES[b]:.2f} rad/sample"
-        items.append(item(bands == b, where, doubtful=not sure, unexcited=bool(dark[b])))
+        place = f"around {ANGLES[b]:.2f} rad/sample"
+        unexcited = bool(dark[b])
+        lines = bands == b
+        items.append(item(lines, place, doubtful=not sure, unexcited=unexcited, is_band=True))
     for size in GROUPS:
         for start in range(0, len(ANGLES), size):
             ends = ANGLES[[start, min(start + size, len(ANGLES)) - 1]]
-            where = f"{ends[0]:.2f} to {ends[1]:.2f} rad/sample"
+            place = f"{ends[0]:.2f} to {ends[1]:.2f} rad/sample"
             lines = (bands >= start) & (bands < start + size)
             if not lines.any():
                 continue
             unexcited = bool(dark[start : start + size].all())
-            items.append(item(lines, where, doubtful=not sure, unexcited=unexcited))
+            items.append(item(lines, place, doubtful=not sure, unexcited=unexcited))
     return [*items, item(bands >= -1, TOTAL, doubtful=False)]
 
 
@@ -274,7 +297,9 @@ def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
     for k, angle in enumerate(record.angles):
         items.append(
             Item(
-                where=f"{record.name}, around {angle:.2f} rad/sample",
+                record=record.name,
+                place=f"around {angle:.2f} rad/sample",
+                is_band=True,
                 angles=record.angles[k : k + 1],
                 model_power=record.model_power[k : k + 1],
                 input_power=record.input_power[k : k + 1],
@@ -283,7 +308,9 @@ def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
             )
         )
     total = Item(
-        where=f"{record.name}, {TOTAL}",
+        record=record.name,
+        place=TOTAL,
+        is_band=False,
         angles=record.angles,
         model_power=record.model_power,
         input_power=record.input_power,

@@ -197,8 +197,8 @@ class WeightProgram:
         count = len(scale)
         rows_xy, least_xy = self.weight_rows()
         seen = self.item_rows()
-        bands = sorted({item.where.rpartition(", ")[2] for item in self.items})
-        place = [bands.index(item.where.rpartition(", ")[2]) for item in self.items]
+        bands = sorted({item.place for item in self.items})
+        place = [bands.index(item.place) for item in self.items]
         total = count + len(bands)
         rows = np.zeros((len(seen) + len(rows_xy), total))
         rows[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]

@@ -20,10 +20,11 @@ from ssm_study.robustness.coverage import (
     repeating_items,
     running_sum,
 )
+from ssm_study.robustness.coverage_table import coverage_table
 from ssm_study.robustness.mismatch import ANGLES, measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+from ssm_study.synthesis.measured_discs_run import coverage_facts, weights_of, with_coverage
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 ONE = np.ones((1, 1))
@@ -197,6 +198,22 @@ def test_a_mode_that_no_record_excites_is_no_coverage() -> None:
     facts = covered(scaled_model(0.05), shape=shape, noise=0.05)
     assert facts["coverage"] is None
     assert "next to no power" in facts["coverage_reason"]
+
+
+def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
+    """A gain that is wrong by a tenth: measured everywhere; a band is covered where need <= kappa."""
+    known = premise(scaled_model(0.1))
+    model = SSM.of(MODEL, 0.01)
+    part = with_coverage(design(), model, BALLS, known).extra_certificates["coverage"]
+    weights = weights_of(part)
+    rows = coverage_table(known, weights, part.centre, part.kappa)
+    assert len(rows) == 2 * len(ANGLES)
+    for row in rows:
+        assert row.measured == pytest.approx(abs(0.1 - part.centre), rel=1e-6)
+        assert row.measured / row.proved_radius == pytest.approx(row.need / part.kappa)
+    assert sum(row.decides for row in rows) >= 1
+    assert max(row.need for row in rows) <= weights.need(known.items(part.centre))[0]
+    assert max(row.need for row in rows) < part.kappa
 
 
 def van_der_pol(u: np.ndarray) -> np.ndarray:

@@ -1,0 +1,70 @@
+"""Coverage by frequency, as numbers to draw: what each band of the records needs and what is proved.
+
+`coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
+run, `measured_premise` (`study/stages/synthesis.py`) gives the premise and the certificate the
+rest: `weights_of(part)`, `part.centre`, `part.kappa` with `part =
+design.extra_certificates["coverage"]` (`synthesis/measured_discs_run.py`). Source: docs/theory.md,
+"Measured discs".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssm_study.robustness.coverage import Item, Premise, Weights
+
+
+@dataclass(frozen=True, kw_only=True)
+class CoverageBand:
+    """One band of one record beside the disc around `c m` that the proof allows there.
+
+    `record` names the record by its input's rms; `frequency` is the band's middle in rad/sample.
+    `measured` is the deviation `|e - c m|` that the record shows and `proved_radius` the largest
+    one that the proof allows, both over the model's output `|m|` in that band; both are None where
+    the model's output has no power. `need` is the kappa at which the disc just holds the record;
+    the band is covered where it is at most the proved kappa. `is_dark`: the input has next to no
+    power there, so noise counts as mismatch. `decides`: the band with the largest need of all.
+    """
+
+    record: str
+    frequency: float
+    measured: float | None
+    proved_radius: float | None
+    need: float
+    is_dark: bool
+    decides: bool
+
+
+def coverage_table(
+    premise: Premise, weights: Weights, centre: float, kappa: float
+) -> list[CoverageBand]:
+    """Rows of all bands, record by record, in the order of frequency.
+
+    Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
+    than the need that `coverage` is taken over.
+    """
+    bands = [item for item in premise.items(centre) if item.is_band]
+    needs = [weights.need_of_item(band) for band in bands]
+    largest = max(needs, default=0.0)
+    return [
+        _row(band, weights, kappa, need, decides=need > 0 and need == largest)
+        for band, need in zip(bands, needs, strict=True)
+    ]
+
+
+def _row(band: Item, weights: Weights, kappa: float, need: float, *, decides: bool) -> CoverageBand:
+    model_power = float(band.model_power.sum())
+    measured = None
+    proved_radius = None
+    if model_power > 0:
+        measured = float(np.sqrt(band.seen / model_power))
+        proved_radius = kappa * float(np.sqrt(weights.reference_power(band) / model_power))
+    return CoverageBand(
+        record=band.record,
+        frequency=float(band.angles.mean()),
+        measured=measured,
+        proved_radius=proved_radius,
+        need=need,
+        is_dark=band.dark,
+        decides=decides,
+    )
