@@ -1,4 +1,5 @@
-"""Sizes, density and types of Python packages: `python benchmarks/code_shape.py ssm_study tests [FOLDER ...]`.
+"""Sizes, density and types of Python packages: `python benchmarks/code_shape.py ssm_study tests
+[FOLDER ...]`.
 
 One row per folder: files and lines; lines of code per function body (docstring left out); tokens of
 code (names, numbers, operators, strings) in all, per line of code and per statement; the share of

@@ -3,7 +3,8 @@
     python benchmarks/coverage_samples.py RUN --samples 3000      one run's certificate
     python benchmarks/coverage_samples.py --models 1000           random models of one layer
 
-Each sample is a plant `y = m + e` with `e = c m + s kappa (Q_1 floor m + Q_2 W m + Q_3 V u)`: `(Q_1,
+Each sample is a plant `y = m + e` with `e = c m + s kappa (Q_1 floor m + Q_2 W m + Q_3 V u)`:
+`(Q_1,
 Q_2, Q_3)` all-passes, each times a share, the shares on the unit sphere, so that e lies on the
 disc's edge at every frequency; slopes of S_u fixed at an end of the ball, or drawn anew at every
 sample; neurons are true static maps, the same in plant and observer. A loop that has not shrunk to

@@ -1,11 +1,15 @@
-"""Our process server beside the standard library's forkserver: seconds a run, of a sweep, of a training.
+"""Our process server beside the standard library's forkserver: seconds a run, of a sweep, of a
+training.
 
     python benchmarks/engine_server.py --table results/reference/engine/server.csv
 
 Both serve the same sweeps of `tests/engine_study.py` (a toy: the engine and nothing else) and of
-`experiment=smoke`. The rival is the best that the library allows: `set_forkserver_preload` names this
-module, which reads the jobs once from a file, imports what they need, freezes the collector and sets
-the allocator; a job is then sent its number alone. Processor seconds are those of the whole command;
+`experiment=smoke`. The rival is the best that the library allows: `set_forkserver_preload` names
+this
+module, which reads the jobs once from a file, imports what they need, freezes the collector and
+sets
+the allocator; a job is then sent its number alone. Processor seconds are those of the whole
+command;
 a run's share is the slope between two lengths of a sweep, a sweep's the rest. `left behind` counts
 the processes that live three seconds after `kill -9` of a sweep whose job has started one.
 """

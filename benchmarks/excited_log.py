@@ -27,7 +27,8 @@ from ssm_study.plants.plant import Plant
 from ssm_study.robustness.return_to_rest import is_return
 from ssm_study.signals import DataSet
 
-PLANTS = ["dc_motor", "stribeck_drive", "peaking_gain", "thinning_damping", "stiction", "hysteresis", "play",
+PLANTS = ["dc_motor", "stribeck_drive", "peaking_gain", "thinning_damping", "stiction",
+          "hysteresis", "play",
           "rate_limited"]  # fmt: skip
 HOLDS = 10  # of the plant's clock, in a settling time
 

@@ -1,11 +1,13 @@
 """Requests and data files of chance: each is done, or refused in one sentence.
 
-    python -P benchmarks/fuzz_requests.py --count 1000 --seed 0 --table results/reference/engine/fuzz.csv
+    python -P benchmarks/fuzz_requests.py --count 1000 --seed 0 --table
+    results/reference/engine/fuzz.csv
 
 A request is a sound one of a few words, of which some are mutated: another key, a value of another
 type, brackets, interpolations, control characters. It is planned, not run. A data file is a sound
 log (CSV, Parquet, MCAP, MAT) of which bytes are flipped, cut, inserted, or cells replaced; it is
-read as `data=recorded` reads it. A find is a traceback, an exception that is no refusal, an answer of
+read as `data=recorded` reads it. A find is a traceback, an exception that is no refusal, an answer
+of
 several lines, or a plan that says `Unexpected error`. Every tenth case is left as it is and must be
 accepted. The same seed gives the same cases.
 """
@@ -47,7 +49,8 @@ KEYS = (
     "seed", "study", "results_dir", "run", "model", "model.order", "model._target_", "plant",
     "plant.step_s", "training.max_epochs", "training.optimiser", "synthesis", "loop.horizon_s",
     "loop", "data", "data.path", "hydra.sweep.dir", "hydra/launcher", "+new", "~model", "++seed",
-    "progress", "strict", "dry_run", "retry_failed", "reduction", "excitation", "loop_seed", "refine",
+    "progress", "strict", "dry_run", "retry_failed", "reduction", "excitation", "loop_seed",
+    "refine",
     "", "=", "a.b.c", "model.", ".model", "model@x", "seed.x", "experiment", "training/optimiser",
 )  # fmt: skip
 

@@ -1,14 +1,20 @@
-"""Runs made with an earlier commit, and whether the code of today still verifies, exports and continues them.
+"""Runs made with an earlier commit, and whether the code of today still verifies, exports and
+continues them.
 
     python benchmarks/kept_runs.py make COMMIT FOLDER
     python benchmarks/kept_runs.py check FOLDER
 
-`make` clones COMMIT into FOLDER/src and makes one run of every kind with that code, in this Python: their run folders,
-what `verify --json` said, the exported C, `runs.parquet`; a study folder of one's own made by `ssm-study new`, and in it
-the theorem of docs/howto_theorem.md and a copy of the theorem template. `check` asks the code of this checkout about
-all of them. It changes nothing in FOLDER, prints one line a run, and exits with 1 where anything differs:
+`make` clones COMMIT into FOLDER/src and makes one run of every kind with that code, in this Python:
+their run folders,
+what `verify --json` said, the exported C, `runs.parquet`; a study folder of one's own made by
+`ssm-study new`, and in it
+the theorem of docs/howto_theorem.md and a copy of the theorem template. `check` asks the code of
+this checkout about
+all of them. It changes nothing in FOLDER, prints one line a run, and exits with 1 where anything
+differs:
 
-* every claim that held, holds, or is not checked because its theorem was withdrawn; every one that failed, fails;
+* every claim that held, holds, or is not checked because its theorem was withdrawn; every one that
+failed, fails;
 * the exported C of today replays what the exported C of then gave, to the last digit;
 * the table has every column and value of the old table, except for those that were withdrawn;
 * the old study folder runs, with its theorems, with the old imports;
@@ -40,7 +46,8 @@ EXACT = ("-std=c99", "-O1", "-ffp-contract=off")
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of run: the study that it is made in, its overrides, and the exit status of `run`."""
+    """One kind of run: the study that it is made in, its overrides, and the exit status of
+    `run`."""
 
     name: str
     overrides: tuple[str, ...]
@@ -80,7 +87,8 @@ KINDS = (
                       "training.max_epochs=15")),
     Kind("recorded_structured", (*LOG, *TINY_STRUCTURED, "training.max_epochs=15")),
     Kind("own_folder", (f"experiment={OWN}", "training.max_epochs=8"), own=True),
-    Kind("own_gain", (f"experiment={OWN}", "training.max_epochs=8", "synthesis=own_gain"), own=True),
+    Kind("own_gain", (f"experiment={OWN}", "training.max_epochs=8", "synthesis=own_gain"),
+         own=True),
     Kind("own_certificate", (f"experiment={OWN}", "training.max_epochs=8",
                              "synthesis=own_certificate"), own=True),
 )  # fmt: skip
@@ -89,7 +97,7 @@ TEMPLATE_ANSWERS = '''
 
 @dataclass(frozen=True, kw_only=True)
 class OwnCertificate(NameOfTheTheorem):
-    """A certificate under its own name: the scalar bounded-real inequality of the inverse metric."""
+    """A certificate under its own name: the scalar bounded-real inequality."""
 
     @staticmethod
     def conditions(of: Any) -> dict[str, Blocks]:
@@ -101,7 +109,7 @@ class OwnCertificate(NameOfTheTheorem):
             "rate below 1": [[1 - of.rate]],
         }
 '''
-CERTIFICATE_SYNTHESIS = '''"""A design whose state feedback is certified by a theorem of this folder."""
+CERTIFICATE_SYNTHESIS = '''"""A design whose state feedback is certified by a theorem from here."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -173,7 +181,8 @@ def code_block(page: Path, title: str) -> str:
 
 
 def write_own_study(folder: Path, source: Path) -> None:
-    """A study folder by `ssm-study new`, the theorem of the how-to and the filled template in it."""
+    """A study folder by `ssm-study new`, the theorem of the how-to and the filled template in
+    it."""
     done = ask(source, folder, "new", OWN)
     if done.returncode:
         raise SystemExit(done.stderr)

@@ -1,11 +1,14 @@
 """Lies of chance in all files of a run: `verify` names each, and accepts the run as it is.
 
-    python -P benchmarks/liar.py RUN [RUN ...] --minutes 10 --table results/reference/engine/liar.csv
+    python -P benchmarks/liar.py RUN [RUN ...] --minutes 10 --table
+    results/reference/engine/liar.csv
 
 A copy of a run is altered at one place, sealed anew, and verified: a number of a JSON file is
-changed by one part in a thousand to a factor of ten (an integer by one), a truth value turned, a text
+changed by one part in a thousand to a factor of ten (an integer by one), a truth value turned, a
+text
 lengthened; a signal of a recording is changed at one sample by a thousandth to one of its range. A
-find is a lie that leaves `verify` content, unless it is about what `verify` lists as not checked. Every
+find is a lie that leaves `verify` content, unless it is about what `verify` lists as not checked.
+Every
 tenth copy is left as it is and must be accepted. The same seed tells the same lies.
 """
 

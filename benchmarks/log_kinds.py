@@ -1,6 +1,7 @@
 """Twelve kinds of logs in synthetic form, with seeds: `python benchmarks/log_kinds.py --to FOLDER`.
 
-Each kind is one property of logs that strangers bring and that a default choice of model gets wrong:
+Each kind is one property of logs that strangers bring and that a default choice of model gets
+wrong:
 an output that answers within the sample, a dead time, a position with a dead zone, and so on. The
 generators were written before the choice of models was; the choice is measured on them
 (`docs/models.md`). Every log is a table of `time_s`, inputs and outputs; equal seeds give equal
@@ -190,7 +191,8 @@ def gain_by_direction(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unmeasured_input(rng: Rng, samples: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two inputs act, one of them is in the log; the other is a slow load of a fifth of the power."""
+    """Two inputs act, one of them is in the log; the other is a slow load of a fifth of the
+    power."""
     u = random_levels(rng, samples, 5, 40)
     load = random_levels(rng, samples, 100, 400)
     fast = rng.uniform(0.8, 0.9)

@@ -1,6 +1,7 @@
 """One log written in many ways, and read back: `python benchmarks/log_variants.py [FILES]`.
 
-Drawn by hypothesis: separators x decimal marks x names x clocks x holes x missing values x encodings
+Drawn by hypothesis: separators x decimal marks x names x clocks x holes x missing values x
+encodings
 x comments x units x line ends. Each file is read with the settings a user types first: `data.input`
 and `data.output`, and `data.step_s` where no clock stands in the file. Four ends are counted: read
 right, refused in a sentence, wrong in silence (another step or other numbers), a traceback. Of the

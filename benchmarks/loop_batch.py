@@ -49,7 +49,8 @@ def main() -> None:
     apart = max(float(np.abs(together.y[i] - one.y[0]).max()) for i, one in enumerate(singles))
     print(f"cases {asked.cases}, samples {asked.samples}")
     print(
-        f"batch {batch_s:.2f} s, one by one {single_s:.1f} s (from {few} cases), ratio {single_s / batch_s:.0f}"
+        f"batch {batch_s:.2f} s, one by one {single_s:.1f} s (from {few} cases), ratio "
+        f"{single_s / batch_s:.0f}"
     )
     print(f"largest difference between the two {apart:.1e} rad/s")
 

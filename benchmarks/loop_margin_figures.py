@@ -94,7 +94,10 @@ def roc(table: pd.DataFrame) -> Figure:
     )
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
-        title = "what own radius and noise pass first, by margin\n(dot: margin 1); dotted: by margin in total"
+        title = (
+            "what own radius and noise pass first, by margin\n(dot: margin 1); dotted: by margin "
+            "in total"
+        )
         axes.legend(loc="lower right", title=title, title_fontsize=6)
     return fig
 

@@ -59,4 +59,7 @@ def interleaved(
 def machine() -> str:
     """One line: threads, torch, cores and load, for the head of a table."""
     load = os.getloadavg()[0]
-    return f"one thread, torch {torch.__version__}, {os.cpu_count()} cores, load {load:.1f}, CPU time of the process"
+    return (
+        f"one thread, torch {torch.__version__}, {os.cpu_count()} cores, load {load:.1f}, CPU "
+        "time of the process"
+    )

@@ -65,12 +65,16 @@ BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.
 LIMITS = "tests/oracles/test_synthesis_frontier.py"
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
-CHOSEN = "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py tests/laws/test_auto_choice.py"
+CHOSEN = (
+    "tests/oracles/test_loop_area.py tests/oracles/test_loop_mismatch.py "
+    "tests/laws/test_auto_choice.py"
+)
 CHOSEN += " tests/oracles/test_loop_trials.py"
 VIEWS = (
     "tests/oracles/test_loop_views.py::test_no_phase_is_read_from_noise_below_the_largest_amplitude"
 )
-VIEWS += " tests/oracles/test_evidence_rest.py::test_an_output_that_stays_off_after_the_last_motion_is_a_doubt"
+VIEWS += " tests/oracles/test_evidence_rest.py::"
+VIEWS += "test_an_output_that_stays_off_after_the_last_motion_is_a_doubt"
 INVERSES = "tests/oracles/test_export_device.py::test_the_inverse_undoes_the_map"
 BATCH = "tests/laws/test_loop_batch.py::test_a_batch_is_its_rows"
 INSIDE = (
@@ -79,7 +83,10 @@ INSIDE = (
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
 NEURONS += " tests/laws/test_training_structured.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
-LOOPS = "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py tests/oracles/test_loop_trials.py"
+LOOPS = (
+    "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py "
+    "tests/oracles/test_loop_trials.py"
+)
 LOOPS += " tests/refusals/test_loop_refused.py tests/oracles/test_loop_internal.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
@@ -128,7 +135,8 @@ GROUPS = {
             "training/levenberg.py",
         )
         + tuple(f"training/structured_{name}.py" for name in ("fit", "start", "problem", "choice")),
-        tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py tests/oracles/test_structured_tolerance.py",
+        tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py "
+        "tests/oracles/test_structured_tolerance.py",
         planted=30,
     ),
     "loop": Group(
@@ -150,7 +158,8 @@ GROUPS = {
         modules=tuple(
             f"engine/{name}.py" for name in ("store", "stages", "plan", "code", "records")
         ),
-        tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py tests/laws/test_engine_code.py",
+        tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py "
+        "tests/laws/test_engine_code.py",
         planted=20,
     ),
     "table": Group(modules=("table",), tests="tests/laws/test_results_table.py", planted=15),
@@ -183,7 +192,8 @@ GROUPS = {
             f"data/{name}.py"
             for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")
         ),
-        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py tests/refusals/test_data_files.py "
+        tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
+        "tests/refusals/test_data_files.py "
         "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
         planted=20,
     ),
@@ -268,7 +278,10 @@ def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
     elsewhere.
     """
     with sqlite3.connect(session) as base:
-        query = "select job_id, module_path, operator_name, start_pos_row, start_pos_col from mutation_specs"
+        query = (
+            "select job_id, module_path, operator_name, start_pos_row, start_pos_col from "
+            "mutation_specs"
+        )
         specs = list(base.execute(f"{query} order by module_path, operator_name, occurrence"))
         lines = {
             path: (tree / path).read_text().splitlines() for path in {spec[1] for spec in specs}
@@ -292,7 +305,8 @@ def sample(session: Path, tree: Path, planted: int, seed: int) -> None:
 
 def planted_faults(session: Path) -> list[tuple[dict[str, object], str]]:
     query = (
-        "select module_path, start_pos_row, operator_name, occurrence, test_outcome, diff from mutation_specs"
+        "select module_path, start_pos_row, operator_name, occurrence, test_outcome, diff "
+        "from mutation_specs"
         " join work_results using (job_id) where diff is not null"
         " order by module_path, start_pos_row, operator_name, occurrence"
     )

@@ -94,7 +94,10 @@ def fenced(text: str) -> str:
 
 
 def origin(name: str) -> str:
-    return f"*For readers who learn by example: the notebook `experiments/{name}.py` as it ran, with its output.*"
+    return (
+        f"*For readers who learn by example: the notebook `experiments/{name}.py` as it ran, "
+        "with its output.*"
+    )
 
 
 def smaller(png: bytes) -> bytes:

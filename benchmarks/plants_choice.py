@@ -87,7 +87,8 @@ def main() -> None:
     runs = sorted(options.study.glob("*/record.json"))
     if not runs:
         raise SystemExit(
-            f"{options.study} holds no runs; make them with: ssm-study run -m experiment=benchmark_choice"
+            f"{options.study} holds no runs; make them with: ssm-study run -m "
+            "experiment=benchmark_choice"
         )
     rehearsed = "rehearsals" in config_of(runs[0]).data
     errors = held_out_errors(options.study, rehearsed)

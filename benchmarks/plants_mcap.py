@@ -42,7 +42,8 @@ def measured(signals: int, folder: Path) -> list[object]:
         assert np.array_equal(back.values, values)
     write_s = median(writing)
     read_s = median(reading)
-    return [signals, f"{write_s:.3f}", f"{read_s:.3f}", f"{SAMPLES / write_s:.3g}", f"{SAMPLES / read_s:.3g}",
+    return [signals, f"{write_s:.3f}", f"{read_s:.3f}", f"{SAMPLES / write_s:.3g}",
+            f"{SAMPLES / read_s:.3g}",
             f"{path.stat().st_size / 1e6:.1f}"]  # fmt: skip
 
 

@@ -41,8 +41,10 @@ MODELS = {
     "gru": "GRU, our run",
     "lstm": "LSTM, our run",
 }
-FULL_BUDGET = 60  # epochs of conf/training/default.yaml, of every model; a run with fewer is said to be cut short
-TOLD = ["benchmark", "model", "seed", "status", "fit_train_percent", "epochs_allowed", "training_seconds",
+# epochs of conf/training/default.yaml, of every model; a run with fewer is said to be cut short
+FULL_BUDGET = 60
+TOLD = ["benchmark", "model", "seed", "status", "fit_train_percent", "epochs_allowed",
+        "training_seconds",
         "training_ended", "controller_certified", "observer_certified"]  # fmt: skip
 
 
@@ -83,9 +85,8 @@ def row_of(model: str, runs: list[dict[str, Any]]) -> dict[str, str]:
         if best["epochs_allowed"] < FULL_BUDGET:
             notes.append(f"{benchmark} cut to {best['epochs_allowed']} epochs")
         if model == "ssm":
-            notes.append(
-                f"{benchmark} {str(best['controller_certified'] and best['observer_certified']).lower()}"
-            )
+            is_certified = best["controller_certified"] and best["observer_certified"]
+            notes.append(f"{benchmark} {str(is_certified).lower()}")
     said = "both certificates: " if model == "ssm" else ""
     return row | {
         "source": "; ".join(["this table", said + ", ".join(notes)] if notes else ["this table"])

@@ -114,7 +114,8 @@ def rate(
     tm, tl = torques_of(motor, x)
     a0 = motor.coulomb_torque_nm
     return np.array([
-        (v_eff - motor.resistance_ohm * x[0] - motor.torque_constant_nm_per_a * x[1]) / motor.inductance_h,
+        (v_eff - motor.resistance_ohm * x[0] - motor.torque_constant_nm_per_a * x[1])
+        / motor.inductance_h,
         0.0 if modes[0] == 0 else (tm - a0 * modes[0]) / motor.motor_inertia_kgm2,
         0.0 if modes[1] == 0 else (tl - a0 * modes[1]) / motor.load_inertia_kgm2,
         x[1] - x[2],
@@ -134,7 +135,8 @@ def all_routes(motor: DCMotor, u: np.ndarray) -> list[Route]:
     for method, tolerance in (("RK45", 1e-4), ("RK45", 1e-6), ("RK45", 1e-8), ("LSODA", 1e-6)):
         routes.append((
             f"solve_ivp with events, {method}, rtol {tolerance:g}",
-            lambda m=method, r=tolerance: with_events(motor, u[0, :PART], r, m)[:-1][None],  # type: ignore[misc]
+            lambda m=method, r=tolerance: with_events(motor, u[0, :PART], r, m)[:-1][None],
+            # type: ignore[misc]
             scale,
         ))  # fmt: skip
     return [*routes, ("event-accurate motor", lambda: exactly(motor, u)[None], scale)]

@@ -169,7 +169,10 @@ def _decay(axes: Axes, model: SSM, certificate: dict[str, Any], record: dict[str
         samples, d.min(axis=0), d.max(axis=0), color=style.BLUE, alpha=0.3, lw=0, label="200 pairs"
     )
     axes.plot(samples, d.max(axis=0), color=style.BLUE, label="worst of them")
-    title = f"3  Certificate\nrate {side['rate']:.3f} is proved, at most {record['controller_rate_limit']:.3f} can be"
+    title = (
+        f"3  Certificate\nrate {side['rate']:.3f} is proved, at most "
+        f"{record['controller_rate_limit']:.3f} can be"
+    )
     axes.set(title=title, xlabel="Sample", ylabel="Distance / first (–)", yscale="log")
 
 

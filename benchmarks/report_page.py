@@ -30,14 +30,18 @@ FRAME_S = 0.016
 REST_S = 0.6
 RECORDER = """
 window.recorded = {frames: [], tasks: []};
-new PerformanceObserver((list) => recorded.tasks.push(...list.getEntries().map((task) => task.duration)))
+new PerformanceObserver((list) =>
+  recorded.tasks.push(...list.getEntries().map((task) => task.duration)))
   .observe({type: 'longtask'});
 let last = performance.now();
-(function frame(now) { recorded.frames.push(now - last); last = now; requestAnimationFrame(frame); })(last);
+(function frame(now) {
+  recorded.frames.push(now - last); last = now; requestAnimationFrame(frame);
+})(last);
 """
 ANSWER = """const done = arguments[arguments.length - 1], begun = performance.now();
 %s;
-requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));"""  # in the same frame
+# in the same frame
+requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));"""
 
 
 @dataclass

@@ -30,7 +30,8 @@ REPORT = """
 import pathlib, re, sys, time
 from ssm_study.cli.main import main
 main(sys.argv[1:])
-print(time.process_time(), re.findall(r"VmHWM:\\s+(\\d+)", pathlib.Path("/proc/self/status").read_text())[0])
+status = pathlib.Path("/proc/self/status").read_text()
+print(time.process_time(), re.findall(r"VmHWM:\\s+(\\d+)", status)[0])
 """
 
 

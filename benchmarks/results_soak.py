@@ -45,7 +45,9 @@ SWEEP = (
     "progress=false",
 )
 AT_WORK = 0.75  # of the kills wait until jobs are at work
-EARLY = 0.6  # of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes further
+# of the time the jobs took undisturbed: later hardly any is left to kill, and each attempt comes
+# further
+EARLY = 0.6
 STUDY = "smoke"
 STATE = "state.json"
 COLUMNS = ["sweeps_at_once", "damage", "event", "count"]
@@ -235,7 +237,8 @@ class Soak:
         counts = [f"{what:<12}{number:>5}" for what, number in sorted(self.counts.items())]
         return [
             *counts,
-            f"{'studies':<12}{self.rounds:>5}  finished: tables equal, stages intact, no process left",
+            f"{'studies':<12}{self.rounds:>5}  finished: tables equal, stages intact, no "
+            "process left",
         ]
 
 

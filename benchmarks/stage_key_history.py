@@ -1,10 +1,14 @@
-"""How often the commits of a stretch of history changed the key of each stage: whole modules against names.
+"""How often the commits of a stretch of history changed the key of each stage: whole modules
+against names.
 
     python benchmarks/stage_key_history.py COMMIT COUNT
 
-Over COUNT commits up to COMMIT, it compares the version of the code of every stage (what computes it,
-with the parts of the default study; what measures it) before and after each commit. Two ways: with the
-stages as they were written, where `from ssm_study.study import recordings` took that module whole; and
+Over COUNT commits up to COMMIT, it compares the version of the code of every stage (what computes
+it,
+with the parts of the default study; what measures it) before and after each commit. Two ways: with
+the
+stages as they were written, where `from ssm_study.study import recordings` took that module whole;
+and
 with the same stages importing only the names that they use, as `study/stages/` does today.
 """
 

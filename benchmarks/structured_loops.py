@@ -30,7 +30,8 @@ from ssm_study.training.metrics import mean_fit
 
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
 MODELS = ("ssm", "structured")
-COLUMNS = "plant,model,seed,fit_test_percent,certified,rate_controller,rate_limit,rate_observer,margin,predicted,"
+COLUMNS = "plant,model,seed,fit_test_percent,certified,"
+COLUMNS += "rate_controller,rate_limit,rate_observer,margin,predicted,"
 COLUMNS += "settled_of_10,settle_s,alone_s,ratio_to_one_layer,synthesis_s"
 
 

@@ -35,7 +35,8 @@ KINDS = tuple(product(SIZES, ("controller", "observer"), BALLS, (False, True)))
 RANDOM = 400
 CLIMBED = 5
 STEPS = 20
-COLUMNS = "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,game_s,cost_s,feasible_s,exact_s"
+COLUMNS = "model,states,neurons,side,ball,h,best_r,asked_r,certified,cost_ratio,sampled_r,"
+COLUMNS += "game_s,cost_s,feasible_s,exact_s"
 
 
 def drawn(rng: np.random.Generator, n: int, q: int, h: bool) -> StructuredSystem:
@@ -152,7 +153,8 @@ def row(index: int) -> str | None:
     assert holds(problem, proof)
     exact_s = time.process_time() - started
     worst = sampled(system, problem, proof, rng)
-    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{'' if np.isnan(ratio) else f'{ratio:.4f}'}"
+    ratio_cell = "" if np.isnan(ratio) else f"{ratio:.4f}"
+    factors = f"{np.sqrt(1 - best):.4f},{problem.contraction:.4f},{certified},{ratio_cell}"
     times = f"{game_s:.5f},{cost_s:.5f},{deep_s:.5f},{exact_s:.5f}"
     return f"{index},{n},{q},{side},{ball},{h and observes},{factors},{worst:.6f},{times}"
 
@@ -170,7 +172,10 @@ def told(path: str) -> Iterator[str]:
     for size, group in table.groupby(["states", "neurons"]):
         ms = 1e3 * group[["game_s", "cost_s", "feasible_s", "exact_s"]].median()
         ratio = (group.cost_s / group.game_s).median()
-        yield f"{size}: {ms.round(1).to_dict()}, {ratio:.1f} times, {group.certified.mean():.1%} of {len(group)}"
+        yield (
+            f"{size}: {ms.round(1).to_dict()}, {ratio:.1f} times, {group.certified.mean():.1%} "
+            f"of {len(group)}"
+        )
 
 
 def main(models: int, first: int) -> None:

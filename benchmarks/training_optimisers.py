@@ -78,7 +78,8 @@ def wiener_hammerstein(seed: int) -> DataSet:
         training=tuple(records[:8]), validation=(records[8],), test=(records[9],),
         inputs=(Channel(name="input", unit="1"),), outputs=(Channel(name="output", unit="1"),),
         scale=Scale(
-            input_equilibrium=zero, output_equilibrium=zero, input_scale=np.array([1.2]), output_scale=scale
+            input_equilibrium=zero, output_equilibrium=zero, input_scale=np.array([1.2]),
+            output_scale=scale
         ),
     )  # fmt: skip
 
@@ -185,7 +186,10 @@ def main(seeds: int, minutes: float) -> None:
     run_missing(seeds, minutes)
     rows = table()
     write(TABLE, rows)
-    about = f"# {machine()}; medians over seeds; inf: never reached; float64, default settings otherwise\n"
+    about = (
+        f"# {machine()}; medians over seeds; inf: never reached; float64, default settings "
+        "otherwise\n"
+    )
     TABLE.write_text(about + TABLE.read_text())
     print(TABLE.read_text())
 

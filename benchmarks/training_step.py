@@ -147,7 +147,8 @@ def lightning_ms(steps_per_call: int, steps: int) -> float:
     `Training`."""
     with tempfile.TemporaryDirectory() as folder:
         trainer = pl.Trainer(
-            max_epochs=steps // steps_per_call, accelerator="cpu", logger=False, enable_checkpointing=False,
+            max_epochs=steps // steps_per_call, accelerator="cpu", logger=False,
+            enable_checkpointing=False,
             enable_progress_bar=False, enable_model_summary=False, default_root_dir=folder,
         )  # fmt: skip
         one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type]

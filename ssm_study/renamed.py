@@ -6,7 +6,8 @@ Nowhere else: the package itself uses today's names alone. An old name is read f
 a warning says so once.
 
 To rename something that strangers rely on, add a line to the table of its kind. To withdraw a
-setting or a choice, add it to `WITHDRAWN_...` with the version and the remedy (withdrawn columns and
+setting or a choice, add it to `WITHDRAWN_...` with the version and the remedy (withdrawn columns
+and
 theorems: `columns` and `certificates`); a test demands that every entry
 leads somewhere, and that no withdrawn name is still there. This module imports nothing of the
 science: `import ssm_study` installs it before anything else is imported.
@@ -96,7 +97,9 @@ NAMES: Mapping[str, str] = {
     "synthesis.integrated_error.at_rest": "models.structured.at_rest",
     "synthesis.lmi.aim": "synthesis.objectives.aim",
     "synthesis.lmi.solved": "certificates.semidefinite.solved",
-    "synthesis.model_selection.FastestCertified": "synthesis.model_selection.LargestCertifiableRate",
+    "synthesis.model_selection.FastestCertified": (
+        "synthesis.model_selection.LargestCertifiableRate"
+    ),
     "synthesis.modes.least_metric": "certificates.riccati.least_metric",
     "synthesis.modes.solve_riccati": "certificates.riccati.solve_riccati",
     "synthesis.structured_lmi.largest_mismatch": "certificates.semidefinite.largest_mismatch",

@@ -183,7 +183,8 @@ class DataSet:
     """Separate training, validation and test records of one system; `start_up_samples` are
     simulated, not scored.
 
-    `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping and no
+    `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping
+    and no
     score uses them.
     """
 

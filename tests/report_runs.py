@@ -149,7 +149,8 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
     rows = [
         f"{name},{case},0.9,0.1,0.2,3.0" for name in ("pi", "auto") for case in ("nominal", "delay")
     ]
-    head = "controller,situation,stable_fraction,settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
+    head = "controller,situation,stable_fraction,"
+    head += "settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
     (run / "comparison.csv").write_text("\n".join([head, *rows]) + "\n")
     (run / "training_curve.json").write_text(
         json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)])

@@ -9,14 +9,15 @@ import numpy as np
 import pandas as pd
 
 SCHEMA = """
-study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation rate_controller
-rate_observer synthesis_method fit_train_percent fit_validation_percent fit_test_percent rmse_test
-input_coverage training_seconds input_slope_lower input_slope_upper output_slope_lower output_slope_upper
-bound_method hankel_largest hankel_smallest spectral_radius controller_feasible controller_certified
-controller_margin controller_rate_limit controller_gain_norm observer_feasible observer_certified
-observer_margin observer_rate_limit observer_gain_norm synthesis_seconds initial_conditions stable_count
-stable_fraction settling_time_mean_s settling_time_worst_s settling_time_open_loop_s overshoot_worst
-input_peak_v control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
+study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation
+rate_controller rate_observer synthesis_method fit_train_percent fit_validation_percent
+fit_test_percent rmse_test input_coverage training_seconds input_slope_lower input_slope_upper
+output_slope_lower output_slope_upper bound_method hankel_largest hankel_smallest spectral_radius
+controller_feasible controller_certified controller_margin controller_rate_limit
+controller_gain_norm observer_feasible observer_certified observer_margin observer_rate_limit
+observer_gain_norm synthesis_seconds initial_conditions stable_count stable_fraction
+settling_time_mean_s settling_time_worst_s settling_time_open_loop_s overshoot_worst input_peak_v
+control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
 resolved_margin controller_radius predicted_stable
 """
 COLUMNS = SCHEMA.split()
@@ -50,8 +51,10 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     rate = float(rng.choice([0.02, 0.05, 0.1, 0.2, 0.3, 0.4]))
     limit = float(1 - (0.97 * (1 - slope) / (1 + slope)) ** 2) * rng.uniform(0.9, 1.1)
     known = {
-        "study": "sweep", "run": f"order{4 + 4 * (k % 3)}_{k:04d}", "seed": k % 5, "order": 4 + 4 * (k % 3),
-        "hidden_width": int(rng.choice([8, 16, 32])), "slope_lower": slope, "slope_upper": 1.0, "scaffold_in": "mlp",
+        "study": "sweep", "run": f"order{4 + 4 * (k % 3)}_{k:04d}", "seed": k % 5,
+        "order": 4 + 4 * (k % 3),
+        "hidden_width": int(rng.choice([8, 16, 32])), "slope_lower": slope, "slope_upper": 1.0,
+        "scaffold_in": "mlp",
         "excitation": "aprbs", "rate_controller": rate, "rate_observer": 0.2,
         "synthesis_method": str(rng.choice(["lmi", "riccati", "closed_form"])),
     }  # fmt: skip
@@ -59,24 +62,33 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
         return {**known, "status": "failed"}
     fit = float(rng.uniform(70, 92))
     model = {
-        "fit_train_percent": fit + 1, "fit_validation_percent": fit + 0.5, "fit_test_percent": fit, "rmse_test": 0.4,
-        "input_coverage": 0.8, "training_seconds": 4.0, "input_slope_lower": slope * 1.1, "input_slope_upper": 0.97,
-        "output_slope_lower": 1.0, "output_slope_upper": 1.0, "bound_method": "exact", "hankel_largest": 17.6,
+        "fit_train_percent": fit + 1, "fit_validation_percent": fit + 0.5, "fit_test_percent": fit,
+        "rmse_test": 0.4,
+        "input_coverage": 0.8, "training_seconds": 4.0, "input_slope_lower": slope * 1.1,
+        "input_slope_upper": 0.97,
+        "output_slope_lower": 1.0, "output_slope_upper": 1.0, "bound_method": "exact",
+        "hankel_largest": 17.6,
         "hankel_smallest": 0.01, "spectral_radius": 0.97, "controller_feasible": rate < limit,
-        "controller_certified": rate < limit, "controller_margin": 1e-3, "controller_rate_limit": limit,
+        "controller_certified": rate < limit, "controller_margin": 1e-3,
+        "controller_rate_limit": limit,
     }  # fmt: skip
     if rate >= limit:
         return {**known, **model, "status": "infeasible"}
     stable = int(np.clip(rng.normal(14 - 20 * rate - (92 - fit) / 5, 1.5), 0, 10))
     time_s = 0.19 * (1 - rate) + 0.01 * rng.uniform()
     loop = {
-        "controller_gain_norm": 10 ** (3 * rate), "observer_feasible": True, "observer_certified": True,
-        "observer_margin": 1e-3, "observer_rate_limit": 1.0, "observer_gain_norm": 1.2, "synthesis_seconds": 0.01,
+        "controller_gain_norm": 10 ** (3 * rate), "observer_feasible": True,
+        "observer_certified": True,
+        "observer_margin": 1e-3, "observer_rate_limit": 1.0, "observer_gain_norm": 1.2,
+        "synthesis_seconds": 0.01,
         "initial_conditions": 10, "stable_count": stable, "stable_fraction": stable / 10,
-        "settling_time_mean_s": time_s if stable else None, "settling_time_worst_s": 1.4 * time_s if stable else None,
+        "settling_time_mean_s": time_s if stable else None,
+        "settling_time_worst_s": 1.4 * time_s if stable else None,
         "settling_time_open_loop_s": 0.185, "overshoot_worst": 0.3, "input_peak_v": 3.0 + 9 * rate,
-        "control_energy": 1.5, "empirical_rate": 0.8, "certified_bound_violations": 0, "mismatch_gain": 0.3,
-        "mismatch_margin": 0.2 + stable / 6, "resolved_margin": 0.2 + stable / 6, "controller_radius": 0.9,
+        "control_energy": 1.5, "empirical_rate": 0.8, "certified_bound_violations": 0,
+        "mismatch_gain": 0.3,
+        "mismatch_margin": 0.2 + stable / 6, "resolved_margin": 0.2 + stable / 6,
+        "controller_radius": 0.9,
         "predicted_stable": stable >= 5,
     }  # fmt: skip
     return {**known, **model, **loop, "status": "ok"}

@@ -108,7 +108,8 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         "wrong": int((rows.predicted_stable & drawn & ~settles).sum()),
         "both_right": int((old & rows.predicted_stable & settles).sum()),
         "choice_predicted": bool(rows.predicted_stable[0]), "choice_settles": bool(settles[0]),
-        "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone, "rests": known.shown.rests,
+        "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone,
+        "rests": known.shown.rests,
     }  # fmt: skip
 
 
@@ -119,8 +120,10 @@ def by_plant(lines: pd.DataFrame) -> str:
     `time` is the median settling time of the predicted choices, relative to the plant left alone.
     """
     lines = lines.assign(
-        settled=lines.choice_predicted & lines.choice_settles, silent=lines.evidence == "cannot judge", models=1,
-        **{f"sound_{name}": lines[name].where(lines.evidence == "sound", 0) for name in ("predicted", "wrong")},
+        settled=lines.choice_predicted & lines.choice_settles,
+        silent=lines.evidence == "cannot judge", models=1,
+        **{f"sound_{name}": lines[name].where(lines.evidence == "sound",
+                                              0) for name in ("predicted", "wrong")},
     )  # fmt: skip
     counts = [
         "models",
@@ -159,7 +162,8 @@ def by_plant(lines: pd.DataFrame) -> str:
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for (plant, shown_by), row in table.iterrows():
         pairs = [f"{row[a]:.0f} / {row[b]:.0f}" for a, b in
-                 (("old_predicted", "old_wrong"), ("predicted", "wrong"), ("sound_predicted", "sound_wrong"),
+                 (("old_predicted", "old_wrong"), ("predicted", "wrong"), ("sound_predicted",
+                                                                           "sound_wrong"),
                   ("choice_predicted", "settled"))]  # fmt: skip
         cells = [
             plant,

@@ -50,7 +50,8 @@ class GainCertificate:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Certification:
-    """Certificates of a state feedback, an observer, or both; None for a gain that was not given."""
+    """Certificates of a state feedback, an observer, or both; None for a gain that was not
+    given."""
 
     controller: GainCertificate | None
     observer: GainCertificate | None

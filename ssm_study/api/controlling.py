@@ -88,7 +88,8 @@ def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
 def _rates_of_a_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Rates for a system without records. Raises `BadRequest` where they would be chosen by them."""
+    """Rates for a system without records. Raises `BadRequest` where they would be chosen by
+    them."""
     choice = parts.choices["synthesis"]
     problem = "chooses by a validation record, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"

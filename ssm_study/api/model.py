@@ -39,7 +39,8 @@ class Model:
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
     records with their parts. `facts` are the columns that a run's table has up to the model
-    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the command's words for it, `later_words` those among them that speak of the design.
+    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the command's words for it,
+    `later_words` those among them that speak of the design.
     """
 
     simulator: Simulator

@@ -94,7 +94,8 @@ def merge(tree: Tree, other: Mapping[str, Any]) -> None:
 
 
 def assign(tree: Tree, path: str, value: Any) -> None:
-    """Set what stands at a dotted path. Raises `BadRequest` where the path leads through a value."""
+    """Set what stands at a dotted path. Raises `BadRequest` where the path leads through a
+    value."""
     *parents, last = path.split(".")
     place: Any = tree
     for name in parents:

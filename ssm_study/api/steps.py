@@ -1,4 +1,5 @@
-"""The steps from records to a certified controller, as functions of values: no folders, no cache."""
+"""The steps from records to a certified controller, as functions of values: no folders, no
+cache."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

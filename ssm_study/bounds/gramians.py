@@ -70,7 +70,10 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     left, hankel, right_t = np.linalg.svd(root_o.T @ root_c)  # R_o^T R_c = U Sigma V^T
     well = hankel > BALANCING_FLOOR * hankel[0]
     least = float(hankel[order - 1])
-    problem = f"below {BALANCING_FLOOR:g} of the largest ({hankel[0]:.3g}), so balanced coordinates are ill-conditioned"
+    problem = (
+        f"below {BALANCING_FLOOR:g} of the largest ({hankel[0]:.3g}), so balanced coordinates "
+        "are ill-conditioned"
+    )
     require(
         well[order - 1],
         "hankel_smallest",

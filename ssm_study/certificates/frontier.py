@@ -17,9 +17,13 @@ from ssm_study.certificates.problem import NoSolution
 from ssm_study.refusal import require
 from ssm_study.systems import JacobianBall, StateSpace, System
 
-REACH_FLOOR = 1e-12  # a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
-REPEATED = 1e-7  # eigenvalues closer than this share of the largest count as repeated: a defective pair splits by 1e-8
-ON_CIRCLE = 1e-10  # a mode this near to `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`: its metric is infinite
+# a mode whose left eigenvector meets B at less of `||B||` is out of reach: vectors err by 1e-14
+REACH_FLOOR = 1e-12
+# eigenvalues closer than this share of the largest count as repeated: a defective pair splits by
+# 1e-8
+REPEATED = 1e-7
+# a mode this near to `|lambda| = r` costs no energy, `(|lambda| / r)^2 - 1`: its metric is infinite
+ON_CIRCLE = 1e-10
 # After k steps 2^k samples are summed: where 60 do not suffice a closed loop is on the unit circle
 # for floats.
 MOST_STEPS = 60

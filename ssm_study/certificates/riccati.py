@@ -10,7 +10,8 @@ from jaxtyping import Float
 from ssm_study.certificates.frontier import MOST_STEPS
 from ssm_study.certificates.problem import NoSolution, Problem, symmetric
 
-CONVERGED = 1e-10  # quadratically: after a step that changes H by less than this share the next would change nothing
+# quadratically: after a step that changes H by less than this share the next would change nothing
+CONVERGED = 1e-10
 RESIDUAL_SHARE = (
     1e-6  # the equation holds to this share of an accepted S; exact arithmetic judges what follows
 )

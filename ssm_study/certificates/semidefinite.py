@@ -19,7 +19,8 @@ SOLVERS: dict[str, dict[str, Any]] = {
     "CLARABEL": {"direct_solve_method": "faer", "max_threads": 1},
     "SCS": {"max_iters": 20_000, "time_limit_secs": 10.0},
 }
-FLOOR = 1e-3  # directions that no signal reaches keep this share of the mean: with less the solver fails
+# directions that no signal reaches keep this share of the mean: with less the solver fails
+FLOOR = 1e-3
 LEAST_BALL = (
     1e-2  # radius whose multiplier is scaled as this one's; without any it has next to no effect
 )

@@ -67,7 +67,10 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
         )
     cause = f"{type(error).__name__}: {str(error)[:300]}"
     problem = f"Unexpected error (a bug in ssm-study, please report it): {cause}"
-    remedy = "if files of the study were changed, run it again; SSM_STUDY_TRACEBACK=1 shows the traceback"
+    remedy = (
+        "if files of the study were changed, run it again; SSM_STUDY_TRACEBACK=1 shows the "
+        "traceback"
+    )
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
@@ -89,8 +92,11 @@ def _reader_is_gone() -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ssm-study",
-        description="Identify a model from data, design a certified output-feedback controller, compare many runs.",
-        epilog="Every command takes --with FOLDER: it adds the parts of your own study folder to the choices.",
+        description="Identify a model from data, design a certified output-feedback controller, "
+        "compare "
+        "many runs.",
+        epilog="Every command takes --with FOLDER: it adds the parts of your own study folder to "
+        "the choices.",
     )
     parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -396,7 +402,8 @@ EXCITE: dict[str, dict[str, Any]] = {
 }
 SUBJECTS = {
     "study": "the study folder, e.g. results/paper",
-    "run": "the run folder, or the study with the begin or the end of one name: results/paper/1a2b3c4d5e",
+    "run": "the run folder, or the study with the begin or the end of one name: "
+    "results/paper/1a2b3c4d5e",
 }
 FIGURES = sorted(
     path.stem for path in (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py")

@@ -79,7 +79,8 @@ def overrides_of(request: Command) -> list[Override]:
 
 
 def refuse_no_choices(request: Command) -> None:
-    """Raise `BadRequest` for a group that is given no name: Hydra would end in an error of its own."""
+    """Raise `BadRequest` for a group that is given no name: Hydra would end in an error of its
+    own."""
     assert isinstance(request.config_loader, Loader)
     for override in overrides_of(request):
         key = str(override.key_or_group)

@@ -20,7 +20,9 @@ from ssm_study.signals import Trajectory, lagged
 
 LAGS = 60  # samples of r that an input answers to
 FEWEST = 10  # samples for each of them
-AT_LIMIT = 0.02  # share of the samples at the largest or the smallest input, of which a PI does not tell what it asked
+# share of the samples at the largest or the smallest input, of which a PI does not tell what it
+# asked
+AT_LIMIT = 0.02
 Rows = Float[np.ndarray, "T r"]
 
 

@@ -42,7 +42,8 @@ Names = tuple[str, ...]  # of a field: its own, after that of the message it is 
 DOUBLE = 1
 WITHIN = 2  # the wire types of eight bytes and of a message within
 # What the MCAP, compression and protobuf libraries were seen to raise on damaged files.
-DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error, ValueError, EOFError, RuntimeError,
+DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error, ValueError,
+          EOFError, RuntimeError,
           KeyError, TypeError, OverflowError, MemoryError)  # fmt: skip
 
 

@@ -106,7 +106,10 @@ def warn_if_two_level(data: DataSet) -> str | None:
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))
         if levels <= 2:
-            sentence = f"excitation of {channel.name}: {levels} levels only, so the slopes of a nonlinear S_u between "
+            sentence = (
+                f"excitation of {channel.name}: {levels} levels only, so the slopes of a "
+                "nonlinear S_u between "
+            )
             sentence += (
                 "them are not identifiable; train on a multilevel signal (excitation=aprbs)."
             )

@@ -17,7 +17,9 @@ Intervals = Sequence[list[float]]
 BLOCKS = 10  # interleaved: of every five blocks three train, one validates, one tests
 SHORTEST_REST = 8  # samples
 FEWEST = 50  # samples a block needs beyond the start-up window
-UNLIKE = 1.0  # training deviations by which the output's mean at the end may differ; its deviation: a factor of two
+# training deviations by which the output's mean at the end may differ; its deviation: a factor of
+# two
+UNLIKE = 1.0
 
 
 def over_pieces(

@@ -194,7 +194,10 @@ def stop_hanging(job: Job) -> None:
     """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole
     group."""
     assert job.process is not None
-    message = f"no result after {time.monotonic() - job.started:.0f} s, the limit of hydra.launcher.timeout_s"
+    message = (
+        f"no result after {time.monotonic() - job.started:.0f} s, the limit of "
+        "hydra.launcher.timeout_s"
+    )
     job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
     with contextlib.suppress(ProcessLookupError):  # it may end by itself at this very moment
         os.kill(job.process.pid, signal.SIGABRT)

@@ -42,7 +42,8 @@ class Stage(Generic[T]):
     read: Callable[[Path], T] = empty_facts
     measure: Callable[..., Mapping[str, Any]] = empty_facts
     files: tuple[str, ...] = ()
-    # Later stages depend on what its files say, not on how they came about: an edit of its code that
+    # Later stages depend on what its files say, not on how they came about: an edit of its code
+    # that
     # leaves them as they are makes nothing stale behind it.
     known_by_content: bool = False
 
@@ -74,7 +75,8 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value_key(self) -> str:
-        """Key of the value, by which what depends on it is known: how it was made, or what its files
+        """Key of the value, by which what depends on it is known: how it was made, or what its
+        files
         say, and how these are read."""
         made: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]

@@ -33,7 +33,8 @@ FEWEST = 300
 SHORTEST = (
     6  # samples in all, and times `PAST` a record, below which nothing is said, or it is left out
 )
-SCATTER = 20  # over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
+# over the samples: what chance alone adds to a share, seen in open-loop logs of 120 to 1500 samples
+SCATTER = 20
 ROUNDING = 1e-9
 LEAST_SHARE = 0.2  # of the input's power, below which the set point hardly moves a known loop
 LAGS = (3, 5, 8)
@@ -54,10 +55,14 @@ Rows = Float[np.ndarray, "_ _"]
 
 
 def findings(case: Case) -> Iterator[Finding]:
-    """Whether a loop, or an answer within the sample, ties input to output; whether it runs away."""
+    """Whether a loop, or an answer within the sample, ties input to output; whether it runs
+    away."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
-        told = f"The input is what the set point of the log's loop makes of it, {100 * float(share):.0f} % of its power"
+        told = (
+            "The input is what the set point of the log's loop makes of it, "
+            f"{100 * float(share):.0f} % of its power"
+        )
         yield (
             note(f"{told}.")
             if float(share) >= LEAST_SHARE
@@ -89,7 +94,8 @@ def findings(case: Case) -> Iterator[Finding]:
 
 
 def answers_at_once(data: DataSet) -> bool:
-    """Whether what input and output share within a sample is the plant's answer, not a controller's.
+    """Whether what input and output share within a sample is the plant's answer, not a
+    controller's.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.

@@ -33,7 +33,10 @@ def findings(case: Case) -> list[Finding]:
         found = [doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")]
     linear = linear_fit(case)
     if not found and linear > test + LINEAR_BETTER:
-        sentence = f"A linear filter of {LAGS} taps fits the test record by {linear:.0f} %, the model by {test:.0f} %"
+        sentence = (
+            f"A linear filter of {LAGS} taps fits the test record by {linear:.0f} %, the model "
+            f"by {test:.0f} %"
+        )
         found = [doubt(f"{sentence}: raise model.order or training.starts.")]
     owed = owed_to_input(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
@@ -153,5 +156,8 @@ def whiteness(case: Case) -> list[Finding]:
         return []
     lags = range(1, min(26, len(e) // 4))
     outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in lags)
-    sentence = f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most free runs."
+    sentence = (
+        f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most "
+        "free runs."
+    )
     return [note(sentence)] if outside > 3 else []

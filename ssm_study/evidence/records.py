@@ -23,7 +23,8 @@ from ssm_study.robustness.return_to_rest import (
 from ssm_study.signals import DataSet, Trajectory
 
 BEYOND = 0.05
-ROOM = 0.05  # share of samples that may lie beyond the range of training, by more than this share of it
+# share of samples that may lie beyond the range of training, by more than this share of it
+ROOM = 0.05
 PART = 0.05  # share of the test record that may be part of the training records
 REACHED = 1.2  # a loop may start this far beyond what the training records reached
 AT_LIMIT = 0.02  # share of samples that may read exactly the largest or the smallest output
@@ -64,7 +65,10 @@ def _range(case: Case) -> Iterator[str]:
         room = ROOM * (high - low)
         share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
         if share > BEYOND:
-            yield f"{100 * share:.0f} % of the test record's {name} is beyond the training records: train there too."
+            yield (
+                f"{100 * share:.0f} % of the test record's {name} is beyond the training "
+                "records: train there too."
+            )
     starts = [
         abs(case.scaled(record)[1][0])
         for record in case.data.mismatch_records
@@ -73,7 +77,10 @@ def _range(case: Case) -> Iterator[str]:
     reached = np.abs(trained[1]).max()
     farthest = max((float(start.max()) for start in starts), default=0.0)
     if farthest > REACHED * reached:
-        yield f"The loop starts {farthest / reached:.1f} times as far out as the training records go: excite more."
+        yield (
+            f"The loop starts {farthest / reached:.1f} times as far out as the training records "
+            "go: excite more."
+        )
 
 
 def _levels(case: Case) -> Iterator[str]:
@@ -82,10 +89,16 @@ def _levels(case: Case) -> Iterator[str]:
     if changes < FEWEST_CHANGES:
         yield f"The input changes {changes} times in all training records: move it more often."
     if any(len(np.unique(column)) <= 2 for column in u.T):
-        yield "The input has two levels, which leave the slopes of S_u between them open: use many levels."
+        yield (
+            "The input has two levels, which leave the slopes of S_u between them open: use many "
+            "levels."
+        )
     sides = float(min((u > 0).mean(axis=0).min(), (u < 0).mean(axis=0).min()))
     if sides < ONE_SIDED:
-        yield "The input stays on one side of its equilibrium, and a loop will not: record both sides."
+        yield (
+            "The input stays on one side of its equilibrium, and a loop will not: record both "
+            "sides."
+        )
 
 
 def input_changes(data: DataSet) -> int:
@@ -112,7 +125,10 @@ def _limits(case: Case) -> Iterator[str]:
         for name, limit in (("largest", column.max()), ("smallest", column.min())):
             share = saturated_share(case, i, float(limit))
             if share > AT_LIMIT:
-                yield f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: it saturates."
+                yield (
+                    f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: "
+                    "it saturates."
+                )
 
 
 def saturated_share(case: Case, output: int, limit: float) -> float:
@@ -148,7 +164,10 @@ def _length(case: Case) -> Iterator[str]:
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif (kept := kept_over(case)) > INTEGRATES:
-        told = f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over the longest record"
+        told = (
+            f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over "
+            "the longest record"
+        )
         yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
     elif max(samples) < RESPONSES * response:
         remedy = "lengthen it"
@@ -156,7 +175,10 @@ def _length(case: Case) -> Iterator[str]:
             case.model, StructuredSSM
         ):  # it contracts, so an integrator looks like a slow mode
             remedy += "; if the output integrates its input, use model.integrated=true"
-        yield f"The model's response lasts {response} samples or more, the longest record {max(samples)}: {remedy}."
+        yield (
+            f"The model's response lasts {response} samples or more, the longest record "
+            f"{max(samples)}: {remedy}."
+        )
 
 
 def _drift(case: Case) -> Iterator[str]:
@@ -167,13 +189,19 @@ def _drift(case: Case) -> Iterator[str]:
         quarter = max(len(e) // 4, 1)
         shifts.append(float(np.abs(e[-quarter:].mean(axis=0) - e[:quarter].mean(axis=0)).max()))
     if max(shifts) > DRIFT:
-        yield f"The model's error drifts by {max(shifts):.2f} output scales within a record: record longer."
+        yield (
+            f"The model's error drifts by {max(shifts):.2f} output scales within a record: "
+            "record longer."
+        )
 
 
 def _same(case: Case) -> Iterator[str]:
     share = shared_with_training(case.data)
     if share > PART:
-        yield f"{100 * share:.0f} % of the test record is part of the training records: its fit says nothing new."
+        yield (
+            f"{100 * share:.0f} % of the test record is part of the training records: its fit "
+            "says nothing new."
+        )
 
 
 def shared_with_training(data: DataSet) -> float:
@@ -221,7 +249,10 @@ def _spectrum(case: Case) -> Iterator[str]:
         tested[trained < 0.01 * trained.mean()].sum() / max(tested.sum(), np.finfo(float).tiny)
     )
     if share > UNTRAINED:
-        yield f"{100 * share:.0f} % of the test input's power lies where training has none: train with that spectrum."
+        yield (
+            f"{100 * share:.0f} % of the test input's power lies where training has none: train "
+            "with that spectrum."
+        )
 
 
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
@@ -234,12 +265,14 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
         )
         yield doubt(
-            f"The output does not come to rest by itself ({told}): no loop is predicted to settle it."
+            f"The output does not come to rest by itself ({told}): no loop is predicted to "
+            "settle it."
         )
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
         yield doubt(
-            f"{told}: friction, play or several rests; a loop without integrators may stop as far off. "
+            f"{told}: friction, play or several rests; a loop without integrators may stop "
+            "as far off. "
             "Record more returns to rest."
         )
     elif shown.left_at_rest is None:
@@ -257,9 +290,13 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
                 f"{problem}: whether the output rests by itself is unknown; add such returns."
             )
     elif shown.left_at_rest > FAINT:
-        told = f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit cycle, or a slow decay"
+        told = (
+            f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit "
+            "cycle, or a slow decay"
+        )
         yield doubt(
-            f"{told}. A loop may swing farther, and settles in no narrower band. Record longer rests."
+            f"{told}. A loop may swing farther, and settles in no narrower band. Record "
+            "longer rests."
         )
     if len(shown.views) == 1:
         amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"

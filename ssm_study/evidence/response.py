@@ -37,7 +37,8 @@ SMOOTH = (
 )
 Record = tuple[Float[np.ndarray, "_ m"], Float[np.ndarray, "_ p"]]
 LATE = 2  # samples of dead time that are worth a note
-INTEGRATES = 0.9  # share of the slowest mode left over the longest record, above which it is taken for an integrator
+# share of the slowest mode left over the longest record, above which it is taken for an integrator
+INTEGRATES = 0.9
 COARSE = 3
 FINE = 1000
 ENOUGH = 200  # samples of a response: too few, more than a design gains from, what to keep
@@ -70,9 +71,13 @@ def _coherence(case: Case) -> Iterator[Finding]:
     share = float((shown < COHERENT).mean())
     hertz = angles[used].max() / (2 * np.pi * case.data.step_s)
     if share > INCOHERENT:
-        told = f"Input and output go together (coherence above {COHERENT:g}) in {100 * (1 - share):.0f} % of the band"
+        told = (
+            f"Input and output go together (coherence above {COHERENT:g}) in "
+            f"{100 * (1 - share):.0f} % of the band"
+        )
         yield doubt(
-            f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or measure with less noise."
+            f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or "
+            "measure with less noise."
         )
 
 
@@ -112,7 +117,8 @@ def _sampling(case: Case) -> Iterator[Finding]:
     ):
         keep = response // ENOUGH
         yield note(
-            f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample in {keep}."
+            f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "
+            f"in {keep}."
         )
 
 

@@ -26,8 +26,10 @@ _HEADER, _SET_POINTS, _REPLAY = (
 WITHIN = {
     True: """ * Within limits, to set points r:
  *     #_init(&state, y);             once: the estimate starts at rest at the first measurement
- *     #_track(&state, y, r, u);      every sample: u is clamped to the limits, the estimate knows it""",
-    False: """ * Within limits, to rest. No set points: the model integrates, a map couples channels, no constant input
+ *     #_track(&state, y, r, u);      every sample: u is clamped to the limits, the estimate \
+knows it""",
+    False: """ * Within limits, to rest. No set points: the model integrates, a map couples \
+channels, no constant input
  * reaches every output, or neurons stand between several inputs or outputs.
  *     #_reset(&state);               once: the estimate starts at rest at the equilibrium
  *     #_input(&state, u), #_clamp(u), apply, #_advance(&state, y, u);      every sample""",

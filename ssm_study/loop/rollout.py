@@ -20,8 +20,12 @@ UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
 Shrinks = Float[np.ndarray, "N"]
-DWELL = 0.1  # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is no rest
-STEADY = 0.9  # a case whose largest error in the last quarter is below this share of the one before is still on its way
+# share of the horizon, at its end, that a settled case spends in the band: a last sample in it is
+# no rest
+DWELL = 0.1
+# a case whose largest error in the last quarter is below this share of the one before is still on
+# its way
+STEADY = 0.9
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,11 +18,13 @@ from ssm_study.systems import StateSpace
 if TYPE_CHECKING:
     from ssm_study.models.torch_ssm import TorchModel, TorchSSM
 
-ARX_LAGS = 24  # past samples in the least-squares model: enough for the order asked, few enough for short records
+# past samples in the least-squares model: enough for the order asked, few enough for short records
+ARX_LAGS = 24
 RESPONSE = 256  # samples of impulse response given to the realisation
 NOISE_FLOOR = 1e-8  # relative: smaller singular values are rounding
 LEAST_SHARE = 0.5  # |y - ys| < |y| exactly where <y, ys> > <ys, ys> / 2
-SLOWEST = 0.9995  # starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
+# starting modes are pulled inside this radius: a least-squares fit of noisy data may be unstable
+SLOWEST = 0.9995
 
 Range = Sequence[float]  # from, to
 Pairs = Sequence[

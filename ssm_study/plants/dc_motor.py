@@ -81,11 +81,15 @@ class DCMotor(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        not_negative = ("shaft_damping_nms_per_rad", "motor_viscous_nms_per_rad", "load_viscous_nms_per_rad",
+        not_negative = ("shaft_damping_nms_per_rad", "motor_viscous_nms_per_rad",
+                        "load_viscous_nms_per_rad",
                         "coulomb_torque_nm", "dead_zone_v", "speed_noise_variance")  # fmt: skip
         check_signs(self, not_negative=not_negative)
         electrical_s = self.inductance_h / self.resistance_ohm
-        problem = f"longer than the armature's time constant of {electrical_s:.3g} s, where the series turns unstable"
+        problem = (
+            f"longer than the armature's time constant of {electrical_s:.3g} s, where the series "
+            "turns unstable"
+        )
         require(
             self.solver_step_s <= electrical_s,
             "solver_step_s",

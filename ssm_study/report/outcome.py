@@ -45,7 +45,8 @@ def figure_lines(figures: Sequence[Path]) -> list[str]:
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
-    """The numbers of `record.json` in the order of the argument: model, proof, prediction, plant."""
+    """The numbers of `record.json` in the order of the argument: model, proof, prediction,
+    plant."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")

@@ -21,8 +21,10 @@ DERIVED = {
 CHOICES: dict[str, str] = {
     "pi": "PI", "lqg": "LQG", "lmi": "LMI", "paper_lmi": "paper's LMI",
     "auto_integral": "auto, integral", "own_pi": "own PI",
-    "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4", "spread": "off-nominal",
-    "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited", "stribeck_drive": "Stribeck drive",
+    "load_periodic": "load sine", "noise_free": "no noise", "noise_4x": "noise × 4",
+    "spread": "off-nominal",
+    "dc_motor": "DC motor", "dc_motor_limited": "DC motor, limited",
+    "stribeck_drive": "Stribeck drive",
     "DCMotor": "DC motor", "StribeckDrive": "Stribeck drive", "CascadedTanks": "cascaded tanks",
     "QuadrupleTank": "quadruple tank",
 }  # fmt: skip
@@ -97,11 +99,13 @@ NO_FASTER = Verdict(
     "bold yellow",
 )
 LOST = Verdict(
-    "certified, does not settle", "both certificates hold for the model, yet some start does not settle",
+    "certified, does not settle",
+    "both certificates hold for the model, yet some start does not settle",
     style.VERMILLION, "^", "triangle-up", "bold yellow",
 )  # fmt: skip
 UNTRIED = Verdict(
-    "certified, not tried", "both certificates hold; the model answers its input at once, so no loop is closed on it",
+    "certified, not tried",
+    "both certificates hold; the model answers its input at once, so no loop is closed on it",
     style.SKY, "<", "triangle-left", "bold yellow",
 )  # fmt: skip
 UNCERTIFIED = Verdict(
@@ -138,7 +142,8 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def judged(table: pd.DataFrame) -> pd.Series:
-    """A `Verdict` per row: its outcome class, where a run that is certified alone may have closed no
+    """A `Verdict` per row: its outcome class, where a run that is certified alone may have closed
+    no
     loop."""
     found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
     return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
@@ -178,6 +183,7 @@ def scatter(
             (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)
         )  # a cross is all edge
         axes.scatter(
-            x[here] + k * dodge, y[here], s=18, c=verdict.colour, marker=verdict.marker, edgecolors=edge,
+            x[here] + k * dodge, y[here], s=18, c=verdict.colour, marker=verdict.marker,
+            edgecolors=edge,
             linewidths=width, label=verdict.word, zorder=3,
         )  # fmt: skip

@@ -43,14 +43,21 @@ ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 # A band with less than this share of the input's mean power is not excited: g is measured there,
 # and uncertain.
 EXCITED = 0.01
-BAND = 0.05  # share of the farthest start on record (of the output's scale without one) that counts as settled
-MISSED = 0.05  # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it: chance p
+# share of the farthest start on record (of the output's scale without one) that counts as settled
+BAND = 0.05
+# where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it:
+# chance p
+MISSED = 0.05
 IN_LOOP = (
     1 / 3,
     300,
 )  # share, and most samples, of a trial in closed loop that only tell its initial state
-MOVING = 0.05  # share of the output's scale by which it swings in the last quarter of a loop that does not come to rest
-QUIET = 0.25  # quantile of the bands of e that is taken for white noise in a closed loop where no record measured it
+# share of the output's scale by which it swings in the last quarter of a loop that does not come to
+# rest
+MOVING = 0.05
+# quantile of the bands of e that is taken for white noise in a closed loop where no record measured
+# it
+QUIET = 0.25
 BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
 Spectra = tuple[
     Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]

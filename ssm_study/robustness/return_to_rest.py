@@ -15,8 +15,11 @@ from ssm_study.signals import Scale, Trajectory
 
 AT_REST = 0.02  # share of the output's scale within which a plant at rest input has come to rest
 FAINT = AT_REST / 4  # what is left beyond it is a doubt, and from `AT_REST` on nothing is predicted
-RESPONSES = 2  # a record, or a rest after motion, should last this many times the bulk of the model's response
-SURE = 3.0  # standard errors by which a record must exceed its noise: of more than a hundred bands the largest counts
+# a record, or a rest after motion, should last this many times the bulk of the model's response
+RESPONSES = 2
+# standard errors by which a record must exceed its noise: of more than a hundred bands the largest
+# counts
+SURE = 3.0
 NEIGHBOURS = 15  # lines among which a swing is one; noise does not change much over them
 FEWEST = 8  # samples of a rest
 FAR = 10 * AT_REST  # from where a return shows a decay

@@ -56,7 +56,8 @@ def certificate(run: RunFiles) -> Claims:
 def verdict_on_part(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Whether one part of the file is what exact arithmetic finds, by the method that was requested."""
+    """Whether one part of the file is what exact arithmetic finds, by the method that was
+    requested."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += information(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):

@@ -43,7 +43,8 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def preload(again: Set[str]) -> None:
-    """Import for all jobs, in the process that they are forked from; `again` as in `Task.preload`."""
+    """Import for all jobs, in the process that they are forked from; `again` as in
+    `Task.preload`."""
     for name in modules_for(again):
         with suppress(
             Exception

@@ -22,7 +22,9 @@ from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import named, of_loops, read_logs
 
-TIMES = 4  # iterations at most: of the designs that failed on plants whose record hid something, two mended most
+# iterations at most: of the designs that failed on plants whose record hid something, two mended
+# most
+TIMES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +49,10 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
         shown = _seen(files, log)
         if shown <= proved:
             covered = f"what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
-            still = "the loop comes to rest, so it shows nothing that makes it swing; the choice stays as it is."
+            still = (
+                "the loop comes to rest, so it shows nothing that makes it swing; the choice "
+                "stays as it is."
+            )
             yield Step(said=f"Stopped: {covered if shown else still}")
             return
         config = _next(files, log)
@@ -153,4 +158,7 @@ def _told(child: RunFiles, proved: float, shown: float, outcome: Outcome) -> str
     counts = (record.get(name) for name in ("stable_count", "initial_conditions"))
     settled = ", {:.0f} of {:.0f} settle".format(*counts) if "stable_count" in record else ""
     chosen = f"chosen again: {judged[record['predicted_stable']]}{settled}"
-    return f"{child.path.name}: the loop showed a mismatch of {shown:.3g}, {proved:.3g} was proved; {chosen}"
+    return (
+        f"{child.path.name}: the loop showed a mismatch of {shown:.3g}, {proved:.3g} was proved; "
+        f"{chosen}"
+    )

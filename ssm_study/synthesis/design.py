@@ -70,14 +70,19 @@ class DesignAttempt:
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
             reason = (
-                f"the slopes [{ball.lower:.4g}, {ball.upper:.4g}] include zero, so no input is sure to have an effect; "
-                "raise the slope floor (model.slope_lower) or use a scaffolding with slopes bounded by construction"
+                f"the slopes [{ball.lower:.4g}, {ball.upper:.4g}] include zero, so no input "
+                "is sure to have an effect; "
+                "raise the slope floor (model.slope_lower) or use a scaffolding with slopes "
+                "bounded by construction"
             )
             return self.nothing(reason, "not asked", proved=True)
         if self.rate >= limit:
             by = self.frontier.decided_by
             floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
-            reason = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (by != 'the slopes')} only rates below "
+            reason = (
+                f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (by != 'the slopes')} "
+                "only rates below "
+            )
             reason += (
                 f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
             )
@@ -126,12 +131,18 @@ class DesignAttempt:
                 return best
         inside = f"the rate is inside the frontier {self.frontier.rate_limit:.6g}, yet"
         if best is None:  # information, not a verdict
-            reason = f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati or a lower rate"
+            reason = (
+                f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati "
+                "or a lower rate"
+            )
             return self.nothing(reason, status)
         fewer = "drop states (reduction.truncate_to) or " * (best.condition > ILL)
         number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
-            reason = f"{inside} its metric needs more digits than floats have: its condition number is {number}"
+            reason = (
+                f"{inside} its metric needs more digits than floats have: its condition number "
+                f"is {number}"
+            )
             return self.nothing(reason, best.solver_status)
         told = f"not positive definite in exact arithmetic, condition number {number}"
         return replace(best, solver_status=f"{best.solver_status}; {told}")
@@ -201,7 +212,8 @@ def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str
         stated = f"{part.alpha!r}, {part.beta!r}"
         filled = f"{ball.alpha!r}, {ball.beta!r}"
         broken.append(
-            f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which is not inside"
+            f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which "
+            "is not inside"
         )
     return broken + part.failed_checks(known)
 

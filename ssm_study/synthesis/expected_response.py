@@ -3,7 +3,8 @@
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
 Pairs that are faster than the open loop on the model come before all others: a controller that does
-next to nothing is safe, and helps nobody. The mismatch is not a number but a sample: the fastest design that just passes is the one that any
+next to nothing is safe, and helps nobody. The mismatch is not a number but a sample: the fastest
+design that just passes is the one that any
 optimism of the measured mismatch lets through.
 Source: docs/closed_loop.md, "Rates chosen for you"; of the margin: docs/theory.md, "Small gain for
 the plant".
@@ -31,7 +32,8 @@ ATTEMPTS = 20  # pairs verified exactly before the search gives up: each costs t
 # Pairs compared with all that the records show: the fastest, and of the rest as many.
 COMPARED = 200
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
-# Area on the model, in areas of the plant left alone, below which a pair counts as faster than none.
+# Area on the model, in areas of the plant left alone, below which a pair counts as faster than
+# none.
 FASTER = 0.9
 # No record is known better than this: Welch's estimate alone scatters by half of it.
 LEAST_SPREAD = 0.1

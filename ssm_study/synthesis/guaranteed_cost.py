@@ -32,7 +32,8 @@ one: golden ratio.
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
 >>> one, ball = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
->>> found = guaranteed_cost(Problem(a=one, b=one, ball=ball, rate=1e-9, state_weight=one, input_weight=1.0))
+>>> problem = Problem(a=one, b=one, ball=ball, rate=1e-9, state_weight=one, input_weight=1.0)
+>>> found = guaranteed_cost(problem)
 >>> print(f"{found.k[0, 0]:.6f}, {(1 - 5**0.5) / 2:.6f}")
 -0.618034, -0.618034
 """

@@ -22,7 +22,9 @@ SAMPLES = (
     150,
 )  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
 SETTLED = 0.05  # output scales within which a response has settled
-FAINT = 0.1  # states whose uncontrolled response is below this share of the largest are not counted: they rest already
+# states whose uncontrolled response is below this share of the largest are not counted: they rest
+# already
+FAINT = 0.1
 # Scaled signals are cut here, so that a design that diverges on the model gets a huge area and not
 # an overflow.
 LARGEST = 1e6

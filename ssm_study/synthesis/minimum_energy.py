@@ -31,7 +31,8 @@ Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrore
 
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
->>> modes, ball = split_modes(np.array([[2.0]]), np.ones((1, 1)), 1.0), JacobianBall.from_slopes(0.8, 1.2)
+>>> modes = split_modes(np.array([[2.0]]), np.ones((1, 1)), 1.0)
+>>> ball = JacobianBall.from_slopes(0.8, 1.2)
 >>> gain = fast_gain(modes, ball, contraction=1.0, widen=False).k
 >>> print(f"{gain[0, 0]:.4f} = -1.5 / (1 - 0.2^2)")
 -1.5625 = -1.5 / (1 - 0.2^2)
@@ -51,7 +52,8 @@ from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.modes import FastGain, Modes, split_modes, whole_metric, with_slow_modes
 from ssm_study.systems import JacobianBall
 
-FASTEST = 0.5  # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most
+# where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most
+FASTEST = 0.5
 SHARES = (
     0.5,
     0.2,

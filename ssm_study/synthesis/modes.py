@@ -20,7 +20,8 @@ SLOW_WEIGHTS = np.geomspace(
     1e4, 1e-14, 19
 )  # of the slow modes' metric: from dominating to negligible beside the fast
 GOOD_SHARE = 0.3
-BETWEEN = 0.3  # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
+# the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
+BETWEEN = 0.3
 SLOW_FLOOR = (
     1e-8  # directions of the slow modes that the input hardly reaches keep this share of the mean
 )

@@ -49,7 +49,8 @@ LAST = ((0.3, 10), (0.03, 10), (1e-3, 30))
 ROOM = np.arange(
     0.0, 40.0, 2.0
 )  # by how much known multipliers may have to grow, log, to cover the weights
-BALL_SLACK = 1e-9  # of the metric: what a multiplier without effect may take of it, where the ball has no radius
+# of the metric: what a multiplier without effect may take of it, where the ball has no radius
+BALL_SLACK = 1e-9
 STRIDE = 2.0  # the largest change of a log multiplier in one step
 FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goal
 

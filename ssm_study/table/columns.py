@@ -21,7 +21,8 @@ from ssm_study.plants import metrics as plants
 from ssm_study.synthesis import metrics as synthesis
 from ssm_study.training import metrics as training
 
-PARTS = {"Plant": plants, "Data": data, "Model": models, "Training": training, "Slopes and linear part": bounds,
+PARTS = {"Plant": plants, "Data": data, "Model": models, "Training": training,
+         "Slopes and linear part": bounds,
          "Evidence": evidence, "Design": synthesis, "Closed loop": loop}  # fmt: skip
 OF_THE_LINE = tuple(column for room in PARTS.values() for column in room.COLUMNS)
 SETTINGS = tuple(column for column in OF_THE_LINE if column.setting)

@@ -29,7 +29,8 @@ CSV = "runs.csv"
 MARKS = ".gathered.json"
 # Of a column that nobody declares, as pandas infers it; all else is text.
 KINDS: dict[str, Kind] = {
-    "boolean": "boolean", "integer": "Int64", "floating": "Float64", "mixed-integer-float": "Float64",
+    "boolean": "boolean", "integer": "Int64", "floating": "Float64",
+    "mixed-integer-float": "Float64",
 }  # fmt: skip
 INFINITE = {"inf": float("inf"), "-inf": float("-inf")}  # as records have them
 EXACT = {

@@ -19,7 +19,8 @@ from ssm_study.table.gather import contradicted, gather
 from ssm_study.table.rank import ranked
 
 WIDTH = 80  # of a pipe, and the least of a terminal
-COMPARED = 40  # rows that are compared with their records: a screen of them; all of 20,000 would take seconds
+# rows that are compared with their records: a screen of them; all of 20,000 would take seconds
+COMPARED = 40
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.]*\w)")  # not the 2 of S_u2
 OUTCOMES = ("settled", "certified", *(column.name for column in RESULTS if column.shown))
 CERTIFIED = {(True, True): "both", (True, False): "ctl", (False, True): "obs", (False, False): "no"}
@@ -264,7 +265,8 @@ def over_folds(table: pd.DataFrame) -> list[str]:
             f", {name} {cell(value)}" for name, value in zip(varied, values, strict=True)
         )
         lines.append(
-            f"  {len(fits)} folds: mean test fit {cell(fits.mean())} %, deviation {cell(fits.std())} %{which}"
+            f"  {len(fits)} folds: mean test fit {cell(fits.mean())} %, deviation "
+            f"{cell(fits.std())} %{which}"
         )
     return lines
 

@@ -68,7 +68,8 @@ class Batch(NamedTuple):
         return moving
 
     def _movement(self, stretch: "Batch") -> float:
-        """Deviation within the stretch over that of all records: the smaller of input and output."""
+        """Deviation within the stretch over that of all records: the smaller of input and
+        output."""
         if not stretch.scored.any():
             return 0.0
         shares = []

@@ -56,7 +56,10 @@ def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> Desig
 
 
 def test_importing_the_package_loads_nothing_heavy() -> None:
-    told = "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & set(sys.modules)))"
+    told = (
+        "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & "
+        "set(sys.modules)))"
+    )
     assert (
         subprocess.run(
             [sys.executable, "-c", told], capture_output=True, text=True, check=True

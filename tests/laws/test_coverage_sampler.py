@@ -1,4 +1,5 @@
-"""The committed sampler of `benchmarks/coverage_samples.py`: nothing is lost at a proved kappa, something is
+"""The committed sampler of `benchmarks/coverage_samples.py`: nothing is lost at a proved kappa,
+something is
 far beyond it."""
 
 import sys

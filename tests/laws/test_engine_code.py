@@ -169,7 +169,8 @@ def test_an_import_inside_a_function_counts(scratch: Path) -> None:
 
 TOY = {
     "a.py": "from toy.b import used\n\ndef root(x):\n    return used(x)\n",
-    "b.py": "import numpy as np\n\nSCALE = 2\nif SCALE:\n    SHIFT = 1\n\ndef used(x):\n    from toy.c import inner\n"
+    "b.py": "import numpy as np\n\nSCALE = 2\nif SCALE:\n    SHIFT = 1\n\ndef used(x):\n    from "
+    "toy.c import inner\n"
     "    return inner(x) * SCALE + SHIFT\n\ndef unused(x):\n    return np.zeros(x)\n",
     "room/__init__.py": "",
     "room/member.py": "from ..e import near\nfrom .beside import said\n\nfound = 1, near, said\n",

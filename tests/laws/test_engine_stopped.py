@@ -1,4 +1,5 @@
-"""A training that is stopped from outside is no failure: the run is lost, and resumed by its command."""
+"""A training that is stopped from outside is no failure: the run is lost, and resumed by its
+command."""
 
 import os
 import signal
@@ -32,7 +33,8 @@ def wait_for_file(folder: Path, name: str, seconds: float = 120.0) -> Path:
 def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
     tmp_path: Path, number: signal.Signals
 ) -> None:
-    """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for good."""
+    """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for
+    good."""
     command = [sys.executable, "-m", "ssm_study.cli", "run", *ENDLESS, f"results_dir={tmp_path}"]
     # Programs in the background inherit that Ctrl-C is ignored: a terminal's do not.
     training = subprocess.Popen(

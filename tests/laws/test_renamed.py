@@ -1,4 +1,5 @@
-"""Every old name leads somewhere, is understood wherever strangers write it, and is said to be old."""
+"""Every old name leads somewhere, is understood wherever strangers write it, and is said to be
+old."""
 
 import subprocess
 import sys

@@ -165,8 +165,8 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
     record = a_run("ok") | {"limit_lower": 2.16, "limit_upper": 4.14, "limited_rate": 0.1}
     told = " ".join(printed(record | {"unlimited_from": None, "unlimited_to": None}).split())
     assert (
-        "input 2.16 to 4.14: contracts globally at 0.1 per sample, at the full rate from a range of each"
-        in told
+        "input 2.16 to 4.14: contracts globally at 0.1 per sample, at the full rate from a "
+        "range of each" in told
     )
 
 

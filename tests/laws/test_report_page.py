@@ -58,7 +58,10 @@ def shown(driver: Any) -> int:
 
 
 def column(driver: Any, name: str) -> list[Any]:
-    script = "return [...document.querySelectorAll('#body tr')].map(row => COLUMNS[arguments[0]][row.dataset.run])"
+    script = (
+        "return [...document.querySelectorAll('#body tr')].map(row => "
+        "COLUMNS[arguments[0]][row.dataset.run])"
+    )
     return driver.execute_script(script, name)
 
 
@@ -117,7 +120,8 @@ def test_a_brush_in_one_plot_filters_the_table_and_every_other_plot(opened: Any)
     assert all(low <= fit <= high for fit in column(opened, "fit_test_percent"))
     wait_for(opened, "STALE.size === 0 || [...STALE].every(n => !VISIBLE.has(n))")
     seen = opened.execute_script(
-        "const n = [...VISIBLE].find(n => n > 0); return VIEWS[n].signal('mask').filter(Boolean).length"
+        "const n = [...VISIBLE].find(n => n > 0); return "
+        "VIEWS[n].signal('mask').filter(Boolean).length"
     )
     assert seen == shown(opened)
     opened.find_element("css selector", "#filters button[type=reset]").click()
@@ -127,7 +131,8 @@ def test_a_brush_in_one_plot_filters_the_table_and_every_other_plot(opened: Any)
 def test_every_dashed_line_that_a_note_speaks_of_is_drawn(opened: Any) -> None:
     script = """
       const dashed = (item) => item.items ? item.items.some(dashed) : Boolean(item.strokeDash);
-      return DATA.panels.map((panel, n) => [panel.note.startsWith("Dashed"), dashed(VIEWS[n].scenegraph().root)])"""
+      const drawn = (n) => dashed(VIEWS[n].scenegraph().root);
+      return DATA.panels.map((panel, n) => [panel.note.startsWith("Dashed"), drawn(n)])"""
     found = opened.execute_script(script)
     assert sum(told for told, _ in found) >= 2
     assert all(told == drawn for told, drawn in found)
@@ -140,7 +145,8 @@ def test_an_axis_of_whole_numbers_has_whole_ticks(browser: Any, tmp_path: Path) 
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     change = "menu.value = 'order'; menu.dispatchEvent(new Event('change'))"
     browser.execute_script(f"const menu = document.querySelector('[data-axis=across]'); {change}")
-    labels = """const labels = (item) => item.role === 'axis-label' ? item.items.map((one) => one.text)
+    labels = """const labels = (item) => item.role === 'axis-label'
+      ? item.items.map((one) => one.text)
       : (item.items || []).flatMap(labels);
       return labels(VIEWS.at(-1).scenegraph().root)"""
     wait_for(
@@ -195,7 +201,8 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
             opened.execute_script("arguments[0].click()", box)
     wait_for(
         opened,
-        "[...document.querySelectorAll('#groups tbody th')].every((c) => c.textContent.includes(' · '))",
+        "[...document.querySelectorAll('#groups tbody th')].every((c) => "
+        "c.textContent.includes(' · '))",
     )
     head = opened.execute_script(
         "return [...document.querySelectorAll('#groups thead th')].map(c => c.textContent)"
@@ -259,10 +266,16 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     lines = browser.execute_script(
         "return [...document.querySelectorAll('.evidence li')].map((c) => c.innerText)"
     )
-    said = "the stability margin is 2 (above 1 is needed) and the spectral radius of the controller 0.9 (below 1 is needed)."
+    said = (
+        "the stability margin is 2 (above 1 is needed) and the spectral radius of the controller "
+        "0.9 (below 1 is needed)."
+    )
     assert lines[0] == f"Predicted for the plant\nIt stays stable, with doubts: {said}"
     assert lines[1].startswith("Seen on the simulated plant\nIt settles in 0.")
-    told = "The records leave a doubt. The record is short. Note: One amplitude: the record shows no other."
+    told = (
+        "The records leave a doubt. The record is short. Note: One amplitude: the record shows "
+        "no other."
+    )
     assert lines[2:] == [f"Evidence: doubt\n{told}"], "what matters first"
     hidden = (
         "return ['compare', 'filters', 'beside'].every((id) => document.getElementById(id).hidden)"
@@ -328,7 +341,10 @@ def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
 
 
 def test_menus_list_what_varies_by_the_part_that_it_describes(opened: Any) -> None:
-    script = "return [...document.querySelectorAll('#range-column optgroup')].map(g => [g.label, g.children.length])"
+    script = (
+        "return [...document.querySelectorAll('#range-column optgroup')].map(g => [g.label, "
+        "g.children.length])"
+    )
     groups = dict(opened.execute_script(script))
     filled = [
         "Settings",
@@ -339,7 +355,10 @@ def test_menus_list_what_varies_by_the_part_that_it_describes(opened: Any) -> No
         "Circumstances",
     ]
     assert list(groups) == filled, "no empty group"
-    listed = "return [...document.querySelectorAll('#range-column option')].map(o => o.value).filter(Boolean)"
+    listed = (
+        "return [...document.querySelectorAll('#range-column option')].map(o => "
+        "o.value).filter(Boolean)"
+    )
     names = opened.execute_script(listed)
     varied = "name => new Set(COLUMNS[name].filter(v => v !== null)).size"
     assert min(opened.execute_script(f"return arguments[0].map({varied})", names)) > 1
@@ -359,7 +378,8 @@ def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(
     )
     assert links == [f"order{4 + k // 2}-{digits[k]}" for k in range(4)]
     rings = """return VIEWS.map((view) => {
-      const around = (item) => item.items ? item.items.flatMap(around) : item.strokeWidth === 1.3 ? [item.datum.i] : [];
+      const ring = (item) => item.strokeWidth === 1.3 ? [item.datum.i] : [];
+      const around = (item) => item.items ? item.items.flatMap(around) : ring(item);
       return around(view.scenegraph().root); })"""
     drawn = browser.execute_script(rings)
     assert all(found in ([0], []) for found in drawn)
@@ -460,7 +480,10 @@ def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_p
     )
     assert len(heights) >= len(browser.execute_script("return DATA.panels"))
     assert max(heights) < 400
-    bars = "const n = DATA.panels.findIndex((panel) => panel.tick); return VIEWS[n].scale('x').domain()"
+    bars = (
+        "const n = DATA.panels.findIndex((panel) => panel.tick); return "
+        "VIEWS[n].scale('x').domain()"
+    )
     assert browser.execute_script(bars)[0] > 0, "the bars stand on the axis of the points"
 
 

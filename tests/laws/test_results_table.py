@@ -20,13 +20,15 @@ from ssm_study.table.rank import ranked
 from ssm_study.table.show import cost_lines, plain_table, show, stage_costs, summary
 
 AGREED = """
-study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation rate_controller rate_observer
-synthesis_method fit_train_percent fit_validation_percent fit_test_percent rmse_test input_coverage training_seconds
-input_slope_lower input_slope_upper output_slope_lower output_slope_upper bound_method hankel_largest hankel_smallest
-spectral_radius controller_feasible controller_certified controller_margin controller_rate_limit controller_gain_norm
-observer_feasible observer_certified observer_margin observer_rate_limit observer_gain_norm synthesis_seconds
-initial_conditions stable_count stable_fraction settling_time_mean_s settling_time_worst_s settling_time_open_loop_s
-overshoot_worst input_peak_v control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
+study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation
+rate_controller rate_observer synthesis_method fit_train_percent fit_validation_percent
+fit_test_percent rmse_test input_coverage training_seconds input_slope_lower input_slope_upper
+output_slope_lower output_slope_upper bound_method hankel_largest hankel_smallest spectral_radius
+controller_feasible controller_certified controller_margin controller_rate_limit
+controller_gain_norm observer_feasible observer_certified observer_margin observer_rate_limit
+observer_gain_norm synthesis_seconds initial_conditions stable_count stable_fraction
+settling_time_mean_s settling_time_worst_s settling_time_open_loop_s overshoot_worst input_peak_v
+control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
 resolved_margin controller_radius predicted_stable
 """
 RECORDS = [
@@ -317,11 +319,15 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
     """Two model classes differ in five settings: one says which is which, and the reader wants the
     fit."""
     rows = [
-        {"run": "r-1", "status": "ok", "model": "ssm", "order": 4, "hidden_width": 32, "slope_lower": 0.01,
-         "scaffold_in": "monotone", "scaffold_out": "linear", "fit_test_percent": 96.3, "stable_count": 10,
+        {"run": "r-1", "status": "ok", "model": "ssm", "order": 4, "hidden_width": 32,
+         "slope_lower": 0.01,
+         "scaffold_in": "monotone", "scaffold_out": "linear", "fit_test_percent": 96.3,
+         "stable_count": 10,
          "initial_conditions": 10, "resolved_margin": 2.156, "predicted_stable": True},
-        {"run": "r-2", "status": "ok", "model": "structured", "order": 5, "slope_lower": 0.1, "fit_test_percent": 97.2,
-         "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697, "predicted_stable": True},
+        {"run": "r-2", "status": "ok", "model": "structured", "order": 5, "slope_lower": 0.1,
+         "fit_test_percent": 97.2,
+         "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697,
+         "predicted_stable": True},
     ]  # fmt: skip
     heads = plain_table(table_of(rows)).splitlines()[0].split()
     assert heads[2] == "model"

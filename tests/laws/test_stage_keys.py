@@ -1,6 +1,7 @@
 """Keys of stages: an edit makes stale exactly the stages whose result it can change.
 
-Each row of the table edits one file and walks a request down the line, without computing. A key that
+Each row of the table edits one file and walks a request down the line, without computing. A key
+that
 is too wide costs time; one that is too narrow costs truth: the second half of this file.
 """
 
@@ -138,7 +139,8 @@ NOWHERE = {
     "table": ("table/gather.py", *NEW_CODE),
     "verification": ("study/claims.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
     "line": ("study/line.py", *NEW_CODE),
-    "another plant": ("plants/cascaded_tanks.py", r"^class CascadedTanks\(", "class CascadedTanks(object, "),
+    "another plant": ("plants/cascaded_tanks.py", r"^class CascadedTanks\(",
+                      "class CascadedTanks(object, "),
     "a reader of logs": ("data/readers/text.py", r"\Z", "\nEDITED = 1\nprint(EDITED)\n"),
 }  # fmt: skip
 
@@ -149,7 +151,8 @@ def test_what_no_result_depends_on(row: str, scratch: Path, simulated: Specifica
 
 
 MEASURES = {
-    "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$", r"def input_coverage(\1):\n    del EDITED"),
+    "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$",
+                r"def input_coverage(\1):\n    del EDITED"),
     "loop": ("loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len'),
     "synthesis": ("synthesis/metrics.py", r"^def opinion_facts\(", "@edited\ndef opinion_facts("),
 }  # fmt: skip
@@ -163,17 +166,22 @@ def test_a_measure_makes_its_columns_stale(
 
 
 ROWS = {
-    "mismatch": ("robustness/mismatch.py", r"^def measure_mismatch\(", "@edited\ndef measure_mismatch(", ALL[3:]),
+    "mismatch": ("robustness/mismatch.py", r"^def measure_mismatch\(",
+                 "@edited\ndef measure_mismatch(", ALL[3:]),
     "a field of the mismatch": (
-        "robustness/mismatch.py", r"^class Mismatch:$", "class Mismatch:\n    edited: float = 0.0\n", ALL[3:]
+        "robustness/mismatch.py", r"^class Mismatch:$",
+        "class Mismatch:\n    edited: float = 0.0\n", ALL[3:]
     ),
     "theorem": (
-        "certificates/theorems/state_feedback.py", r"^class StateFeedbackTheorem\(|^class \w+\(", r"@edited\n\g<0>", ALL[5:]
+        "certificates/theorems/state_feedback.py", r"^class StateFeedbackTheorem\(|^class \w+\(",
+        r"@edited\n\g<0>", ALL[5:]
     ),
     "auto": ("synthesis/auto.py", r"^class Auto\b", "@edited\nclass Auto", ALL[5:]),
-    "training": ("training/fit.py", r"^class InitialStates\(", "@edited\nclass InitialStates(", ALL[1:]),
+    "training": ("training/fit.py", r"^class InitialStates\(", "@edited\nclass InitialStates(",
+                 ALL[1:]),
     "plant": ("plants/dc_motor.py", r"^class DCMotor\(", "class DCMotor(object, ", ALL),
-    "simulated data": ("data/simulated.py", r"^class SimulatedData", "@edited\nclass SimulatedData", ALL),
+    "simulated data": ("data/simulated.py", r"^class SimulatedData", "@edited\nclass SimulatedData",
+                       ALL),
     "loop": ("loop/rollout.py", r"^def close_loop\(", "@edited\ndef close_loop(", ["loop"]),
     "evidence": ("evidence/metrics.py", r"^def judge\(", "@edited\ndef judge(", ALL[4:]),
 }  # fmt: skip
@@ -228,15 +236,18 @@ TOO_NARROW = {
         "bounds/reduction.py", r"^class Reduction", "@edited\nclass Reduction", "bounds"
     ),
     "a function imported inside a function": (
-        "synthesis/deployed.py", r"^def with_gain_certificates\(", "@edited\ndef with_gain_certificates(", "synthesis"
+        "synthesis/deployed.py", r"^def with_gain_certificates\(",
+        "@edited\ndef with_gain_certificates(", "synthesis"
     ),
     "a compiled kernel of the plant": (
-        "plants/dc_motor_kernel.py", r"^def advance_batch\(", "@edited\ndef advance_batch(", "dataset"
+        "plants/dc_motor_kernel.py", r"^def advance_batch\(", "@edited\ndef advance_batch(",
+        "dataset"
     ),
     "a compiled kernel of the design": (
         "synthesis/game_kernel.py", r"^def solved\(", "@edited\ndef solved(", "synthesis"
     ),
-    "a constant": ("robustness/mismatch.py", r"^(HOLDS|[A-Z_]{4,}) = ", r"EDITED = 1\n\1 = EDITED * ", "mismatch"),
+    "a constant": ("robustness/mismatch.py", r"^(HOLDS|[A-Z_]{4,}) = ",
+                   r"EDITED = 1\n\1 = EDITED * ", "mismatch"),
     "a member found by its file": (
         "models/scaffolds/mlp.py", r"^class \w+\(", r"@edited\n\g<0>", "model"
     ),

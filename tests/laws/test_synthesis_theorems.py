@@ -131,8 +131,8 @@ Problem. As in `state_feedback`, for one input.
 
 Hypotheses. Slopes of `S_u` in `[alpha - beta, alpha + beta]`.
 
-Statement. `[r^2 P, (A + s B K) P; *, P] > 0` for both slopes s, with `Y_i = K P` and room `E_1, E_2 > 0` proves rate
-`1 - r^2`: the inequality is affine in s.
+Statement. `[r^2 P, (A + s B K) P; *, P] > 0` for both slopes s, with `Y_i = K P` and room
+`E_1, E_2 > 0` proves rate `1 - r^2`: the inequality is affine in s.
 
 When not to use it. With several inputs.
 
@@ -157,7 +157,7 @@ from ssm_study.synthesis.minimum_energy import minimum_energy_solution
 
 @dataclass(frozen=True, kw_only=True)
 class BothEnds(StateFeedback):
-    """`room` is taken off the diagonals; `lambda` shows how a reserved name and a vector are stored."""
+    """`room` is taken off the diagonals; `lambda` shows how a reserved name is stored."""
 
     room: Float[np.ndarray, "n n"]
     lambda_: Float[np.ndarray, "q"]
@@ -170,7 +170,9 @@ class BothEnds(StateFeedback):
         def at(slope: Any) -> Any:
             return [[(1 - of.rate) * of.p - of.room, of.a @ of.p + slope * (of.b @ of.x)], [of.p]]
 
-        return {"lower": at(of.alpha - of.beta), "upper": at(of.alpha + of.beta), "room": [[of.room]]}
+        lower = at(of.alpha - of.beta)
+        upper = at(of.alpha + of.beta)
+        return {"lower": lower, "upper": upper, "room": [[of.room]]}
 
     def model_data(self, known: Any) -> dict[str, Any]:
         return {"a": known.controlled.a, "b": known.controlled.b}
@@ -183,7 +185,8 @@ class BothEnds(StateFeedback):
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
         asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
         room = 1e-9 * np.eye(len(found.p))
-        return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k, "room": room, "lambda_": np.ones(2)}
+        asked |= {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}
+        return asked | {"room": room, "lambda_": np.ones(2)}
 
 
 @dataclass(frozen=True, kw_only=True)

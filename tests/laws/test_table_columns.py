@@ -22,11 +22,19 @@ COMMITTED = sorted(path.parent for path in (ROOT / "results" / "reference").glob
 # One file each: a number that the recordings give again, and one that they do not.
 ADDED = {
     "ssm_study/loop/metrics.py": {
-        "COLUMNS = (": 'Column("input_mean_square", "Float64", "low", word="Mean square of the input", unit="V²"),',
-        '"input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),': '"input_mean_square": float((efforts[0] ** 2).mean()),',
+        "COLUMNS = (": (
+            'Column("input_mean_square", "Float64", "low", '
+            'word="Mean square of the input", unit="V²"),'
+        ),
+        '"input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),': (
+            '"input_mean_square": float((efforts[0] ** 2).mean()),'
+        ),
     },
     "ssm_study/training/metrics.py": {
-        "COLUMNS = (": 'Column("curve_rows", "Int64", word="Rows of the curve", unchecked="the curve is not kept"),',
+        "COLUMNS = (": (
+            'Column("curve_rows", "Int64", word="Rows of the curve", '
+            'unchecked="the curve is not kept"),'
+        ),
         "return {": '"curve_rows": len(ended),',
     },
 }

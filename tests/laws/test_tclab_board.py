@@ -163,7 +163,10 @@ def test_without_a_board_it_is_refused_in_one_sentence(
         raise RuntimeError("No Arduino device found.")
 
     monkeypatch.setattr(sys.modules["tclab"], "TCLab", absent)
-    said = r"plant.hardware = True: no board answers \(No Arduino device found\); connect the board and pip install tclab"
+    said = (
+        r"plant.hardware = True: no board answers \(No Arduino device found\); connect the board "
+        r"and pip install tclab"
+    )
     with pytest.raises(BadRequest, match=said):
         replace(plant, hardware=True).simulate(np.full((1, 3, 1), 40.0))
     monkeypatch.setitem(sys.modules, "tclab", None)

@@ -1,4 +1,5 @@
-"""Coverage: what records show by frequency, two ways; plants that must not come out covered; what is
+"""Coverage: what records show by frequency, two ways; plants that must not come out covered; what
+is
 refused."""
 
 from dataclasses import replace

@@ -312,8 +312,10 @@ def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> N
     savemat(target, columns | more, appendmat=False)
 
 
-@pytest.mark.parametrize(("name", "closed"), [("emps", True), ("emps_position", True), ("ced", False),
-                                              ("cascaded_tanks", False), ("silverbox", False)])  # fmt: skip
+@pytest.mark.parametrize(("name", "closed"), [("emps", True), ("emps_position", True), ("ced",
+                                                                                        False),
+                                              ("cascaded_tanks", False), ("silverbox",
+                                                                          False)])  # fmt: skip
 def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(
     built, name, closed
 ) -> None:  # type: ignore[no-untyped-def]

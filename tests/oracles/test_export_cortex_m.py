@@ -85,7 +85,8 @@ def test_the_emulated_chip(tmp_path: Path, kind: str, real: str, unit: str) -> N
     # A name that the compiler did not find comes back as it is.
     if not Path(library.stdout.strip()).is_absolute():
         pytest.skip(
-            f"{COMPILER} has no C library (libnewlib-arm-none-eabi); its log is {LOG.relative_to(ROOT)}"
+            f"{COMPILER} has no C library (libnewlib-arm-none-eabi); its log is "
+            f"{LOG.relative_to(ROOT)}"
         )
     assert emulated(kind, real, unit, tmp_path) in LOG.read_text().splitlines()
 

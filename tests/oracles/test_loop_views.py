@@ -197,8 +197,10 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
     noise = 0.5 * rng.standard_normal(still.shape)  # a tenth of the output's scale of 5
     scale = model.scale.output_scale[0]
     slow, fast = (0.2 * scale * np.cos(angle * k) for angle in (0.2, 2.6))
-    for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast, False),
-                        (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30), True)):  # fmt: skip
+    for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast,
+                                                                                             False),
+                        (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30),
+                                                      True)):  # fmt: skip
         shown = measure_mismatch(
             model, (record,), 0, (Trajectory(u=still, y=left + noise, step_s=0.01),)
         )

@@ -236,7 +236,8 @@ def test_plants_beyond_the_edge_do_keep_it_moving() -> None:
 
 
 def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_all_time() -> None:
-    """`e_t = r (m_(t+1) - m_t)`: `|e| <= 2 r |m|` in energy over all time, yet not up to every time.
+    """`e_t = r (m_(t+1) - m_t)`: `|e| <= 2 r |m|` in energy over all time, yet not up to every
+    time.
 
     The theorem asks for the first alone; the loop on this plant, at the proved kappa, comes to
     rest.
@@ -265,7 +266,8 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
         outputs.append(float(m[0]))
         errors.append(float(e[0]))
     assert np.abs(outputs[-200:]).max() < 1e-6 * np.abs(outputs).max()
-    # From rest, an impulse of the input: the sum up to the sample before m moves exceeds the disc's.
+    # From rest, an impulse of the input: the sum up to the sample before m moves exceeds the
+    # disc's.
     drive = np.zeros((300, 1))
     drive[0] = 1.0
     y, _ = system.simulate(drive)

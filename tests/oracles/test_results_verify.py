@@ -131,8 +131,10 @@ ABSENT = (
     "unsettled_as",
     "limited_rate",
 )  # here: all settle
-REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower", "slope_upper", "model",
-             "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method", "rates_chosen", "data_source",
+REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower",
+             "slope_upper", "model",
+             "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method",
+             "rates_chosen", "data_source",
              "loop_on", "evidence", "evidence_reasons")  # fmt: skip
 FILES = (
     *(
@@ -285,7 +287,8 @@ def test_every_column_is_named_when_it_alone_is_another_or_left_out(
 def test_a_value_where_there_is_none_and_an_invented_column_are_named(
     record: dict[str, Any], derived: dict[str, Any]
 ) -> None:
-    for name in (*ABSENT, "controller_reason", "infeasible_reason", "score_test_1", "quality", "certified",
+    for name in (*ABSENT, "controller_reason", "infeasible_reason", "score_test_1", "quality",
+                 "certified",
                  "parent_run", "refinements", "mismatch_in_loop"):  # fmt: skip
         assert named(record | {name: 0.0}, derived) == {name}
 
@@ -480,39 +483,53 @@ pytestmark = pytest.mark.usefixtures("made_once")
 MODEL_LOOP = "closed_loop_model.mcap"
 # Each: a consistent lie about one thing, sealed anew, and a claim that has to name it.
 LIES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "infeasible, with 4 of 4 settled": (lambda run: sealed_anew(run, status="infeasible"), "status"),
-    "sampling time of the model": (lambda run: lie_about_model(run, step_s=0.02), "model.json step_s"),
+    "infeasible, with 4 of 4 settled": (lambda run: sealed_anew(run, status="infeasible"),
+                                        "status"),
+    "sampling time of the model": (lambda run: lie_about_model(run, step_s=0.02),
+                                   "model.json step_s"),
     "true output at rest sooner": (lambda run: lie_about_loop(run, "/output"), "closed_loop.mcap"),
-    "slower without control": (lambda run: lie_about_loop(run, "/case_0/uncontrolled"), "closed_loop.mcap"),
+    "slower without control": (lambda run: lie_about_loop(run, "/case_0/uncontrolled"),
+                               "closed_loop.mcap"),
     "smaller inputs": (lambda run: lie_about_loop(run, "/input"), "closed_loop.mcap input"),
     "estimate": (lambda run: lie_about_loop(run, "/estimate"), "closed_loop.mcap"),
     "states": (lambda run: lie_about_loop(run, "/case_1/states"), "closed_loop.mcap"),
     "the loop on the model": (lambda run: lie_about_loop(run, "/states", MODEL_LOOP), MODEL_LOOP),
     "wider settling band": (lie_about_band, "closed_loop.mcap"),
-    "twice as fast": (lambda run: lie_about_labels(run, MODEL_LOOP, sooner), f"{MODEL_LOOP} labels"),
-    "another unit": (lambda run: lie_about_labels(run, "test.mcap", in_thousands), "test.mcap labels"),
-    "another plant": (lambda run: lie_about_labels(run, "closed_loop.mcap", plant="Rig"), "closed_loop.mcap labels"),
-    "a note": (lambda run: lie_about_labels(run, "excitation.mcap", on="the machine"), "excitation.mcap labels"),
+    "twice as fast": (lambda run: lie_about_labels(run, MODEL_LOOP, sooner),
+                      f"{MODEL_LOOP} labels"),
+    "another unit": (lambda run: lie_about_labels(run, "test.mcap", in_thousands),
+                     "test.mcap labels"),
+    "another plant": (lambda run: lie_about_labels(run, "closed_loop.mcap", plant="Rig"),
+                      "closed_loop.mcap labels"),
+    "a note": (lambda run: lie_about_labels(run, "excitation.mcap", on="the machine"),
+               "excitation.mcap labels"),
     "a rate said twice": (lie_twice, "certificate"),
-    "a key of the model said twice": (lambda run: lie_twice(run, "model.json", '"step_s":'), "model"),
+    "a key of the model said twice": (lambda run: lie_twice(run, "model.json", '"step_s":'),
+                                      "model"),
     "a word in the model": (lambda run: lie_about_model(run, quality="high"), "model.json entries"),
     "a rate beside the certificate": (lie_beside, "certificate.json entries"),
     "an empty column": (lambda run: sealed_anew(run, quality=None), "quality"),
-    "validation record": (lambda run: lie_about_record(run, "validation.mcap"), "validation.mcap records"),
+    "validation record": (lambda run: lie_about_record(run, "validation.mcap"),
+                          "validation.mcap records"),
     "test record": (lambda run: lie_about_record(run, "test.mcap"), "test.mcap records"),
     "excitation": (lie_about_excitation, "excitation.mcap"),
-    "margin": (lambda run: lie_about_observer(run, {"observer_margin": 0.5}, margin=0.5), "certificate.observer"),
+    "margin": (lambda run: lie_about_observer(run, {"observer_margin": 0.5}, margin=0.5),
+               "certificate.observer"),
     "condition": (lambda run: lie_about_observer(run, {}, condition=1.0), "certificate.observer"),
     "method": (lambda run: lie_about_observer(run, {}, method="lmi"), "certificate.observer"),
-    "no certificate, claims kept": (lambda run: without(run, "certificate.json"), "certificate.json"),
-    "no closed loop, claims kept": (lambda run: without(run, "closed_loop.mcap"), "closed_loop.mcap"),
+    "no certificate, claims kept": (lambda run: without(run, "certificate.json"),
+                                    "certificate.json"),
+    "no closed loop, claims kept": (lambda run: without(run, "closed_loop.mcap"),
+                                    "closed_loop.mcap"),
     "a trial": (lambda run: lie_about_trial(run), "trials.mcap records"),
     "evidence": (lambda run: lie_about_evidence(run), "evidence.json"),
     "a comparison that nobody made": (lambda run: invented(run, seal=True), "comparison.csv"),
     "no configuration": (lambda run: without(run, ".hydra/config.yaml"), ".hydra/config.yaml"),
-    "seed": (lambda run: lie_about_configuration(run, "seed: 0\nloop", "seed: 1\nloop", seed=1), "run"),
+    "seed": (lambda run: lie_about_configuration(run, "seed: 0\nloop", "seed: 1\nloop", seed=1),
+             "run"),
     "order": (lambda run: lie_about_configuration(run, "order: 4", "order: 6", order=6), "run"),
-    "noise": (lambda run: lie_about_configuration(run, "noise_factor: 1.0", "noise_factor: 0.1"), "closed_loop.mcap"),
+    "noise": (lambda run: lie_about_configuration(run, "noise_factor: 1.0", "noise_factor: 0.1"),
+              "closed_loop.mcap"),
 }  # fmt: skip
 
 
@@ -796,11 +813,13 @@ def finding(run: Path, entry: dict[str, Any]) -> None:
 PLAIN: dict[str, tuple[Callable[[Path], object], str]] = {
     "a shape": (
         lambda run: shorter(run, "observer", "l"),
-        "certificate.observer.l (shape) = (3, 1): is to be n by p, and n is 4 in a; synthesise again.",
+        "certificate.observer.l (shape) = (3, 1): is to be n by p, and n is 4 in a; "
+        "synthesise again.",
     ),
     "a part": (
         lambda run: shorter(run, "state_feedback_unlimited", "a", "b", "p", "starts"),
-        "certificate.state_feedback_unlimited.k (shape) = (1, 4): is to be m by n, and n is 3 in a; synthesise again.",
+        "certificate.state_feedback_unlimited.k (shape) = (1, 4): is to be m by n, and n is "
+        "3 in a; synthesise again.",
     ),
     "a weight": (
         lambda run: shorter(run, "tolerance", "p"),

@@ -315,7 +315,10 @@ def test_what_answers_at_once_loads_no_part_that_takes_long(
 ) -> None:
     """Torch, Lightning, CVXPY, Matplotlib and SciPy's statistics and filters take half a second
     each, or more."""
-    heavy = "{'torch', 'lightning', 'cvxpy', 'matplotlib.pyplot', 'scipy.stats', 'scipy.signal._filter_design'}"
+    heavy = (
+        "{'torch', 'lightning', 'cvxpy', 'matplotlib.pyplot', 'scipy.stats', "
+        "'scipy.signal._filter_design'}"
+    )
     program = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules))); "
     program += "from ssm_study.cli.main import main; main(sys.argv[1:])"
     words = [str(smoke_run.parent) if word == "STUDY" else word for word in words]
@@ -330,7 +333,10 @@ def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(
     """Word for word as the first time; another run beside it, and the study is read again."""
     study = tmp_path / "smoke"
     shutil.copytree(smoke_run.parent, study)
-    program = "import sys; from ssm_study.cli.main import main; print(main(sys.argv[1:]), 'pandas' in sys.modules)"
+    program = (
+        "import sys; from ssm_study.cli.main import main; print(main(sys.argv[1:]), 'pandas' in "
+        "sys.modules)"
+    )
     words = ["run", "experiment=smoke", f"results_dir={tmp_path}", "progress=false"]
 
     def told() -> str:

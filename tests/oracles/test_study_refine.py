@@ -213,7 +213,8 @@ def test_a_log_at_another_sampling_time_is_refused(logged, tmp_path):
     config = (run / ".hydra" / "config.yaml").read_text().replace("time: null", "time: t")
     (run / ".hydra" / "config.yaml").write_text(config.replace("step_s: 0.05", "step_s: null"))
     t = np.arange(200)
-    np.savetxt(tmp_path / "slow.csv", np.column_stack([0.1 * t, np.sin(t), np.cos(t)]), delimiter=",",
+    np.savetxt(tmp_path / "slow.csv", np.column_stack([0.1 * t, np.sin(t), np.cos(t)]),
+               delimiter=",",
                header="t,input,output", comments="")  # fmt: skip
     with pytest.raises(BadRequest, match=r"sampling time is 0\.05 s"):
         list(refine(run, tmp_path / "slow.csv"))

@@ -122,9 +122,7 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
         assert method.state_feedback(linear, problem.ball).certified
 
 
-def test_a_slow_mode_out_of_reach_of_the_input_joins_the_metric_and_one_on_the_circle_does_not() -> (
-    None
-):
+def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_not() -> None:
     ball = JacobianBall(alpha=1.0, beta=0.3)
     problem = Problem(
         a=np.diag([1.1, 0.5]),

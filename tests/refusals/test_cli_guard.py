@@ -25,7 +25,8 @@ NEEDED_BY_EXCITE = ("to", "lower", "upper", "rest", "step-s", "settle-s")
 NEEDED = {"export": ["--to", "out"], "gather": [], "show": [], "verify": [], "report": []}
 # What libraries raise on files that nobody wrote so; none of them may reach the user as a
 # traceback.
-RAISED = (RuntimeError("a"), RecursionError(), struct.error("b"), yaml.YAMLError("c"), MemoryError(), EOFError(),
+RAISED = (RuntimeError("a"), RecursionError(), struct.error("b"), yaml.YAMLError("c"),
+          MemoryError(), EOFError(),
           np.linalg.LinAlgError("d"), NotImplementedError(), AssertionError())  # fmt: skip
 DEEP = "[" * 100_000
 

@@ -115,7 +115,8 @@ hydra:
   output_subdir: null
   run: {dir: "${results_dir}/${study}/${run}"}
   sweep: {dir: "${results_dir}/${study}", subdir: "${run}"}
-  callbacks: {evil: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}}
+  callbacks:
+    evil: {_target_: pathlib.Path.touch, _args_: [{_target_: pathlib.Path, _args_: [%s]}]}
 """
 
 

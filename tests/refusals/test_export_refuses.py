@@ -19,8 +19,10 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
     certificate = json.loads((run / "certificate.json").read_text())
     certificate["state_feedback"] = {
-        "theorem": "state_feedback", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2, "proved": True,
-        "reason": "rate 0.9 lies beyond the frontier 0.2", "method": "frontier", "solver_status": "none",
+        "theorem": "state_feedback", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2,
+        "proved": True,
+        "reason": "rate 0.9 lies beyond the frontier 0.2", "method": "frontier",
+        "solver_status": "none",
         "seconds": 0.0, "feasible": False, "certified": False,
     }  # fmt: skip
     (run / "certificate.json").write_text(json.dumps(certificate))

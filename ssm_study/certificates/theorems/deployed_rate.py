@@ -32,7 +32,8 @@ distance.
 >>> import numpy as np
 >>> from ssm_study.systems import JacobianBall
 >>> one = np.ones((1, 1))
->>> print(f"{largest_rate(one, one, -0.7 * one, JacobianBall.from_slopes(0.8, 1.2)):.4f} = 1 - {0.44}^2")
+>>> ball = JacobianBall.from_slopes(0.8, 1.2)
+>>> print(f"{largest_rate(one, one, -0.7 * one, ball):.4f} = 1 - {0.44}^2")
 0.8064 = 1 - 0.44^2
 """
 
@@ -55,8 +56,11 @@ RATE_TOLERANCE = 1e-6  # the rate is found to this share; what is stored lies fu
 # stands.
 INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)
 SLACKS = (SLACK, 1e-3 * SLACK)  # E, where the largest rate leaves more room, and less
-BETWEEN = 0.5  # the equation is solved this share of the way (in log r) from the largest rate to the stored one
-FAR = 1e6  # stands for a norm that is infinite (r at or below the spectral radius), so that the search can compare
+# the equation is solved this share of the way (in log r) from the largest rate to the stored one
+BETWEEN = 0.5
+# stands for a norm that is infinite (r at or below the spectral radius), so that the search can
+# compare
+FAR = 1e6
 
 
 def largest_rate(

@@ -31,7 +31,8 @@ Example. A gain `y = 0.5 x` of `x+ = 0.9 x + S_u(u)`: the integrator is a second
 
 >>> import numpy as np
 >>> from ssm_study.systems import StateSpace
->>> model = StateSpace(a=np.array([[0.9]]), b=np.ones((1, 1)), c=np.array([[0.5]]), d=np.zeros((1, 1)))
+>>> one = np.ones((1, 1))
+>>> model = StateSpace(a=0.9 * one, b=one, c=0.5 * one, d=0 * one)
 >>> print(augmented(model, gain=np.eye(1), modes=np.eye(1)).a.tolist())
 [[0.9, 0.0], [0.5, 1.0]]
 >>> print(internal_model(["ramp", "sine(0.25Hz)"], step_s=1.0, outputs=1).round(9).tolist())
@@ -53,7 +54,8 @@ from ssm_study.refusal import require
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix
 
 FIELD = "synthesis.internal_model"
-BLOCKED = 1e-6  # of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
+# of the model's largest gain: an output that the inputs move by less at a mode cannot be held there
+BLOCKED = 1e-6
 ANGLES = np.geomspace(1e-3, np.pi, 100)  # where that gain is looked for (rad/sample)
 NUDGE = 1e-9  # a pole on the circle has a gain, too
 SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")

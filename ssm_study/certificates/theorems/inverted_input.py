@@ -20,7 +20,8 @@ whatever the slopes.
 >>> import numpy as np
 >>> one = np.ones((1, 1))
 >>> numbers = dict(a=1.2 * one, b=one, k=-0.9 * one, p=one, y=one, sigma=1e-3, rate=1 - 0.31**2)
->>> print(*(InvertedInput.holds(**numbers, alpha=alpha, beta=beta) for alpha, beta in ((1.0, 0.0), (0.6, 0.4))))
+>>> balls = ((1.0, 0.0), (0.6, 0.4))
+>>> print(*(InvertedInput.holds(**numbers, alpha=alpha, beta=beta) for alpha, beta in balls))
 True False
 """
 

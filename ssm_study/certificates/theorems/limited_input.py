@@ -27,7 +27,8 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 >>> from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 >>> one = np.ones((1, 1))
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
->>> numbers = dict(a=0.5 * one, b=one, k=-0.4 * one, p=one, y=one, sigma=0.5, alpha=1.0, beta=0.0, rate=0.1)
+>>> numbers = dict(a=0.5 * one, b=one, k=-0.4 * one, p=one, y=one)
+>>> numbers |= dict(sigma=0.5, alpha=1.0, beta=0.0, rate=0.1)
 >>> found = from_everywhere(StateFeedbackOfBall.proved(numbers, **told))
 >>> print(f"{found.rate:.2f} < 1 - {0.5}^2, certified: {found.certified}")
 0.75 < 1 - 0.5^2, certified: True

@@ -23,8 +23,10 @@ r2`, `inj = alpha_out do + r1 - e` (that is `yh - y`),
 `P > 0`, `lambda_p > 0`, `lambda_out > 0`, `kappa floor > |c|` and
 
     xi' P xi - xi+' P xi+  - lambda_p (beta^2 |u|^2 - |p|^2)
-      - sum over (a, b) in (r1, do), (r2, o), (r1 + r2, do + o)  of lambda_out (beta_out^2 |b|^2 - |a|^2)
-      + |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)   >  0   for all (xi, p, e, r1, r2)
+      - sum over (a, b) in (r1, do), (r2, o), (r1 + r2, do + o)  of lambda_out (beta_out^2 |b|^2 -
+      |a|^2)
+      + |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)   >  0   for all (xi, p, e, r1,
+      r2)
 
 then x, eps and e are square-summable: input and output of the plant come to rest from every start.
 Where the premise also holds for differences of two inputs and S_y is linear, the loop contracts.

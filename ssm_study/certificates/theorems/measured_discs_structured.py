@@ -9,7 +9,8 @@ rest; `L_z = 0` where `H != 0`.
 Statement. With the letters of `measured_discs` and `z = F x + G v`, `dz = F eps + L_z inj`, the
 neurons of the model against rest `w`, and of the observer against the model `d`,
 
-    x+ = A x + B v + E w + ...,    eps+ = A eps + E d + L inj,    o = C x + D v + H w,    do = C eps + H d
+    x+ = A x + B v + E w + ...,    eps+ = A eps + E d + L inj,    o = C x + D v + H w,    do = C eps
+    + H d
 
 its inequality with `lambda > 0` and one more term for each pair,
 
@@ -35,7 +36,8 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
 >>> loop = StructuredSystem(**matrices)
->>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
+>>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
+>>> balls = Balls(input=unit, output=unit)
 >>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> proof = largest_kappa(known, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
 >>> print(f"{proof.kappa:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {proof.certified}")

@@ -18,7 +18,8 @@ distance.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))
->>> numbers = dict(a=0.5 * one, b=one, e=0.4 * one, f=one, g=0 * one, p=one, y=one, k=-0.7 * one, rate=1 - 0.25**2)
+>>> numbers = dict(a=0.5 * one, b=one, e=0.4 * one, f=one, g=0 * one)
+>>> numbers |= dict(p=one, y=one, k=-0.7 * one, rate=1 - 0.25**2)
 >>> numbers |= dict(sigma=1e4, lambda_=np.full(1, 0.1))
 >>> for alpha, beta in ((1.0, 0.0), (0.9, 0.1)):
 ...     print(StructuredInvertedInput.holds(**numbers, alpha=alpha, beta=beta))

@@ -28,7 +28,8 @@ one; injected into the neuron as well, `L_z = -1`, nothing is left of it.
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))
->>> numbers = dict(a=0.5 * one, c=one, e=0.4 * one, f=one, h=0 * one, alpha=1.0, beta=0.0, q=one, u=one, l=-0.5 * one)
+>>> numbers = dict(a=0.5 * one, c=one, e=0.4 * one, f=one, h=0 * one)
+>>> numbers |= dict(alpha=1.0, beta=0.0, q=one, u=one, l=-0.5 * one)
 >>> numbers |= dict(eta=1e-6, lambda_=np.ones(1), rate=1 - 0.1**2)
 >>> print(*(StructuredObserver.holds(**numbers, l_z=l_z * one) for l_z in (-1.0, 0.0)))
 True False

@@ -33,7 +33,8 @@ Example. `x+ = 0.5 x + 0.4 phi(x) + S_u(u)`, slopes of `S_u` in [0.8, 1], `K = -
 
 >>> import numpy as np
 >>> one = np.ones((1, 1))
->>> numbers = dict(a=0.5 * one, b=one, e=0.4 * one, f=one, g=0 * one, alpha=0.9, beta=0.1, p=one, y=one, k=-0.7 * one)
+>>> numbers = dict(a=0.5 * one, b=one, e=0.4 * one, f=one, g=0 * one)
+>>> numbers |= dict(alpha=0.9, beta=0.1, p=one, y=one, k=-0.7 * one)
 >>> numbers |= dict(sigma=4.0, lambda_=np.full(1, 0.2))
 >>> print(*(StructuredStateFeedback.holds(**numbers, rate=1 - r**2) for r in (0.5, 0.3)))
 True False

@@ -40,7 +40,8 @@ Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
 >>> loop = StructuredSystem(**matrices)
->>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}, Balls(input=unit, output=unit)
+>>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
+>>> balls = Balls(input=unit, output=unit)
 >>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
 >>> found = largest_tolerance(known, weight=one, theorem=StructuredTolerance)
 >>> print(f"{found.s:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {found.certified}")

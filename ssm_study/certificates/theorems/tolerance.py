@@ -37,7 +37,8 @@ at z = -1.
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
->>> found = largest_tolerance(VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains), weight=one)
+>>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> found = largest_tolerance(context, weight=one)
 >>> print(f"{found.s:.3f} = 0.999 / 0.15, certified: {found.certified}")
 6.660 = 0.999 / 0.15, certified: True
 """
@@ -83,7 +84,8 @@ SLACKS = (
     1e-7,
     1e-10,
 )  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
-FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean in these coordinates
+# directions of the loop that no signal reaches keep this share of the mean in these coordinates
+FLOOR = 1e-10
 Into = Float[np.ndarray, "m x"]
 Candidates = Iterator[dict[str, Any]]
 

@@ -26,7 +26,8 @@ Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 >>> from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 >>> one = np.ones((1, 1))
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
->>> numbers = dict(a=one, b=one, k=-0.5 * one, p=one, y=one, sigma=0.1, alpha=1.0, beta=0.0, rate=0.5)
+>>> numbers = dict(a=one, b=one, k=-0.5 * one, p=one, y=one)
+>>> numbers |= dict(sigma=0.1, alpha=1.0, beta=0.0, rate=0.5)
 >>> found = unlimited([StateFeedbackOfBall.proved(numbers, **told)], one, np.array([[-1.0, 1.0]]))
 >>> print(f"{found.starts[0, 0]:.6f}, certified: {found.certified}")
 2.000000, certified: True
@@ -44,7 +45,8 @@ from jaxtyping import Float
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
-ROUNDING = 1e-9  # relative room that exact arithmetic finds between the level and the limits, starts and the level
+# relative room that exact arithmetic finds between the level and the limits, starts and the level
+ROUNDING = 1e-9
 FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit from anywhere near
 
 

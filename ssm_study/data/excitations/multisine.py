@@ -10,7 +10,9 @@ from ssm_study.data.excitations.excitation import Excitation, SignalRequest, che
 from ssm_study.refusal import at_least, require
 
 FEWEST_LINES = 2
-CLIP_AT = 0.85  # of the peak: deep enough to make progress, shallow enough to converge (Van der Ouderaa et al. 1988)
+# of the peak: deep enough to make progress, shallow enough to converge (Van der Ouderaa et al.
+# 1988)
+CLIP_AT = 0.85
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +53,10 @@ class Multisine(Excitation):
         )  # the Nyquist line has no phase to choose
         field = "excitation.band_low_hz, excitation.band_high_hz"
         lines = int(band.sum())
-        problem = f"holds {lines} lines of a record of {request.samples} samples every {request.step_s:g} s"
+        problem = (
+            f"holds {lines} lines of a record of {request.samples} samples every "
+            f"{request.step_s:g} s"
+        )
         require(
             lines >= FEWEST_LINES,
             field,

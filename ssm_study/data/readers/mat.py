@@ -33,7 +33,8 @@ STORAGE = {
     12: "i8",
     13: "u8",
 }
-CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sparse matrix", 16: "a function",
+CLASSES = {1: "a cell array", 2: "a struct", 3: "an object", 4: "text", 5: "a sparse matrix",
+           16: "a function",
            17: "an object"}  # fmt: skip
 FIRST_NUMERIC_CLASS = 6
 LAST_NUMERIC_CLASS = 15

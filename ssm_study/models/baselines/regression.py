@@ -167,7 +167,8 @@ def forward_selection(
 
 
 def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
-    """Linear recursion with the least squared error of its free run, each record from its own start.
+    """Linear recursion with the least squared error of its free run, each record from its own
+    start.
 
     `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX. Source: Ljung (1999),
     System Identification, section 4.2.

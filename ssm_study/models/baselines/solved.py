@@ -20,7 +20,8 @@ from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
-SLOWEST = 0.9999  # an unstable identified pole is scaled back to this radius, or a free run would overflow
+# an unstable identified pole is scaled back to this radius, or a free run would overflow
+SLOWEST = 0.9999
 INSTALL = {"nfoursid": 'pip install "ssm-study[baselines]"'}
 MOST_TERMS = 20
 

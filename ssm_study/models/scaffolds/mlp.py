@@ -21,7 +21,8 @@ from ssm_study.models.scaffolds.scaffold import (
 )
 from ssm_study.refusal import at_least
 
-JUMP_UNIT = 0.3  # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
+# how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
+JUMP_UNIT = 0.3
 # `(W (h, m), b (h,), negative slopes (h,), positive slopes (h,), what comes after (k, h) or None)`.
 Layer = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 Sector = tuple[float, float]

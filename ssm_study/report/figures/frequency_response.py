@@ -63,7 +63,8 @@ def response_at_rest(model: Model, angles: Float[np.ndarray, "F"]) -> Complex[np
 def estimated_response(
     u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], step_s: float
 ) -> tuple[Float[np.ndarray, "K"], Complex[np.ndarray, "K"]]:
-    """Frequencies in Hz and the ratio of cross spectrum to input power; empty for a short record."""
+    """Frequencies in Hz and the ratio of cross spectrum to input power; empty for a short
+    record."""
     segment = min(SEGMENT, len(u) // 4)
     if segment < FEWEST:
         return np.empty(0), np.empty(0, dtype=complex)

@@ -17,7 +17,8 @@ from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 REACH_IN_DEAD_ZONES = (
     8  # how far to draw: far enough for the straight part, near enough to see the dead-zone
 )
-REACH_IN_SCALES = 2.0  # how far training reached, in input scales: where the gain is compared, and drawn otherwise
+# how far training reached, in input scales: where the gain is compared, and drawn otherwise
+REACH_IN_SCALES = 2.0
 FRICTION = ("coulomb_torque_nm", "resistance_ohm", "torque_constant_nm_per_a")
 Range = Float[np.ndarray, "N"]
 

@@ -1,4 +1,5 @@
-"""Where the linear part of the model, of the controlled model and of the observer's error have their
+"""Where the linear part of the model, of the controlled model and of the observer's error have
+their
 poles, at the slopes of rest. The dashed circle is the factor per sample that is proved of the
 controller's gain for every slope; the full one is the unit circle."""
 
@@ -47,7 +48,8 @@ def pole_groups(
     k: Float[np.ndarray, "u z"],
     l: Float[np.ndarray, "e y"],  # noqa: E741
 ) -> dict[str, Inexact[np.ndarray, "_"]]:
-    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest; modes of the plant's load out."""
+    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest; modes of the plant's load
+    out."""
     linear = at_rest(model)
     n = len(linear.a)
     slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))

@@ -104,15 +104,19 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
         ring.encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up))
     )
     chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
-        width="container", height=HEIGHT,
-        description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, one point per run",
-    )  # fmt: skip
+        width="container",
+        height=HEIGHT,
+        description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, "
+        "one point per run",
+    )
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
     )
     spec: dict[str, Any] = chart.configure_axis(
-        labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12, labelFontSize=11,
-        labelFlush=False, labelSeparation=8,  # pixels: else neighbours read as one number ("1.82.0")
+        labelColor=style.INK, titleColor=style.INK, titleFontWeight="normal", titleFontSize=12,
+        labelFontSize=11,
+        # pixels: else neighbours read as one number ("1.82.0")
+        labelFlush=False, labelSeparation=8,
         gridColor="#E6E6E6", domainColor=style.GREY, tickColor=style.GREY,
     ).to_dict(validate=True)  # fmt: skip
     return spec

@@ -16,8 +16,10 @@ from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
-PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores", "version_python",
-              "version_ssm_study", "version_torch", "version_cvxpy", "version_clarabel")  # fmt: skip
+PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores",
+              "version_python",
+              "version_ssm_study", "version_torch", "version_cvxpy",
+              "version_clarabel")  # fmt: skip
 TREE = {
     "False": "clean",
     "True": "with uncommitted changes",
@@ -93,7 +95,10 @@ def question(table: pd.DataFrame) -> str:
     varied = (
         varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied
     )  # what the mean is taken over
-    return f"What changes with {' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
+    return (
+        "What changes with "
+        f"{' and '.join([', '.join(varied[:-1])] * (len(varied) > 1) + varied[-1:])}?"
+    )
 
 
 def best_ordered(table: pd.DataFrame) -> pd.DataFrame:

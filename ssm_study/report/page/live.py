@@ -23,8 +23,11 @@ SCRIPT = """<script>
 (() => { let seen = null; const line = document.createElement("p");
 line.id = "live"; line.setAttribute("role", "status"); document.body.prepend(line);
 setInterval(async () => { try { const now = await (await fetch("/state")).json();
-  line.textContent = now.line; if (seen !== null && now.mark !== seen) location.reload(); seen = now.mark;
-} catch { line.textContent = "The server has ended; this is the study as it was last seen."; } }, 2000); })();
+  line.textContent = now.line; if (seen !== null && now.mark !== seen) location.reload();
+  seen = now.mark;
+} catch {
+  line.textContent = "The server has ended; this is the study as it was last seen.";
+} }, 2000); })();
 </script>"""
 
 
