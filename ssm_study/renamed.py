@@ -130,7 +130,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
 }
 
 # Settings of a configuration and of a command, by their dotted path.
-SETTINGS: Mapping[str, str] = {}
+SETTINGS: Mapping[str, str] = {"model.integrated": "model.integrating_output"}
 
 # Columns of the table: records and tables have both for one version.
 COLUMNS: Mapping[str, str] = {}

@@ -219,7 +219,7 @@ def dynamics(records: list[Trajectory]) -> list[str]:
     if changes > levels + INTEGRATES and -DRIFTS < lost < FORGETS:
         sentences.append(
             f"integrator: the input explains {max(changes, 0):.0%} of the output's changes and "
-            f"{max(levels, 0):.0%} of its level (model.integrated=true)"
+            f"{max(levels, 0):.0%} of its level (model.integrating_output=true)"
         )
     sentences.append(noise_sentence(y))
     return sentences
@@ -334,7 +334,7 @@ def run_command(
     for name, value in vars(settings or TextSettings()).items():
         words += [f"data.{name}={value}".lower()] if value is not None else []
     said = " ".join(sentences)
-    for remedy in ("model.integrated=true", "model.feedthrough=true"):
+    for remedy in ("model.integrating_output=true", "model.feedthrough=true"):
         words += [remedy] if remedy in said else []
     return " ".join(words)
 

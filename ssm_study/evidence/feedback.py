@@ -148,7 +148,7 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
     if lasts and by_input > MOVED_BY_INPUT and not closed and not integrated:
         yield doubt(
             f"The output integrates its input ({mode}, and {100 * by_input:.0f} % of its rise "
-            "follow a static map of the input): use model.integrated=true."
+            "follow a static map of the input): use model.integrating_output=true."
         )
 
 

@@ -174,7 +174,7 @@ def _length(case: Case) -> Iterator[str]:
         if isinstance(
             case.model, StructuredSSM
         ):  # it contracts, so an integrator looks like a slow mode
-            remedy += "; if the output integrates its input, use model.integrated=true"
+            remedy += "; if the output integrates its input, use model.integrating_output=true"
         yield (
             f"The model's response lasts {response} samples or more, the longest record "
             f"{max(samples)}: {remedy}."

@@ -135,7 +135,7 @@ class StructuredSpec(ModelSpec):
     among_starts: Callable[[Any], Any] | None = None
     draws: int = 8
     start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
-    integrated: bool = False
+    integrating_output: bool = False
 
     def __post_init__(self) -> None:
         for name, least in {
@@ -178,14 +178,18 @@ class StructuredSpec(ModelSpec):
         told = "without neurons no integrator is set apart: a mode comes near one by itself"
         remedy = "use 1 or more"
         require(
-            not self.integrated or self.neurons > 0, "model.neurons", self.neurons, told, remedy
+            not self.integrating_output or self.neurons > 0,
+            "model.neurons",
+            self.neurons,
+            told,
+            remedy,
         )
-        plain = not (self.integrated and self.output_knots)
+        plain = not (self.integrating_output and self.output_knots)
         require(
             plain,
             "model.output_knots",
             self.output_knots,
-            "an integrated output has a linear S_y",
+            "an integrating output has a linear S_y",
             "use 0",
         )
 
@@ -211,7 +215,7 @@ class StructuredSpec(ModelSpec):
             return self
         last = start == self.starts
         smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
-        return replace(smaller, neurons=0, integrated=False) if last else smaller
+        return replace(smaller, neurons=0, integrating_output=False) if last else smaller
 
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""

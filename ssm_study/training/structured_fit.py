@@ -58,7 +58,7 @@ class StructuredFit(pl.LightningModule):
         self.seed = seed
         lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
         told: dict[str, Any] = {
-            name: getattr(spec, name) for name in ("rate", "integrated", "ridge")
+            name: getattr(spec, name) for name in ("rate", "integrating_output", "ridge")
         }
         self.problem = Residuals(
             records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told
@@ -74,7 +74,9 @@ class StructuredFit(pl.LightningModule):
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
             sizes |= {"x_e": (n, q), "x_g": (n + q, n), "log_d": (q,)}
         sizes |= {"scaffold_in": lift.owners.shape, "scaffold_out": read.owners.shape}
-        for name, shape in (sizes | {"x0": (len(data.training), n + p * spec.integrated)}).items():
+        for name, shape in (
+            sizes | {"x0": (len(data.training), n + p * spec.integrating_output)}
+        ).items():
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     @property
@@ -131,7 +133,7 @@ class StructuredFit(pl.LightningModule):
 
         begun = linear_start(linear, int(spec.order), bool(spec.feedthrough), rng)
         at = settled(begun)
-        if not spec.integrated:
+        if not spec.integrating_output:
             screened = settled(screened_poles(linear, begun, self.estimates, rng))
             at = screened if screened.loss < TRUSTED * at.loss else at
         theta = at.theta
@@ -185,14 +187,14 @@ class StructuredFit(pl.LightningModule):
         """Configure no optimiser: a step needs the Jacobian, not a gradient."""
 
     def stored(self) -> StructuredSSM:
-        """The explicit numbers; with `integrated` the running sum is one more state per output."""
+        """The explicit numbers; with `integrating_output` the running sum is one more state per output."""
         theta = self.theta
         spec = self.spec
         k = self.problem.matrices(theta)
         told = {"neurons": spec.each, "scale": self.data.scale, "step_s": self.data.step_s}
         parts: dict[str, Any] = k._asdict() | told
         del parts["kinds"]
-        if spec.integrated:
+        if spec.integrating_output:
             n = len(k.a)
             p = len(k.c)
             parts["a"] = np.block([[k.a, np.zeros((n, p))], [k.c, np.eye(p)]])

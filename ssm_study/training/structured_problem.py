@@ -89,7 +89,7 @@ class Batch(NamedTuple):
 class Residuals:
     """`r = weight (y_hat - y)`, all records from their own x0.
 
-    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrated`:
+    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrating_output`:
     the output is the running sum of the model's, started at `x0`'s last entry. `ridge` weighs the
     squared parameters that are moved.
     """
@@ -99,7 +99,7 @@ class Residuals:
     lift: Pieces
     read: Pieces
     rate: float | None = None
-    integrated: bool = False
+    integrating_output: bool = False
     ridge: float = 0.0
 
     def ridge_of(self, block: str) -> float:
@@ -126,7 +126,7 @@ class Residuals:
     def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
         """The simulated output, scaled."""
         ybar = self.simulated(theta)[1]
-        if self.integrated:
+        if self.integrating_output:
             return self.starts(theta)[1][:, None, :] + summed(ybar)
         return self.read.freeze(theta["scaffold_out"])(ybar)
 
@@ -153,7 +153,7 @@ class Residuals:
         x0, begun = self.starts(theta)
         y, columns = sensitivities(self.matrices(theta), v, x0, moved, self.lift.owners)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
-        if self.integrated:
+        if self.integrating_output:
             y = begun[:, None, :] + summed(y)
             columns = {name: summed(part) for name, part in columns.items()}
         elif self.read.knots:
@@ -180,12 +180,12 @@ class Residuals:
         return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T
 
     def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
-        """Every record has a start of its own, and with `integrated` an output it begins at."""
+        """Every record has a start of its own, and with `integrating_output` an output it begins at."""
         count, samples, p, n = own.shape
-        whole = np.zeros((count, samples, p, count, n + p * self.integrated))
+        whole = np.zeros((count, samples, p, count, n + p * self.integrating_output))
         for r in range(count):
             whole[r, :, :, r, :n] = own[r]
-            if self.integrated:
+            if self.integrating_output:
                 whole[r, :, :, r, n:] = np.eye(p)
         return whole.reshape(count, samples, p, -1)
 

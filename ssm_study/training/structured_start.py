@@ -27,7 +27,7 @@ def linear_start(
     u, y, _ = problem.records
     pairs = [(a[there], b[there]) for a, b, there in zip(u, y, problem.records.scored, strict=True)]
     samples = [np.concatenate(side) for side in zip(*pairs, strict=True)]
-    if problem.integrated:
+    if problem.integrating_output:
         pairs = [(u[:-1], np.diff(y, axis=0)) for u, y in pairs]
     lags = min(ARX_LAGS, min(len(u) for u, _ in pairs) // 4)
     system = realise(impulse_response(*arx(pairs, lags, feedthrough)), order, rng)
@@ -39,7 +39,7 @@ def linear_start(
         "b": system.b,
         "c": system.c,
         "d": system.d if feedthrough else none["d"],
-        "x0": np.zeros((len(u), n + p * problem.integrated)),
+        "x0": np.zeros((len(u), n + p * problem.integrating_output)),
         "scaffold_in": problem.lift.start(samples[0]),
         "scaffold_out": problem.read.start(samples[1]),
     }

@@ -134,7 +134,9 @@ def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
 KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a kink is no derivative
 
 
-def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Residuals, Theta]:
+def problem(
+    seed: int, rate: float | None, integrating_output: bool = False
+) -> tuple[Residuals, Theta]:
     rng = np.random.default_rng(seed)
     n = 3
     m = 2
@@ -142,7 +144,7 @@ def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Re
     q = 3
     pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
     lift = Pieces(m, 4, 0.1, 1.5)
-    read = Pieces(p, 0 if integrated else 3, 0.3, 1.0)
+    read = Pieces(p, 0 if integrating_output else 3, 0.3, 1.0)
     shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "g": (q, m), "h": (p, q), "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
     theta |= (
@@ -152,24 +154,24 @@ def problem(seed: int, rate: float | None, integrated: bool = False) -> tuple[Re
         "scaffold_in": 0.6 * rng.normal(size=len(lift.owners)),
         "scaffold_out": 0.6 * rng.normal(size=len(read.owners)),
     }
-    theta["x0"] = rng.normal(size=(2, n + p * integrated))
+    theta["x0"] = rng.normal(size=(2, n + p * integrating_output))
     one = Residuals(
         records=Batch.padded(pairs),
         neurons=KINDS,
         lift=lift,
         read=read,
         rate=rate,
-        integrated=integrated,
+        integrating_output=integrating_output,
     )
     return one, theta
 
 
 @pytest.mark.parametrize("rate", [None, 0.95])
-@pytest.mark.parametrize("integrated", [False, True])
-def test_the_jacobian_is_that_of_differences(rate: float | None, integrated: bool) -> None:
+@pytest.mark.parametrize("integrating_output", [False, True])
+def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_output: bool) -> None:
     """The Jacobian is checked for all blocks at once: the core through its parametrisation, both
     scaffoldings, unequal records, their starts."""
-    one, theta = problem(3, rate, integrated)
+    one, theta = problem(3, rate, integrating_output)
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack(theta, free)
     r, j, turn = one.linearised(theta, free)
@@ -377,8 +379,11 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
         ({"input_path": "late"}, "model.input_path"),
         ({"rate": 1.2}, "model.rate"),
         ({"slope_lower": 0.0}, "model.slope_lower"),
-        ({"integrated": True, "output_knots": 4}, "model.output_knots"),
-        ({"integrated": True, "neurons": 0}, "model.neurons = 0: without neurons no integrator"),
+        ({"integrating_output": True, "output_knots": 4}, "model.output_knots"),
+        (
+            {"integrating_output": True, "neurons": 0},
+            "model.neurons = 0: without neurons no integrator",
+        ),
     ],
 )
 def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:
@@ -431,7 +436,7 @@ def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
     """The running sum in training, and one more state of the stored model: the same output."""
     fit = StructuredFit(
-        StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrated=True), data, 0
+        StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrating_output=True), data, 0
     )
     fit.training_step(None, 0)
     model = fit.stored()

@@ -183,4 +183,4 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     told = sentences(feedback.runs_away(data, closed=False, integrated=False))
     assert "runs away" not in told
     if "sweep" in path.name:
-        assert "use model.integrated=true" in told
+        assert "use model.integrating_output=true" in told

@@ -81,7 +81,7 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
     u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(10)
     u = np.concatenate([u - u.mean(), np.zeros(60)])
     words = (
-        "model.integrated=true",
+        "model.integrating_output=true",
         "model.order=1",
         "model.neurons=1",
         "model.starts=1",
