@@ -11,6 +11,7 @@ stands in docs/models.md.
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,9 +20,9 @@ from common import REFERENCE, study_of
 from structured_plants import written
 
 from ssm_study.refusal import BadRequest
+from ssm_study.training.folds import folds_of
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
-from ssm_study.training.structured_choice import held_out
 
 TARGET = REFERENCE / "training" / "structured_default.csv"
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
@@ -41,7 +42,7 @@ def row(where: str, model: str) -> dict[str, object]:
     )
     fits = []
     began = time.process_time()
-    for fold in held_out(data):
+    for fold in folds_of(replace(data, validation=())):
         with TemporaryDirectory() as folder:
             try:
                 found = part.training.identify(part.model, fold, 0, Path(folder))

@@ -220,6 +220,8 @@ class Model:
             "fit on the validation records": f"{facts['fit_validation_percent']:.1f} %",
             "fit on the test records": f"{facts['fit_test_percent']:.1f} %",
         }
+        if self.identification.chosen:
+            lines["chosen by the records"] = self.identification.chosen
         if isinstance(self.simulator, SSM | StructuredSSM):
             slowest = np.abs(self.eigenvalues()).max()
             lines["states"] = self.simulator.order

@@ -42,12 +42,9 @@ def identify(
     A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
     folder of `workplace` while the training runs.
     """
-    dead_time = getattr(spec, "dead_time", 0)
-    shifted = data.shift_out_dead_time(dead_time) if dead_time else data
     with TemporaryDirectory(prefix="training-", dir=workplace) as folder:
-        identification = training.identify(spec, shifted, seed, Path(folder), progress)
-    model: Any = identification.model
-    return (model.delayed(dead_time) if dead_time else model), identification
+        identification = training.identify(spec, data, seed, Path(folder), progress)
+    return identification.model, identification
 
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:

@@ -237,16 +237,9 @@ def increments(u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> tuple[np
 
 def delay_sentence(u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> str:
     """After how many samples the output answers a change of the input."""
-    x, target = increments(u, y)
-    gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
-    residual = target - x @ gains
-    variance = float(residual @ residual) / max(len(target) - int(rank), 1)
-    errors = np.sqrt(np.maximum(variance * np.diag(np.linalg.pinv(x.T @ x)), 1e-300))
-    answers = np.abs(gains[: LAGS + 1])
-    counts = (answers > SURE * errors[: LAGS + 1]) & (answers > OF_THE_LARGEST * answers.max())
-    if not counts.any():
+    first = first_answering_lag(u, y)
+    if first is None:
         return f"no answer to the input within {LAGS} samples stands out of the noise"
-    first = int(np.argmax(counts))
     if first == 0:
         return "the output answers within the same sample (model.feedthrough=true)"
     if first == 1:
@@ -254,6 +247,18 @@ def delay_sentence(u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> str:
     if first == 2:
         return "the output answers after 2 samples: two lags in a row, or a dead time of one"
     return f"dead time: the output answers after {first} samples"
+
+
+def first_answering_lag(u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> int | None:
+    """Samples until the output answers a change of the input; None where noise hides the answer."""
+    x, target = increments(u, y)
+    gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
+    residual = target - x @ gains
+    variance = float(residual @ residual) / max(len(target) - int(rank), 1)
+    errors = np.sqrt(np.maximum(variance * np.diag(np.linalg.pinv(x.T @ x)), 1e-300))
+    answers = np.abs(gains[: LAGS + 1])
+    counts = (answers > SURE * errors[: LAGS + 1]) & (answers > OF_THE_LARGEST * answers.max())
+    return int(np.argmax(counts)) if counts.any() else None
 
 
 def fed_back_share(u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"]) -> float:

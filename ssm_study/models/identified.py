@@ -103,6 +103,44 @@ class ScaffoldedModel(Simulator):
 
 
 @dataclass(frozen=True, kw_only=True)
+class DelayLine:
+    """States that hold the inputs under way, behind the `states` of a model: the newest first."""
+
+    states: int
+    channels: int
+    samples: int
+
+    @property
+    def waiting(self) -> int:
+        """Number of states of the line."""
+        return self.samples * self.channels
+
+    def state_matrix(
+        self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]
+    ) -> Float[np.ndarray, "N N"]:
+        """Recurrence of model and line: the oldest input drives the model by B."""
+        n = self.states
+        size = n + self.waiting
+        whole = np.zeros((size, size))
+        whole[:n, :n] = a
+        whole[:n, size - self.channels :] = b
+        kept = self.waiting - self.channels
+        whole[n + self.channels :, n : n + kept] = np.eye(kept)
+        return whole
+
+    def input_matrix(self) -> Float[np.ndarray, "N m"]:
+        """The input enters the line alone."""
+        return np.eye(self.states + self.waiting, self.channels, -self.states)
+
+    def widened(
+        self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
+    ) -> Float[np.ndarray, "k N"]:
+        """What reads state and input, as what reads state and line."""
+        newer = np.zeros((len(of_state), self.waiting - self.channels))
+        return np.hstack([of_state, newer, of_input])
+
+
+@dataclass(frozen=True, kw_only=True)
 class SSM(ScaffoldedModel):
     """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) /
     input_scale`.
@@ -152,15 +190,17 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear)
 
     def delayed(self, samples: int) -> "SSM":
-        """`x+ = A x + B ub[k - samples]`: what is under way are states of the recurrence."""
-        (a, b, c, d), k = (vars(self.linear)[name] for name in "abcd"), self.linear.b.shape[1]
-        n = len(a)
-        late = samples * k
-        shift = np.eye(n + late, k=-k) * (np.arange(n + late)[:, None] >= n + k)
-        shift[:n, :n], shift[:n, n + late - k :] = a, b
-        into = np.eye(n + late, k, -n)
-        read = np.hstack([c, np.zeros((len(c), late - k)), d])
-        return self.with_linear(StateSpace(a=shift, b=into, c=read, d=0 * d))
+        """The model behind a dead time, `x+ = A x + B ub[k - samples]`; what is under way are
+        states of the recurrence."""
+        a, b, c, d = (vars(self.linear)[name] for name in "abcd")
+        line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
+        late = StateSpace(
+            a=line.state_matrix(a, b),
+            b=line.input_matrix(),
+            c=line.widened(c, d),
+            d=np.zeros_like(d),
+        )
+        return self.with_linear(late)
 
     def absorbed(self) -> "SSM":
         """The same input-output map, a matrix M moved from each scaffolding into the linear part

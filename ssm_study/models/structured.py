@@ -2,7 +2,7 @@
 torch here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,7 +10,15 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models import baselines
-from ssm_study.models.identified import SSM, Lifted, Outputs, ScaffoldedModel, Simulator, State
+from ssm_study.models.identified import (
+    SSM,
+    DelayLine,
+    Lifted,
+    Outputs,
+    ScaffoldedModel,
+    Simulator,
+    State,
+)
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.refusal import one_of, require
 from ssm_study.signals import Scale
@@ -193,6 +201,22 @@ class StructuredSSM(ScaffoldedModel):
         v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
         ybar, states = free_run(self.matrices, v, start.reshape(-1, self.order))
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
+
+    def delayed(self, samples: int) -> "StructuredSSM":
+        """The model behind a dead time: the neurons see the input that many samples late, too."""
+        n, m = self.b.shape
+        line = DelayLine(states=n, channels=m, samples=samples)
+        idle = np.zeros((line.waiting, len(self.neurons)))
+        return replace(
+            self,
+            a=line.state_matrix(self.a, self.b),
+            b=line.input_matrix(),
+            c=line.widened(self.c, self.d),
+            d=np.zeros_like(self.d),
+            e=np.vstack([self.e, idle]),
+            f=line.widened(self.f, self.g),
+            g=np.zeros_like(self.g),
+        )
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":

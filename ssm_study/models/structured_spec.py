@@ -16,6 +16,26 @@ from ssm_study.models.structured import codes
 from ssm_study.refusal import at_least, one_of, require
 
 AUTO = "auto"  # chosen from the records
+# Settings that the records may choose, and what they are where records are too short to choose.
+AUTOMATIC: dict[str, Any] = {
+    "order": 5,
+    "neurons": 5,
+    "input_path": "none",
+    "feedthrough": False,
+    "dead_time": 0,
+    "integrating_output": False,
+    "knots": 16,
+}
+# Settings that are whole numbers, and the least that each may be.
+LEAST = {
+    "order": 1,
+    "neurons": 0,
+    "knots": 0,
+    "output_knots": 0,
+    "dead_time": 0,
+    "starts": 1,
+    "draws": 1,
+}
 Free = Float[np.ndarray, "P"]
 Signals = Float[np.ndarray, "*batch c"]
 
@@ -120,12 +140,13 @@ class StructuredSpec(ModelSpec):
     gives_ssm: ClassVar[bool] = True
 
     order: int | str
-    neurons: int
+    neurons: int | str
     kinds: str | list[str] = "tanh"
     input_path: str = "none"
     output_path: str = "none"
     feedthrough: bool | str = False
-    knots: int = 16
+    dead_time: int | str = 0
+    knots: int | str = 16
     output_knots: int = 0
     slope_lower: float = 0.01
     slope_upper: float = 1.0
@@ -135,27 +156,20 @@ class StructuredSpec(ModelSpec):
     among_starts: Callable[[Any], Any] | None = None
     draws: int = 8
     start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
-    integrating_output: bool = False
+    integrating_output: bool | str = False
+    refit: bool = True
 
     def __post_init__(self) -> None:
-        for name, least in {
-            "order": 1,
-            "neurons": 0,
-            "knots": 0,
-            "output_knots": 0,
-            "starts": 1,
-            "draws": 1,
-        }.items():
-            if (name, getattr(self, name)) != ("order", AUTO):
-                whole(
-                    least,
-                    name,
-                    getattr(self, name),
-                    "use 4 or so" + (f", or {AUTO}" if name == "order" else ""),
-                )
+        for name, least in LEAST.items():
+            if name in AUTOMATIC and getattr(self, name) == AUTO:
+                continue
+            alternative = f", or {AUTO}" if name in AUTOMATIC else ""
+            whole(least, name, getattr(self, name), f"use 4 or so{alternative}")
         one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
-        codes(self.each)
-        one_of(("none", "staged", "free"), "model.input_path", self.input_path)
+        one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
+        if self.neurons != AUTO:
+            codes(self.each)
+        one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
         one_of(("none", "free"), "model.output_path", self.output_path)
         check_slopes(self.slope_lower, self.slope_upper)
         inside = self.rate is None or 0 < self.rate <= 1
@@ -175,16 +189,16 @@ class StructuredSpec(ModelSpec):
             "needs three numbers, at least 1",
             "use [15, 20, 10]",
         )
-        told = "without neurons no integrator is set apart: a mode comes near one by itself"
-        remedy = "use 1 or more"
+        integrates = self.integrating_output is True
+        problem = "without neurons no integrator is set apart: a mode comes near one by itself"
         require(
-            not self.integrating_output or self.neurons > 0,
+            not (integrates and self.neurons == 0),
             "model.neurons",
             self.neurons,
-            told,
-            remedy,
+            problem,
+            "use 1 or more",
         )
-        plain = not (self.integrating_output and self.output_knots)
+        plain = not (integrates and self.output_knots)
         require(
             plain,
             "model.output_knots",
@@ -198,7 +212,12 @@ class StructuredSpec(ModelSpec):
         """The kind of each neuron."""
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
         require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
-        return tuple(kinds[i % len(kinds)] for i in range(self.neurons))
+        return tuple(kinds[i % len(kinds)] for i in range(int(self.neurons)))
+
+    @property
+    def automatic(self) -> tuple[str, ...]:
+        """Names of the settings that are left to the records."""
+        return tuple(name for name in AUTOMATIC if getattr(self, name) == AUTO)
 
     @property
     def trainings(self) -> int:
@@ -220,7 +239,7 @@ class StructuredSpec(ModelSpec):
     def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
         """S_u and S_y as they are trained, for this many inputs and outputs."""
         ends = {"lower": self.slope_lower, "upper": self.slope_upper}
-        lift = Pieces(channels[0], self.knots, **ends)
+        lift = Pieces(channels[0], int(self.knots), **ends)
         read = Pieces(channels[1], self.output_knots, **ends)
         return lift, read
 
@@ -231,7 +250,7 @@ class StructuredSpec(ModelSpec):
         )
         shared = {name: getattr(self, name) for name in ("order", "slope_lower", "slope_upper")}
         shared["feedthrough"] = self.feedthrough is True  # `auto` is decided before
-        width = max(self.knots, self.output_knots, 1)  # of both maps: one number in SSMSpec
+        width = max(int(self.knots), self.output_knots, 1)  # of both maps: one number in SSMSpec
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002

@@ -17,6 +17,7 @@ from ssm_study.report.words import NO_FASTER, SETTLED, decides, judged
 
 WIDTH = 80
 MISSING = "–"
+AHEAD = 0.1  # percent points of fit, which are printed, from which on a baseline is better
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the
 # range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
@@ -108,6 +109,8 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         "Fit on the test record",
         printed(record, "fit_test_percent", ".1f", " %"),
     )
+    yield "fit_baseline_percent", "Best baseline", baseline_text(record)
+    yield "model_choice", "Chosen by the log", printed(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
         number = name.removeprefix("score_test_")
@@ -119,6 +122,15 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if not record.get("neurons"):  # with neurons the linear part does not say it
         rate = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
         yield "spectral_radius", "Open loop", f"contracts at rate {rate:.3g} per sample"
+
+
+def baseline_text(record: Mapping[str, Any]) -> str:
+    """Fit of the best of a few simple models on the test record, and whether it predicts better."""
+    fit = record.get("fit_baseline_percent")
+    own = record.get("fit_test_percent")
+    text = f"{printed(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
+    is_ahead = fit is not None and own is not None and fit - own >= AHEAD
+    return f"{text}: it predicts better than this model" if is_ahead else text
 
 
 def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:

@@ -22,6 +22,7 @@ COLUMNS = (
         unchecked="depends on when it ran",
     ),
     Column("training_ended", "string", word="Training ended", unchecked=NOT_REPEATED),
+    Column("model_choice", "string", word="Chosen by the log", unchecked=NOT_REPEATED),
 )
 
 
@@ -32,7 +33,8 @@ class Identification:
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
     `ended` says why training stopped. `choice` is the table of what was tried where sizes were
-    chosen from the data.
+    chosen from the data, `chosen` the result in words; `refitted`: on training and validation
+    records together.
     """
 
     model: Simulator
@@ -41,6 +43,8 @@ class Identification:
     curve: list[dict[str, float]]
     ended: str
     choice: tuple[dict[str, object], ...] = ()
+    chosen: str = ""
+    refitted: bool = False
 
     @classmethod
     def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":

@@ -2,9 +2,10 @@
 stored numbers."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ssm_study.refusal import at_least, one_of, require
 from ssm_study.signals import DataSet
@@ -79,44 +80,55 @@ class Training:
             return Identification.of(
                 model, data, seconds=seconds, curve=[], ended="solved without training"
             )
-        from ssm_study.training.saving import (
-            trained,
-        )  # with it torch's compiler, which any optimiser of torch loads
-
-        began = time.perf_counter()  # the imports are no training
-        choice: list[dict[str, object]] = []
-        if isinstance(spec, StructuredSpec):
-            spec, choice = _chosen_by_records(spec, data, seed)
-        choice_s = time.perf_counter() - began
+        if isinstance(spec, StructuredSpec) and spec.automatic:
+            return self._identify_chosen(spec, data, seed, folder, progress)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
-        found: list[Identification] = []
-        for k in range(getattr(spec, "trainings", self.starts)):
+        starts = [spec.at_start(k) for k in range(getattr(spec, "trainings", self.starts))]
+        return self._best_start(starts, data, seed, folder, progress)
+
+    def _identify_chosen(
+        self, spec: "StructuredSpec", data: DataSet, seed: int, folder: Path, progress: bool
+    ) -> "Identification":
+        """The model that the records choose; trained on the validation records too where folds
+        predict these far better than the training records do."""
+        from ssm_study.training.choice import announcer, choose_model, refit_words
+        from ssm_study.training.folds import with_joined_records
+
+        began = time.perf_counter()
+        choice = choose_model(spec, data, seed, announcer(progress))
+        choice_s = time.perf_counter() - began
+        starts = [choice.spec] * choice.spec.starts
+        best = self._best_start(starts, data, seed, folder, progress)
+        seconds = choice_s + best.seconds
+        if choice.asks_for_refit(best.fit_validation_percent):
+            words = refit_words(best.fit_validation_percent)
+            whole = with_joined_records(data)
+            best = self._best_start(starts, whole, seed, folder / "refit", progress)
+            seconds += best.seconds
+            best = replace(best, ended=best.ended + words, refitted=True)
+        chosen = choice.words(spec.automatic)
+        return replace(best, seconds=seconds, choice=choice.rows, chosen=chosen)
+
+    def _best_start(
+        self, starts: Sequence["ModelSpec"], data: DataSet, seed: int, folder: Path, progress: bool
+    ) -> "Identification":
+        """The best of several trainings, by the rule of the specification or by validation fit."""
+        from ssm_study.training.saving import trained  # with it torch's compiler
+
+        dead_time = int(getattr(starts[0], "dead_time", 0))
+        records = data.shift_out_dead_time(dead_time) if dead_time else data
+        identified: list[Identification] = []
+        for k, spec in enumerate(starts):
             into = folder / f"start_{k}" if k else folder
-            found.append(trained(self, spec.at_start(k), data, seed + 1000 * k, into, progress))
-        rule = getattr(spec, "among_starts", None)
-        best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
+            identified.append(trained(self, spec, records, seed + 1000 * k, into, progress))
+        rule = getattr(starts[0], "among_starts", None)
+        if rule is None:
+            best = max(identified, key=lambda start: start.fit_validation_percent)
+        else:
+            best = rule(identified)
+        seconds = sum(start.seconds for start in identified)
+        model: Any = best.model
         return replace(
-            best, seconds=choice_s + sum(one.seconds for one in found), choice=tuple(choice)
+            best, model=model.delayed(dead_time) if dead_time else model, seconds=seconds
         )
-
-
-def _chosen_by_records(
-    spec: "StructuredSpec", data: DataSet, seed: int
-) -> tuple["StructuredSpec", list[dict[str, object]]]:
-    """The spec with everything that is `auto` chosen by folds, and the table of what was tried."""
-    from ssm_study.models.structured_spec import AUTO
-
-    rows: list[dict[str, object]] = []
-    if spec.feedthrough == AUTO:
-        from ssm_study.training.path_choice import choose_feedthrough
-
-        feedthrough, tried = choose_feedthrough(data)
-        spec = replace(spec, feedthrough=feedthrough)
-        rows += tried
-    if spec.order == AUTO:
-        from ssm_study.training.structured_choice import choose
-
-        spec, tried = choose(spec, data, seed)
-        rows += tried
-    return spec, rows

@@ -28,7 +28,6 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import Pieces, StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
-from ssm_study.training import structured_choice
 from ssm_study.training.levenberg import DAMPING_RANGE
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit, pruned
@@ -389,48 +388,6 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
 def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:
     with pytest.raises(BadRequest, match=word):
         StructuredSpec(**({"order": 2, "neurons": 1} | choice))  # type: ignore[arg-type]
-
-
-def test_sizes_are_chosen_by_folds_that_never_hold_a_test_sample(
-    data: DataSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two states rather than one: the true order; what lies in `test` and `validation` may be
-    anything."""
-    monkeypatch.setattr(structured_choice, "ORDERS", (1, 2))
-    monkeypatch.setattr(structured_choice, "NEURONS", (1,))
-    spoiled = tuple(replace(record, y=np.full_like(record.y, 1e6)) for record in data.test)
-    asked = StructuredSpec(
-        order="auto", neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1
-    )
-    chosen, table = structured_choice.choose(
-        asked, replace(data, test=spoiled, validation=spoiled), 0
-    )
-    assert chosen.order == 2
-    assert [row["chosen"] for row in table].count(True) == 1
-    again = np.sort(
-        np.concatenate([fold.test[0].y for fold in structured_choice.held_out(data)]), axis=0
-    )
-    np.testing.assert_array_equal(again, np.sort(data.training[0].y, axis=0))
-
-
-def test_of_sizes_that_fit_nearly_as_well_the_fewest_states_and_neurons_together_are_taken() -> (
-    None
-):
-    fits = {(2, 1): 98.0, (3, 2): 98.9, (3, 4): 98.9, (4, 2): 98.8, (4, 4): 99.0}
-    table = [
-        {"order": n, "neurons": q, "input_path": "none", structured_choice.FIT: fit}
-        for (n, q), fit in fits.items()
-    ]
-    assert structured_choice.smallest(table) == table[1]
-
-
-def test_a_fold_that_nothing_fits_counts_as_the_mean_alone(
-    data: DataSet, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(structured_choice, "STEPS", 1)
-    monkeypatch.setattr(structured_choice, "mean_fit", lambda *_: -300.0)
-    asked = StructuredSpec(order=1, neurons=1, knots=0, starts=1, start_steps=(5, 1, 8), draws=1)
-    assert structured_choice._fit(asked, data, 0) == 0.0
 
 
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:

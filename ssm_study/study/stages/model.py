@@ -25,6 +25,7 @@ class Trained:
     seconds: float
     ended: str
     baseline: dict[str, Any] | None = None
+    chosen: str = ""
 
 
 def compute_model(
@@ -38,13 +39,11 @@ def compute_model(
 ) -> None:
     """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has
     no infinity."""
-    late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
-    identified = training.identify(
-        model, data.shift_out_dead_time(late) if late else data, seed, folder, progress
-    )
-    made: Any = identified.model
-    write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
-    facts = {"seconds": identified.seconds, "ended": identified.ended}
+    identified = training.identify(model, data, seed, folder, progress)
+    write_json(folder / "model.json", identified.model.to_json())
+    facts: dict[str, Any] = {"seconds": identified.seconds, "ended": identified.ended}
+    if identified.chosen:
+        facts["chosen"] = identified.chosen
     if data.metadata.get("source") == "recorded":
         from ssm_study.models.baselines.regression import baseline_facts
 
@@ -61,8 +60,11 @@ def read_trained(folder: Path) -> Trained:
 
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
-    """The columns of the training: its time, its end, the model's size, and a baseline's fit."""
+    """The columns of the training: its time, its end, the model's size, what the log chose, and a
+    baseline's fit."""
     facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    if trained.chosen:
+        facts["model_choice"] = trained.chosen
     return facts | (trained.baseline or {})
 
 

@@ -1,0 +1,157 @@
+"""The model that a log chooses beside the best baseline, on logs of known kind and on real ones.
+
+    python benchmarks/log_choice.py kinds --seeds 0
+    python benchmarks/log_choice.py real --only heat_exchanger servo_position --seeds 0
+
+Every log is read and fitted as the plain command does (`data=recorded`, all else at its default).
+One row a log and seed goes into `results/reference/training/log_choice_kinds.csv` or
+`log_choice_real.csv`: the fit to the test part of the model and of the best of ARX, output error
+and polynomial NARX (`ssm_study.models.baselines.regression.best_baseline`), the largest rate of a
+certified state feedback, the processor seconds, and what was chosen. Rows that are there are not
+made again. One to three minutes a log on a busy core.
+"""
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from common import REFERENCE, ROOT, keep, rows_of, study_of
+from log_kinds import KINDS
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.models.baselines.regression import best_baseline
+from ssm_study.synthesis.model_selection import fastest
+from ssm_study.training.metrics import mean_fit
+
+TARGET = REFERENCE / "training"
+REAL_LOGS = ROOT.parent / "shared" / "data" / "logs_real"
+# Columns of each real log, and the settings that reading it needs (docs/data.md).
+REAL: dict[str, tuple[str, ...]] = {
+    "heat_exchanger": (
+        f"data.path={REAL_LOGS / 'heat_exchanger.dat'}",
+        "data.input=1",
+        "data.output=2",
+        "data.time=0",
+    ),
+    "tanker": (
+        f"data.path=[{REAL_LOGS / 'tanker_zigzag_10.dat'}]",
+        f"data.test_path=[{REAL_LOGS / 'tanker_zigzag_minus20.dat'}]",
+        "data.input=9",
+        "data.output=8",
+        "data.step_s=0.135",
+        "data.decimate=10",
+    ),
+    "propeller_bench": (
+        f"data.path={REAL_LOGS / 'propeller_bench.csv'}",
+        "data.input=Servo 3 (µs)",
+        "data.output=Motor Optical Speed (RPM)",
+    ),
+    "servo_position": (
+        f"data.path={REAL_LOGS / 'servo_position.csv'}",
+        "data.input=inputSignal(8bits)",
+        "data.output=enconder(steps)",
+    ),
+    "house": (
+        f"data.path={REAL_LOGS / 'house_heat_pump.csv'}",
+        "data.input=[Ph,Ta]",
+        "data.output=Ti",
+    ),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """A log to be fitted: its name, the seed of its generator or training, and how it is read."""
+
+    name: str
+    seed: int
+    settings: tuple[str, ...]
+    training_seed: int
+
+
+def logs_of_kinds(folder: Path, names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
+    """The synthetic logs, written to a folder."""
+    for kind in KINDS:
+        for seed in seeds if kind.name in names or not names else ():
+            table = kind.log(seed)
+            path = folder / f"{kind.name}_{seed}.csv"
+            table.to_csv(path, index=False)
+            inputs = ",".join(name for name in table if name.startswith("u"))
+            settings = (f"data.path={path}", f"data.input=[{inputs}]", "data.output=y")
+            yield Log(name=kind.name, seed=seed, settings=settings, training_seed=0)
+
+
+def real_logs(names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
+    """The real logs, trained from several seeds."""
+    for name, settings in REAL.items():
+        for seed in seeds if name in names or not names else ():
+            yield Log(name=name, seed=seed, settings=settings, training_seed=seed)
+
+
+def compare(log: Log) -> dict[str, object]:
+    """Fit a log by default and by the best baseline; return the row of the table."""
+    quoted = [quote(setting) for setting in log.settings]
+    parts = study_of("data=recorded", *quoted)
+    data = parts.data.build(log.training_seed)
+    began = time.process_time()
+    with TemporaryDirectory() as folder:
+        found = parts.training.identify(parts.model, data, log.training_seed, Path(folder))
+    seconds = time.process_time() - began
+    baseline = best_baseline(data)
+    fit = mean_fit(found.model, data.test, data)
+    fit_baseline = mean_fit(baseline.model, data.test, data) if baseline else float("nan")
+    return {
+        "log": log.name,
+        "seed": log.seed,
+        "fit_test_percent": round(fit, 2),
+        "fit_baseline_percent": round(fit_baseline, 2),
+        "ahead_points": round(fit - fit_baseline, 2),
+        "fit_validation_percent": round(found.fit_validation_percent, 2),
+        "controller_rate_limit": round(largest_rate(found.model), 4),
+        "processor_seconds": round(seconds, 1),
+        "baseline": baseline.words if baseline else "",
+        "chosen": found.chosen,
+        "refitted": found.refitted,
+    }
+
+
+def quote(setting: str) -> str:
+    """A setting as Hydra reads it: a value with other than plain characters in quotes."""
+    name, _, value = setting.partition("=")
+    is_plain = all(character.isalnum() or character in "/._-,[]" for character in value)
+    return setting if is_plain else f"{name}='{value}'"
+
+
+def largest_rate(model: object) -> float:
+    """The largest rate of a certified state feedback; not a number where there is none."""
+    balls = certified_balls(model)
+    return float(fastest(model.system, balls.input))  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("logs", choices=("kinds", "real"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
+    parser.add_argument("--to", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    target = options.to or TARGET / f"log_choice_{options.logs}.csv"
+    done = {(row["log"], row["seed"]) for row in rows_of(target)}
+    with TemporaryDirectory() as folder:
+        if options.logs == "kinds":
+            logs = logs_of_kinds(Path(folder), options.only, options.seeds)
+        else:
+            logs = real_logs(options.only, options.seeds)
+        for log in logs:
+            if (log.name, str(log.seed)) in done:
+                continue
+            row = compare(log)
+            print(row, flush=True)
+            keep(target, [row], ("log", "seed"), lambda each: (each["log"], int(each["seed"])))
+
+
+if __name__ == "__main__":
+    main()

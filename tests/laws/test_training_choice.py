@@ -1,0 +1,269 @@
+"""The records say whether the output answers within the sample, late or as a running sum, and how
+large a model they deserve; training starts where they move."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from models_cases import data_set
+
+from ssm_study.models.baselines.regression import output_error
+from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet, Trajectory
+from ssm_study.systems import StateSpace
+from ssm_study.training import choice as choosing
+from ssm_study.training.candidates import (
+    Candidate,
+    best_of,
+    first_not_behind,
+    is_hopeless,
+    linear_model,
+)
+from ssm_study.training.choice import Choice, choose_model, nearly_integrates
+from ssm_study.training.folds import folds_of, joined_pieces, with_joined_records
+from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.structured_fit import StructuredFit
+from ssm_study.training.structured_problem import Batch
+from ssm_study.training.training import Training
+
+BRIEF = {"starts": 1, "draws": 1, "start_steps": (5, 3, 3)}
+FIXED = {"order": 2, "neurons": 1, "knots": 0, "input_path": "none"}
+
+
+def training(max_epochs: int) -> Training:
+    """A training of a few epochs."""
+    return Training(
+        optimiser=Lbfgs(steps_per_epoch=10, history=20),
+        max_epochs=max_epochs,
+        patience=12,
+        min_gain_percent=0.0,
+        validation_tolerance_percent=0.0,
+    )
+
+
+def quiet(words: str) -> None:
+    """Print nothing."""
+    del words
+
+
+def changed(data: DataSet, change: object) -> DataSet:
+    """The same records with another output."""
+
+    def record(one: Trajectory) -> Trajectory:
+        return replace(one, y=change(one))  # type: ignore[operator]
+
+    parts = {
+        name: tuple(record(one) for one in getattr(data, name))
+        for name in ("training", "validation", "test")
+    }
+    return replace(data, **parts)
+
+
+def answering_at_once(record: Trajectory) -> np.ndarray:
+    return record.y + 2.0 * record.u
+
+
+def answering_late(record: Trajectory) -> np.ndarray:
+    return np.concatenate([np.repeat(record.y[:1], 6, axis=0), record.y[:-6]])
+
+
+def summed(record: Trajectory) -> np.ndarray:
+    """An integrator behind the plant, driven by deviations from the record's mean."""
+    return 0.05 * np.cumsum(record.y - record.y.mean(axis=0), axis=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "expected"),
+    [
+        (answering_at_once, "feedthrough", True),
+        (lambda record: record.y, "feedthrough", False),
+        (answering_late, "dead_time", 6),
+        (lambda record: record.y, "dead_time", 0),
+    ],
+)
+def test_the_delay_is_what_the_records_show(change: object, name: str, expected: object) -> None:
+    data = changed(data_set(noise=0.02, samples=500, records=4), change)
+    spec = StructuredSpec(**FIXED | BRIEF | {name: "auto"})  # type: ignore[arg-type]
+    choice = choose_model(spec, data, 0, quiet)
+    assert getattr(choice.spec, name) == expected
+    rows = json.loads(json.dumps(choice.rows))
+    assert [row[name] for row in rows if row["chosen"]] == [expected] * bool(rows)
+
+
+def test_an_integrator_is_found_and_not_invented() -> None:
+    data = data_set(noise=0.0, samples=500, records=4)
+    assert not nearly_integrates(data)
+    assert nearly_integrates(changed(data, summed))
+
+
+def test_the_test_records_are_not_looked_at() -> None:
+    data = changed(data_set(noise=0.02, samples=400, records=4), answering_at_once)
+    other = replace(data, test=(replace(data.test[0], y=np.zeros_like(data.test[0].y)),))
+    spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": "auto"})  # type: ignore[arg-type]
+    assert choose_model(spec, data, 0, quiet) == choose_model(spec, other, 0, quiet)
+
+
+def test_short_records_choose_nothing() -> None:
+    data = data_set(samples=120, records=1)
+    spec = StructuredSpec(order="auto", neurons="auto", input_path="auto", knots="auto")
+    choice = choose_model(spec, replace(data, validation=data.training), 0, quiet)
+    assert choice == Choice(spec=StructuredSpec(order=5, neurons=5))
+
+
+def test_what_is_fixed_stays_fixed() -> None:
+    data = data_set(noise=0.02, samples=400, records=4)
+    spec = StructuredSpec(order="auto", neurons=0, knots=4, **BRIEF)  # type: ignore[arg-type]
+    choice = choose_model(spec, data, 0, quiet)
+    assert (choice.spec.neurons, choice.spec.knots) == (0, 4)
+    assert choice.spec.automatic == ()
+    assert {row["order"] for row in choice.rows} >= {2, 3}
+
+
+def candidate(name: str, *errors: float) -> Candidate:
+    return Candidate(question="size", model=name, settings={}, errors=np.array(errors))
+
+
+def test_the_smallest_that_is_not_behind_is_taken() -> None:
+    small = candidate("small", 10.0, 10.0, 10.0, 10.0)
+    middle = candidate("middle", 4.1, 4.0, 4.2, 4.1)
+    large = candidate("large", 4.0, 4.1, 4.1, 4.0)
+    given_up = candidate("given up", 9.0, 9.0)
+    assert first_not_behind([small, given_up, middle, large]) is middle
+    assert best_of([small, given_up, middle, large]) is large
+    assert small.is_behind(large)
+    assert not middle.is_behind(large)
+
+
+def test_a_gain_on_one_fold_alone_decides_nothing() -> None:
+    plain = candidate("plain", 10.0, 10.0, 10.0, 30.0)
+    lucky = candidate("lucky", 11.0, 11.0, 10.0, 10.0)
+    assert not plain.is_behind(lucky)
+
+
+def test_far_behind_after_two_folds_is_not_tried_on() -> None:
+    best = candidate("best", 2.0, 2.0, 2.0, 2.0)
+    assert is_hopeless([4.0, 4.0], best)
+    assert not is_hopeless([40.0], best)
+    assert not is_hopeless([2.5, 2.5], best)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> None:
+    """Both are simulated from rest: they differ by the recursion's offset, which decays."""
+    data = data_set(noise=0.01, samples=600, records=2)
+    data = changed(data, answering_at_once) if direct else data
+    model = linear_model(data, 2, direct=direct)
+    recursion = output_error(data, 2, 0 if direct else 1)
+    u = data.test[0].u
+    late = slice(300, None)
+    np.testing.assert_allclose(
+        model.simulate(u)[late], recursion.simulate(u)[late], atol=1e-6 * np.ptp(data.test[0].y)
+    )
+
+
+def test_pieces_that_follow_each_other_are_joined_and_folds_cover_them() -> None:
+    u = np.arange(1000.0)[:, None]
+    log = Trajectory(u=u, y=u, step_s=1.0, log=1)
+    data = data_set(samples=400)
+    data = replace(data, training=(log[:400], log[600:]), validation=(log[400:600],))
+    joined = with_joined_records(data)
+    assert [len(record) for record in joined.training] == [1000]
+    assert len(joined_pieces([log[:400], log[500:]])) == 2
+    folds = folds_of(data)
+    held_out = np.concatenate([fold.test[0].u for fold in folds])
+    np.testing.assert_array_equal(held_out, u)
+    for fold in folds:
+        trained = np.concatenate([record.u for record in fold.training])
+        assert not set(trained.ravel()) & set(fold.test[0].u.ravel())
+
+
+def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_path: Path) -> None:
+    spec = StructuredSpec(order="auto", neurons=0, knots=0, **BRIEF)  # type: ignore[arg-type]
+    data = data_set(noise=0.02, samples=500, records=4)
+    same = training(max_epochs=3).identify(spec, data, 0, tmp_path / "same")
+    assert not same.refitted
+    moved = replace(data, validation=(replace(data.validation[0], y=-data.validation[0].y),))
+    refitted = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "moved")
+    assert refitted.refitted
+    assert "trained again with the validation records" in refitted.ended
+    assert not Choice(spec=replace(spec, order=2, refit=False), error=1.0).asks_for_refit(0.0)
+
+
+def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
+    data = changed(data_set(noise=0.0, samples=500, records=4), answering_late)
+    spec = StructuredSpec(**FIXED | BRIEF | {"dead_time": 6})  # type: ignore[arg-type]
+    found = training(max_epochs=10).identify(spec, data, 0, tmp_path)
+    model = found.model
+    assert model.order == 2 + 6
+    step = np.tile(data.scale.input_equilibrium, (20, 1))
+    step[1:] += 1.0
+    answer = model.simulate(step)[:, 0] - data.scale.output_equilibrium[0]
+    np.testing.assert_array_equal(answer[:8], 0.0)
+    assert abs(answer[8]) > 0.0
+
+
+def test_a_delayed_structured_model_answers_as_the_model_did() -> None:
+    data = data_set(samples=300)
+    spec = StructuredSpec(order=2, neurons=2, input_path="free", feedthrough=True, knots=4)
+    fit = StructuredFit(spec, data, 0)
+    fit.advance(2)
+    model = fit.stored()
+    u = data.test[0].u
+    late = model.delayed(3).simulate(u)
+    np.testing.assert_allclose(late[3:], model.simulate(u)[:-3], atol=1e-9)
+    assert isinstance(model.linear, StateSpace)
+
+
+def test_only_true_false_and_auto_are_feedthrough() -> None:
+    with pytest.raises(BadRequest, match=r"model.feedthrough = sometimes"):
+        StructuredSpec(order=2, neurons=1, feedthrough="sometimes")
+
+
+def test_a_size_is_a_number_or_auto() -> None:
+    with pytest.raises(BadRequest, match=r"model.order = some"):
+        StructuredSpec(order="some", neurons=1)
+    with pytest.raises(BadRequest, match=r"model.integrating_output = perhaps"):
+        StructuredSpec(order=2, neurons=1, integrating_output="perhaps")
+    assert choosing.AUTO == "auto"
+
+
+def moving_late(samples: int = 6000) -> Batch:
+    """One record that stands still for its first half."""
+    rng = np.random.default_rng(0)
+    u = np.zeros((samples, 1))
+    u[samples // 2 :] = rng.normal(size=(samples - samples // 2, 1))
+    return Batch.padded([(u, np.cumsum(u, axis=0) * 0.1)])
+
+
+def test_a_start_is_made_where_the_record_moves() -> None:
+    records = moving_late()
+    stretch = records.moving_stretch(2000)
+    assert stretch.u.std() > 0.8
+    assert records.cut(2000).u.std() == 0.0
+    late = Batch(*(part[:, 3000:] for part in records))
+    assert np.shares_memory(late.moving_stretch(2000).u, late.cut(2000).u)
+
+
+def test_records_at_rest_have_no_start() -> None:
+    u = np.zeros((300, 1))
+    u[0] = 1.0
+    records = Batch.padded([(u, np.arange(300.0)[:, None])])
+    still = Batch(records.u * 0.0, records.y, records.weight)
+    with pytest.raises(BadRequest, match="no stretch of the training records moves"):
+        still.moving_stretch(100)
+
+
+def test_a_log_that_stands_still_at_first_trains() -> None:
+    """With the equilibrium at zero its first samples are all zero, and gave a singular matrix."""
+    data = data_set(samples=400, records=1)
+    record = data.training[0]
+    u = np.concatenate([np.tile(data.scale.input_equilibrium, (2500, 1)), record.u])
+    y = np.concatenate([np.tile(data.scale.output_equilibrium, (2500, 1)), record.y])
+    data = replace(data, training=(replace(record, u=u, y=y),))
+    spec = StructuredSpec(order=2, neurons=1, draws=1, start_steps=[5, 5, 3])
+    fit = StructuredFit(spec, data, 0)
+    fit.advance(3)
+    assert float(fit.loss) < 0.2
