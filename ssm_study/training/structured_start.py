@@ -22,28 +22,37 @@ RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 def linear_start(
     problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator
 ) -> Theta:
-    """ARX by least squares, a balanced realisation of its impulse response, its poles inside the
-    unit circle; q = 0."""
-    u, y, _ = problem.records
-    pairs = [(a[there], b[there]) for a, b, there in zip(u, y, problem.records.scored, strict=True)]
-    samples = [np.concatenate(side) for side in zip(*pairs, strict=True)]
+    """Linear model of the records without neurons: ARX by least squares, a balanced realisation of
+    its impulse response, its poles inside the unit circle."""
+    records = recorded_pairs(problem)
+    inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
     if problem.integrating_output:
-        pairs = [(u[:-1], np.diff(y, axis=0)) for u, y in pairs]
-    lags = min(ARX_LAGS, min(len(u) for u, _ in pairs) // 4)
-    system = realise(impulse_response(*arx(pairs, lags, feedthrough)), order, rng)
-    radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
-    (n, m), p = system.b.shape, len(system.c)
-    none = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}  # no neurons yet
-    start = none | {
-        "a": system.a * min(1.0, SLOWEST / radius),
-        "b": system.b,
-        "c": system.c,
-        "d": system.d if feedthrough else none["d"],
-        "x0": np.zeros((len(u), n + p * problem.integrating_output)),
-        "scaffold_in": problem.lift.start(samples[0]),
-        "scaffold_out": problem.read.start(samples[1]),
-    }
+        records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
+    shortest = min(len(u) for u, _ in records)
+    lags = min(ARX_LAGS, shortest // 4)
+    response = impulse_response(*arx(records, lags, feedthrough))
+    system = realise(response, order, rng)
+
+    n, m = system.b.shape
+    p = len(system.c)
+    spectral_radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
+    start = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
+    start["a"] = system.a * min(1.0, SLOWEST / spectral_radius)
+    start["b"] = system.b
+    start["c"] = system.c
+    if feedthrough:
+        start["d"] = system.d
+    start["x0"] = np.zeros((len(problem.records.u), n + p * problem.integrating_output))
+    start["scaffold_in"] = problem.lift.start(inputs)
+    start["scaffold_out"] = problem.read.start(outputs)
     return unit_states(problem, start)
+
+
+def recorded_pairs(problem: Residuals) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Inputs and outputs of each record, without its padding."""
+    inputs, outputs, _ = problem.records
+    scored = problem.records.scored
+    return [(u[there], y[there]) for u, y, there in zip(inputs, outputs, scored, strict=True)]
 
 
 def unit_states(problem: Residuals, theta: Theta) -> Theta:
@@ -53,16 +62,22 @@ def unit_states(problem: Residuals, theta: Theta) -> Theta:
     Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one
     overturns another.
     """
-    states = problem.simulated(theta)[2][:, :-1][problem.records.scored]
+    states = scored_states(problem, theta)
     size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9
     x0 = theta["x0"].copy()
     x0[:, : len(size)] /= size
-    turned = {
-        "a": theta["a"] * size / size[:, None],
-        "b": theta["b"] / size[:, None],
-        "c": theta["c"] * size,
-    }
-    return theta | turned | {"x0": x0}
+    scaled = dict(theta)
+    scaled["a"] = theta["a"] * size / size[:, None]
+    scaled["b"] = theta["b"] / size[:, None]
+    scaled["c"] = theta["c"] * size
+    scaled["x0"] = x0
+    return scaled
+
+
+def scored_states(problem: Residuals, theta: Theta) -> Float[np.ndarray, "N n"]:
+    """States before each scored sample of all records, one below another."""
+    _, _, states = problem.simulated(theta)
+    return states[:, :-1][problem.records.scored]
 
 
 def screened_poles(
@@ -76,14 +91,14 @@ def screened_poles(
     on the input it misses slow modes.
     """
     order = len(begun["a"])
-    found = [
-        begun | _residues(problem, begun, _drawn_poles(order, rng), estimates, rng)
-        for _ in range(SCREENED)
-    ]
-    return min(found, key=lambda one: loss(problem, one, ()))
+    candidates = []
+    for _ in range(SCREENED):
+        poles = random_poles(order, rng)
+        candidates.append(begun | with_residues(problem, begun, poles, estimates, rng))
+    return min(candidates, key=lambda candidate: loss(problem, candidate, ()))
 
 
-def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
+def random_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
     """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a
     pair."""
     blocks: list[np.ndarray] = []
@@ -97,41 +112,75 @@ def _drawn_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n
     return linalg.block_diag(*blocks)
 
 
-def _residues(
+def with_residues(
     problem: Residuals,
     begun: Theta,
     a: Float[np.ndarray, "n n"],
     estimates: bool,
     rng: np.random.Generator,
 ) -> Theta:
-    """`a, b, c, d, x0` of these poles, states of unit size."""
-    (u, y, weight), n, b = problem.records, len(a), rng.normal(size=begun["b"].shape)
-    (count, samples, _), rest = u.shape, begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
-    x = problem.simulated(rest | {"a": a, "b": b})[2][:, :-1]
+    """Linear model with these poles, states of unit size, C and initial states by least squares."""
+    _, outputs, weight = problem.records
+    at_rest = begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
+    b = rng.normal(size=begun["b"].shape)
+    _, _, states = problem.simulated(at_rest | {"a": a, "b": b})
+    x = states[:, :-1]
     size = np.sqrt(np.mean(x**2, axis=(0, 1))) + 1e-12
     x = x / size
     a = a * size / size[:, None]
     b = b / size[:, None]
-    y = y / problem.read.freeze(begun["scaffold_out"])(
-        np.ones_like(y)
-    )  # all slopes of S_y are equal here
-    decay = _powers(a, samples)
-    own = linalg.block_diag(*[decay.sum(axis=2)] * count).reshape(
-        count, samples, -1
-    )  # spans what a start can do
-    regressors = weight * (np.concatenate([x, own], axis=-1) if estimates else x)
-    c = _least(regressors.reshape(count * samples, -1), (weight * y).reshape(count * samples, -1))[
-        :n
-    ].T
-    x0 = np.zeros((count, n))
+
+    # All slopes of S_y are equal here.
+    output_slope = problem.read.freeze(begun["scaffold_out"])(np.ones_like(outputs))
+    y = outputs / output_slope
+    decay = powers(a, outputs.shape[1])
+    c = least_squares_output_matrix(x, y, weight, decay, estimates)
+    x0 = np.zeros((len(outputs), len(a)))
     if estimates:
-        seen = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
-        missing = (weight * (y - x @ c.T)).reshape(count, -1, 1)
-        x0 = np.stack([_least(o, left)[:, 0] for o, left in zip(seen, missing, strict=True)])
-    return rest | {"a": a, "b": b, "c": c, "x0": x0}
+        x0 = least_squares_initial_states(y - x @ c.T, weight, c, decay)
+    return at_rest | {"a": a, "b": b, "c": c, "x0": x0}
 
 
-def _powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
+def least_squares_output_matrix(
+    x: Float[np.ndarray, "N T n"],
+    y: Float[np.ndarray, "N T p"],
+    weight: Float[np.ndarray, "N T 1"],
+    decay: Float[np.ndarray, "T n n"],
+    estimates: bool,
+) -> Float[np.ndarray, "p n"]:
+    """C of the outputs that states driven from rest explain best, beside a free decay of each
+    record where it may start in motion."""
+    count, samples, n = x.shape
+    regressors = x
+    if estimates:
+        # The columns of each record span what its initial state can do.
+        decays = [decay.sum(axis=2)] * count
+        free_motion = linalg.block_diag(*decays).reshape(count, samples, -1)
+        regressors = np.concatenate([x, free_motion], axis=-1)
+    rows = (weight * regressors).reshape(count * samples, -1)
+    targets = (weight * y).reshape(count * samples, -1)
+    return regularised_least_squares(rows, targets)[:n].T
+
+
+def least_squares_initial_states(
+    residual: Float[np.ndarray, "N T p"],
+    weight: Float[np.ndarray, "N T 1"],
+    c: Float[np.ndarray, "p n"],
+    decay: Float[np.ndarray, "T n n"],
+) -> Float[np.ndarray, "N n"]:
+    """Initial state of each record whose free decay explains best what the input does not."""
+    count = len(residual)
+    n = c.shape[1]
+    observed = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
+    missing = (weight * residual).reshape(count, -1, 1)
+    states = [
+        regularised_least_squares(rows, targets)[:, 0]
+        for rows, targets in zip(observed, missing, strict=True)
+    ]
+    return np.stack(states)
+
+
+def powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
     """`A^k` for k below `count`, by doubling."""
     powers = np.eye(len(a))[None]
     ahead = a
@@ -141,43 +190,50 @@ def _powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n
     return powers[:count]
 
 
-def _least(x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "k p"]:
+def regularised_least_squares(
+    x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]
+) -> Float[np.ndarray, "k p"]:
+    """Least-squares coefficients, with a small ridge for regressors that are nearly the same."""
     normal = x.T @ x
-    return linalg.solve(
-        normal + RESIDUE_RIDGE * np.trace(normal) / len(normal) * np.eye(len(normal)), x.T @ y
-    )
+    k = len(normal)
+    ridge = RESIDUE_RIDGE * np.trace(normal) / k
+    return linalg.solve(normal + ridge * np.eye(k), x.T @ y)
 
 
 def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
     """States of unit size, then F and the bias random, so that neurons bend within the data, E
     small, G and H zero."""
     theta = unit_states(problem, theta)
-    (n, m), p = theta["b"].shape, len(theta["c"])
+    n, m = theta["b"].shape
+    p = len(theta["c"])
     f = rng.normal(size=(count, n))
     f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
     e = SMALL * rng.normal(size=(n, count))
     bias = RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
     e *= np.linalg.norm(theta["b"])
-    return theta | {
-        "e": e,
-        "f": f,
-        "g": np.zeros((count, m)),
-        "h": np.zeros((p, count)),
-        "bias": bias,
-    }
+    g = np.zeros((count, m))
+    h = np.zeros((p, count))
+    return theta | {"e": e, "f": f, "g": g, "h": h, "bias": bias}
 
 
 def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
     """The nearest model on the path of `contracting.projected`, in its metric's coordinates and
     free parameters."""
-    (v, _, states), scored = problem.simulated(theta), problem.records.scored
-    z = states[:, :-1][scored] @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    found = projected(
-        Core(*(theta[name] for name in CORE)), phi(problem.neurons, z, "slope").mean(axis=0), rate
-    )
-    free = parameters(in_metric(found), rate)
+    v, _, states = problem.simulated(theta)
+    scored = problem.records.scored
+    x = states[:, :-1][scored]
+    z = x @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
+    mean_slope = phi(problem.neurons, z, "slope").mean(axis=0)
+    core = Core(*(theta[name] for name in CORE))
+    contracting = projected(core, mean_slope, rate)
+    t = contracting.t
+    free = parameters(in_metric(contracting), rate)
+
     n = len(theta["a"])
     x0 = theta["x0"].copy()
-    x0[:, :n] = x0[:, :n] @ found.t.T
-    moved = {"b": found.t @ theta["b"], "c": linalg.solve(found.t.T, theta["c"].T).T, "x0": x0}
-    return theta | moved | free._asdict() | {"log_d": np.log(found.d)}
+    x0[:, :n] = x0[:, :n] @ t.T
+    moved = dict(theta)
+    moved["b"] = t @ theta["b"]
+    moved["c"] = linalg.solve(t.T, theta["c"].T).T
+    moved["x0"] = x0
+    return moved | free._asdict() | {"log_d": np.log(contracting.d)}
