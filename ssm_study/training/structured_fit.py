@@ -56,28 +56,39 @@ class StructuredFit(pl.LightningModule):
         self.spec = spec
         self.data = data
         self.seed = seed
+        self.integrates = bool(spec.integrating_output)
         lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
-        told: dict[str, Any] = {
-            name: getattr(spec, name) for name in ("rate", "integrating_output", "ridge")
-        }
         self.problem = Residuals(
-            records=Batch.padded(scaled(data)), neurons=spec.each, lift=lift, read=read, **told
+            records=Batch.padded(scaled(data)),
+            neurons=spec.each,
+            lift=lift,
+            read=read,
+            rate=spec.rate,
+            integrating_output=self.integrates,
+            ridge=spec.ridge,
         )
         self.estimates = data.start_up_samples > 0
         self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
         self.register_buffer("loss", torch.full((), torch.nan, dtype=torch.float64))
+        for name, shape in self._parameter_shapes().items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+
+    def _parameter_shapes(self) -> dict[str, tuple[int, ...]]:
+        """Shape of each block of parameters, in the order of `theta`."""
+        spec = self.spec
         n = int(spec.order)
-        q = spec.neurons
-        p = data.scale.outputs
-        sizes: dict[str, tuple[int, ...]] = shapes(n, data.scale.inputs, p, q)
+        q = int(spec.neurons)
+        p = self.data.scale.outputs
+        sizes: dict[str, tuple[int, ...]] = shapes(n, self.data.scale.inputs, p, q)
         if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
-            sizes |= {"x_e": (n, q), "x_g": (n + q, n), "log_d": (q,)}
-        sizes |= {"scaffold_in": lift.owners.shape, "scaffold_out": read.owners.shape}
-        for name, shape in (
-            sizes | {"x0": (len(data.training), n + p * spec.integrating_output)}
-        ).items():
-            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+            sizes["x_e"] = (n, q)
+            sizes["x_g"] = (n + q, n)
+            sizes["log_d"] = (q,)
+        sizes["scaffold_in"] = self.problem.lift.owners.shape
+        sizes["scaffold_out"] = self.problem.read.owners.shape
+        sizes["x0"] = (len(self.data.training), n + p * self.integrates)
+        return sizes
 
     @property
     def theta(self) -> Theta:
@@ -90,7 +101,8 @@ class StructuredFit(pl.LightningModule):
 
     def advance(self, steps: int) -> None:
         """The starting point and at most so many steps, without what Lightning does around each."""
-        self._keep(minimise(self.problem, self._started(), self._moved, steps))
+        start = self._starting_point()
+        self._store(minimise(self.problem, start, self._moving_blocks, steps))
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """The starting point, then one accepted step (or none) an epoch."""
@@ -98,83 +110,88 @@ class StructuredFit(pl.LightningModule):
             self.advance(0)
             return
         at = Descent(theta=self.theta, loss=float(self.loss), damping=float(self.damping))
-        self._keep(step(self.problem, at, self._moved))
+        self._store(step(self.problem, at, self._moving_blocks))
 
     @property
-    def _moved(self) -> tuple[str, ...]:
-        return self._free(
-            CORE if self.spec.rate is None else FREE_CORE, self.spec.input_path != "none"
-        )
+    def _moving_blocks(self) -> tuple[str, ...]:
+        """Blocks of parameters that the training moves."""
+        core = CORE if self.spec.rate is None else FREE_CORE
+        return self._blocks_with(core, self.spec.input_path != "none")
 
-    def _keep(self, at: Descent) -> None:
+    def _store(self, at: Descent) -> None:
+        """Keep where the descent stands in the buffers."""
         for name in self.theta:
             getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
         self.loss.fill_(at.loss)
         self.damping.fill_(at.damping)
 
-    def _started(self) -> Theta:
-        """On few samples: linear fit, S_u, then neurons drawn at random race and the best draw
-        starts the training."""
+    def _starting_point(self) -> Theta:
+        """Parameters to begin with, made on few samples: a linear fit, S_u, then neurons drawn at
+        random race, and the best draw is taken."""
         spec = self.spec
         rng = np.random.default_rng(self.seed)
         stretch = self.problem.records.moving_stretch(START_SAMPLES)
         short = replace(self.problem, records=stretch)
         linear = replace(short, neurons=(), rate=None)
-        matrices = (
-            "a",
-            "b",
-            "c",
-            *(("d",) if spec.feedthrough else ()),
-            *(("x0",) if self.estimates else ()),
-        )
-
-        def settled(theta: Theta) -> Descent:  # phase 1: the linear fit
-            return minimise(linear, theta, matrices, spec.start_steps[0])
-
-        begun = linear_start(linear, int(spec.order), bool(spec.feedthrough), rng)
-        at = settled(begun)
-        if not spec.integrating_output:
-            screened = settled(screened_poles(linear, begun, self.estimates, rng))
-            at = screened if screened.loss < TRUSTED * at.loss else at
-        theta = at.theta
+        moving = self._linear_blocks()
+        theta = self._linear_fit(linear, moving, rng)
         if spec.knots or spec.output_knots:
-            maps = (*matrices, "scaffold_in", "scaffold_out")
+            maps = (*moving, "scaffold_in", "scaffold_out")
             theta = minimise(linear, theta, maps, spec.start_steps[1]).theta
-        best = min(
-            (self._drawn(short, theta, rng) for _ in range(spec.draws)), key=lambda one: one.loss
-        )
-        x0 = np.zeros_like(self.theta["x0"])  # records that the start has not seen begin at rest
+        draws = [self._drawn(short, theta, rng) for _ in range(spec.draws)]
+        best = min(draws, key=lambda draw: draw.loss)
+        # Records that the start has not seen begin at rest.
+        x0 = np.zeros_like(self.theta["x0"])
         if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
             x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
+
+    def _linear_blocks(self) -> tuple[str, ...]:
+        """Blocks of parameters of the linear fit."""
+        direct = ("d",) if self.spec.feedthrough else ()
+        starts = ("x0",) if self.estimates else ()
+        return ("a", "b", "c", *direct, *starts)
+
+    def _linear_fit(
+        self, linear: Residuals, moving: tuple[str, ...], rng: np.random.Generator
+    ) -> Theta:
+        """Linear model of the records: from ARX, or from random poles where that is far better."""
+        spec = self.spec
+        steps = spec.start_steps[0]
+        start = linear_start(linear, int(spec.order), bool(spec.feedthrough), rng)
+        fitted = minimise(linear, start, moving, steps)
+        if self.integrates:
+            return fitted.theta
+        screened_start = screened_poles(linear, start, self.estimates, rng)
+        screened = minimise(linear, screened_start, moving, steps)
+        is_better = screened.loss < TRUSTED * fitted.loss
+        return screened.theta if is_better else fitted.theta
 
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
         """Random neurons, a few steps without the constraint, the nearest contracting model, a few
         steps as one."""
         spec = self.spec
+        has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
-        theta = with_neurons(free, theta, spec.neurons, rng)
-        unbound, inside = (
-            self._free(core, spec.input_path == "free") for core in (CORE, FREE_CORE)
-        )
-        at = minimise(free, theta, unbound, spec.start_steps[2])
+        theta = with_neurons(free, theta, int(spec.neurons), rng)
+        unconstrained = self._blocks_with(CORE, has_input_path)
+        drawn = minimise(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
-            return at
-        theta = contracting_start(free, at.theta, spec.rate)
-        return minimise(short, theta, inside, RACE)
+            return drawn
+        theta = contracting_start(free, drawn.theta, spec.rate)
+        return minimise(short, theta, self._blocks_with(FREE_CORE, has_input_path), RACE)
 
-    def _free(
-        self, core: tuple[str, ...], input_path: bool
-    ) -> tuple[str, ...]:  # The blocks that a phase moves
+    def _blocks_with(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
+        """Blocks that a phase moves: the core, maps and gains, and the paths that are open."""
         spec = self.spec
-        paths = {
+        is_open = {
             "g": input_path,
             "h": spec.output_path == "free",
-            "d": spec.feedthrough,
+            "d": bool(spec.feedthrough),
             "x0": self.estimates,
         }
-        opened = (name for name, is_open in paths.items() if is_open)
-        return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *opened)
+        paths = [name for name in is_open if is_open[name]]
+        return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *paths)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
         """Fits in percent: of training from the states that were fitted, of validation as a score
@@ -190,28 +207,18 @@ class StructuredFit(pl.LightningModule):
         """The explicit numbers; the running sum of `integrating_output` is one more state per
         output."""
         theta = self.theta
-        spec = self.spec
-        k = self.problem.matrices(theta)
-        told = {"neurons": spec.each, "scale": self.data.scale, "step_s": self.data.step_s}
-        parts: dict[str, Any] = k._asdict() | told
+        parts: dict[str, Any] = self.problem.matrices(theta)._asdict()
         del parts["kinds"]
-        if spec.integrating_output:
-            n = len(k.a)
-            p = len(k.c)
-            parts["a"] = np.block([[k.a, np.zeros((n, p))], [k.c, np.eye(p)]])
-            parts["b"], parts["e"] = np.vstack([k.b, k.d]), np.vstack([k.e, k.h])
-            parts["f"] = np.hstack([k.f, np.zeros((len(k.f), p))])
-            parts["c"], parts["d"], parts["h"] = (
-                np.eye(p, n + p, n),
-                np.zeros_like(k.d),
-                np.zeros_like(k.h),
-            )
-        for name, each in {
-            "scaffold_in": self.problem.lift,
-            "scaffold_out": self.problem.read,
-        }.items():
-            parts[name] = each.freeze(theta[name])
-        return StructuredSSM(**parts)
+        if self.integrates:
+            parts |= with_integrator(parts)
+        return StructuredSSM(
+            **parts,
+            neurons=self.spec.each,
+            scaffold_in=self.problem.lift.freeze(theta["scaffold_in"]),
+            scaffold_out=self.problem.read.freeze(theta["scaffold_out"]),
+            scale=self.data.scale,
+            step_s=self.data.step_s,
+        )
 
     def concluded(self) -> tuple[Model, str]:
         """The model without the neurons that do nothing on the training inputs, and how many those
@@ -221,8 +228,26 @@ class StructuredFit(pl.LightningModule):
         """
         model = pruned(self.stored(), [record.u for record in self.data.training])
         idle = len(self.spec.each) - len(model.neurons)
-        told = f"; neurons removed because they did nothing: {idle}" if idle else ""
-        return model if model.neurons else SSM.from_json(model.to_json()), told
+        note = f"; neurons removed because they did nothing: {idle}" if idle else ""
+        return model if model.neurons else SSM.from_json(model.to_json()), note
+
+
+def with_integrator(parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Matrices of a recurrence whose output is summed up: the sums are states, and the output."""
+    a = parts["a"]
+    c = parts["c"]
+    f = parts["f"]
+    n = len(a)
+    p = len(c)
+    return {
+        "a": np.block([[a, np.zeros((n, p))], [c, np.eye(p)]]),
+        "b": np.vstack([parts["b"], parts["d"]]),
+        "e": np.vstack([parts["e"], parts["h"]]),
+        "f": np.hstack([f, np.zeros((len(f), p))]),
+        "c": np.eye(p, n + p, n),
+        "d": np.zeros_like(parts["d"]),
+        "h": np.zeros_like(parts["h"]),
+    }
 
 
 def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
@@ -236,29 +261,40 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
     for i in reversed(range(len(model.neurons))):
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
             continue
-        candidate = _without(model, i, inputs)
-        was, moved = (
-            np.concatenate([one.simulate(u) for u in inputs]) for one in (model, candidate)
-        )
-        if np.linalg.norm(moved - was) / np.linalg.norm(was - was.mean(axis=0)) < IDLE:
+        candidate = without_neuron(model, i, inputs)
+        output = np.concatenate([model.simulate(u) for u in inputs])
+        moved = np.concatenate([candidate.simulate(u) for u in inputs])
+        deviation = np.linalg.norm(output - output.mean(axis=0))
+        if np.linalg.norm(moved - output) / deviation < IDLE:
             model = candidate
     return model
 
 
-def _without(model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
-    lifted = [model.lift(u) for u in inputs]
-    z = [model.run(v)[1][:-1] @ model.f.T + v @ model.g.T + model.bias for v in lifted]
-    s = float(np.concatenate([phi(model.neurons, one, "slope")[:, i] for one in z]).mean())
+def without_neuron(
+    model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]]
+) -> StructuredSSM:
+    """The model whose neuron i is replaced by its mean slope over these inputs."""
+    slopes = []
+    for u in inputs:
+        v = model.lift(u)
+        states = model.run(v)[1][:-1]
+        z = states @ model.f.T + v @ model.g.T + model.bias
+        slopes.append(phi(model.neurons, z, "slope")[:, i])
+    slope = float(np.concatenate(slopes).mean())
     e = model.e[:, [i]]
     f = model.f[[i]]
     g = model.g[[i]]
     h = model.h[:, [i]]
-    parts = {
-        "a": model.a + s * e @ f,
-        "b": model.b + s * e @ g,
-        "c": model.c + s * h @ f,
-        "d": model.d + s * h @ g,
-    }
-    for name, axis in {"e": 1, "f": 0, "g": 0, "h": 1, "bias": 0}.items():
-        parts[name] = np.delete(getattr(model, name), i, axis)
-    return replace(model, **parts, neurons=model.neurons[:i] + model.neurons[i + 1 :])
+    return replace(
+        model,
+        a=model.a + slope * e @ f,
+        b=model.b + slope * e @ g,
+        c=model.c + slope * h @ f,
+        d=model.d + slope * h @ g,
+        e=np.delete(model.e, i, 1),
+        f=np.delete(model.f, i, 0),
+        g=np.delete(model.g, i, 0),
+        h=np.delete(model.h, i, 1),
+        bias=np.delete(model.bias, i, 0),
+        neurons=model.neurons[:i] + model.neurons[i + 1 :],
+    )
