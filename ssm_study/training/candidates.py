@@ -18,8 +18,8 @@ from ssm_study.training.structured_fit import StructuredFit
 
 LARGEST_ERROR = 100.0  # percent: of a free run no better than the mean; one piece decides nothing
 NEARLY = 0.05  # of the best error: candidates nearer than this are about as good
-STEPS = 30  # of a training on a fold, inside the contracting set
-DRAWS = 4  # of random neurons for such a training
+STEPS = 20  # of a training on a fold, inside the contracting set
+DRAWS = 3  # of random neurons for such a training
 HOPELESS = 1.5  # times the best error after two folds: not tried on the others
 FEWEST_FOLDS = 2
 Settings = dict[str, Any]

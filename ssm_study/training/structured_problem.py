@@ -2,6 +2,7 @@
 out, a step down."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -37,12 +38,14 @@ class Batch(NamedTuple):
 
     @classmethod
     def padded(cls, pairs: Pairs) -> "Batch":
-        (u, y), whole = padded(pairs), np.concatenate([y for _, y in pairs])
-        there = (
-            np.arange(u.shape[1])[None, :, None]
-            < np.array([len(one) for one, _ in pairs])[:, None, None]
-        )
-        return cls(u=u, y=y, weight=there / np.linalg.norm(whole - whole.mean(axis=0)))
+        """The records as one batch, the shorter ones padded at their ends."""
+        u, y = padded(pairs)
+        outputs = np.concatenate([output for _, output in pairs])
+        deviation = np.linalg.norm(outputs - outputs.mean(axis=0))
+        lengths = np.array([len(record) for record, _ in pairs])
+        sample = np.arange(u.shape[1])
+        is_recorded = sample[None, :, None] < lengths[:, None, None]
+        return cls(u=u, y=y, weight=is_recorded / deviation)
 
     def cut(self, samples: int) -> "Batch":
         """The first records, whole, of so many samples together; of one that is longer, its
@@ -56,16 +59,20 @@ class Batch(NamedTuple):
         beginning = self.cut(samples)
         if self._movement(beginning) >= STILL:
             return beginning
+        firsts = range(0, self.u.shape[1], max(1, samples // 2))
         stretches = [
-            Batch(*(part[record : record + 1, start : start + samples] for part in self))
-            for record in range(len(self.u))
-            for start in range(0, self.u.shape[1], max(1, samples // 2))
+            self._stretch(record, first, samples)
+            for record, first in product(range(len(self.u)), firsts)
         ]
         moving = max(stretches, key=self._movement)
         problem = "no stretch of the training records moves in input and output"
         remedy = "log an experiment in which the input moves the output"
         require(self._movement(moving) > 0, "data.training", "at rest", problem, remedy)
         return moving
+
+    def _stretch(self, record: int, first: int, samples: int) -> "Batch":
+        """So many samples of one record, from `first` on."""
+        return Batch(*(part[record : record + 1, first : first + samples] for part in self))
 
     def _movement(self, stretch: "Batch") -> float:
         """Deviation within the stretch over that of all records: the smaller of input and
@@ -77,11 +84,13 @@ class Batch(NamedTuple):
             inside = getattr(stretch, name)[stretch.scored]
             everywhere = getattr(self, name)[self.scored]
             deviation = float(np.linalg.norm(everywhere.std(axis=0)))
-            shares.append(float(np.linalg.norm(inside.std(axis=0))) / max(deviation, 1e-300))
+            deviation_inside = float(np.linalg.norm(inside.std(axis=0)))
+            shares.append(deviation_inside / max(deviation, 1e-300))
         return min(shares)
 
     @property
     def scored(self) -> np.ndarray:
+        """Which samples were recorded, `(N, T)`; the others are padding."""
         return self.weight[..., 0] > 0
 
 
@@ -109,7 +118,8 @@ class Residuals:
     def matrices(self, theta: Theta) -> Matrices:
         """The matrices and the codes of the neurons, as the compiled recurrence takes them."""
         if self.rate is not None:
-            theta = theta | explicit(_free(theta), self.rate)._asdict()
+            core = explicit(free_core(theta), self.rate)
+            theta = theta | core._asdict()
         return Matrices.of(theta, codes(self.neurons))
 
     def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
@@ -120,22 +130,26 @@ class Residuals:
     def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1,
         n)`."""
-        v = np.ascontiguousarray(self.lift.freeze(theta["scaffold_in"])(self.records.u))
-        return v, *free_run(self.matrices(theta), v, self.starts(theta)[0])
+        input_map = self.lift.freeze(theta["scaffold_in"])
+        v = np.ascontiguousarray(input_map(self.records.u))
+        x0, _ = self.starts(theta)
+        ybar, states = free_run(self.matrices(theta), v, x0)
+        return v, ybar, states
 
     def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
         """The simulated output, scaled."""
-        ybar = self.simulated(theta)[1]
+        _, ybar, _ = self.simulated(theta)
         if self.integrating_output:
-            return self.starts(theta)[1][:, None, :] + summed(ybar)
+            _, begun = self.starts(theta)
+            return begun[:, None, :] + summed(ybar)
         return self.read.freeze(theta["scaffold_out"])(ybar)
 
     def residual(self, theta: Theta) -> Float[np.ndarray, "R"]:
         """`weight (y_hat - y)`, flat."""
-        with np.errstate(
-            all="ignore"
-        ):  # a trial step may be unstable: its loss is infinite, and it is refused
-            return (self.records.weight * (self.output(theta) - self.records.y)).ravel()
+        # A trial step may be unstable: its loss is infinite, and it is refused.
+        with np.errstate(all="ignore"):
+            error = self.output(theta) - self.records.y
+            return (self.records.weight * error).ravel()
 
     def linearised(
         self, theta: Theta, free: tuple[str, ...]
@@ -146,51 +160,63 @@ class Residuals:
         `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every
         sample.
         """
-        u, target, weight = self.records
-        v, _, moved = self.lift.derivatives(
-            theta["scaffold_in"], u
-        )  # S_u, and what its parameters do to it
+        _, target, weight = self.records
+        y, columns = self._output_and_columns(theta)
+        if "x0" in free:
+            columns["x0"] = self._by_initial_state(columns["x0"])
+        blocks = [name for name in free if name not in FREE_CORE]
+        turn = np.eye(sum(columns[name].shape[-1] for name in blocks))
+        if len(blocks) < len(free):
+            blocks = [*CORE, *blocks]
+            turn = block_diag(self._by_free_core(theta), turn)
+        jacobian = np.concatenate([columns[name] for name in blocks], axis=-1)
+        jacobian *= weight[..., None]  # in place: it is the largest array of a training
+        residual = (weight * (y - target)).ravel()
+        return residual, jacobian.reshape(target.size, -1), turn
+
+    def _output_and_columns(
+        self, theta: Theta
+    ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
+        """The simulated output, and its derivatives by the parameters of each block."""
+        u, target, _ = self.records
+        v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
         x0, begun = self.starts(theta)
-        y, columns = sensitivities(self.matrices(theta), v, x0, moved, self.lift.owners)
+        y, columns = sensitivities(self.matrices(theta), v, x0, by_input_map, self.lift.owners)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrating_output:
             y = begun[:, None, :] + summed(y)
-            columns = {name: summed(part) for name, part in columns.items()}
-        elif self.read.knots:
-            y, slope, bent = self.read.derivatives(theta["scaffold_out"], y)
-            columns = {name: slope[..., None] * part for name, part in columns.items()}
-            columns["scaffold_out"] = bent[..., None, :] * (
-                self.read.owners == np.arange(target.shape[-1])[:, None]
-            )
-        if "x0" in free:
-            columns["x0"] = self._by_start(columns["x0"])
-        own = [name for name in free if name not in FREE_CORE]
-        turn = np.eye(sum(columns[name].shape[-1] for name in own))
-        if len(own) < len(free):
-            own = [*CORE, *own]
-            turn = block_diag(self._by_free_core(theta), turn)
-        jacobian = np.concatenate([columns[name] for name in own], axis=-1)
-        jacobian *= weight[..., None]  # in place: it is the largest array of a training
-        return (weight * (y - target)).ravel(), jacobian.reshape(target.size, -1), turn
+            return y, {name: summed(part) for name, part in columns.items()}
+        if not self.read.knots:
+            return y, columns
+        y, slope, by_output_map = self.read.derivatives(theta["scaffold_out"], y)
+        columns = {name: slope[..., None] * part for name, part in columns.items()}
+        outputs = np.arange(target.shape[-1])[:, None]
+        columns["scaffold_out"] = by_output_map[..., None, :] * (self.read.owners == outputs)
+        return y, columns
 
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
         """Derivative of A, E and F by the free parameters, a column each."""
         units = np.eye(pack(theta, FREE_CORE).size)
-        turned = derivative(_free(theta), Free(**unpack(units, theta, FREE_CORE)), self.rate or 1.0)
-        return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T
+        directions = Free(**unpack(units, theta, FREE_CORE))
+        changes = derivative(free_core(theta), directions, self.rate or 1.0)
+        flat = [part.reshape(len(part), part[0].size) for part in changes]
+        return np.concatenate(flat, axis=1).T
 
-    def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
-        """Every record has a start of its own, and with `integrating_output` one of the sum."""
+    def _by_initial_state(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
+        """Derivative by the initial states of all records: each moves its own record, and with
+        `integrating_output` the sum that it begins with does, too."""
         count, samples, p, n = own.shape
-        whole = np.zeros((count, samples, p, count, n + p * self.integrating_output))
-        for r in range(count):
-            whole[r, :, :, r, :n] = own[r]
+        width = n + p * self.integrating_output
+        whole = np.zeros((count, samples, p, count, width))
+        for record in range(count):
+            whole[record, :, :, record, :n] = own[record]
             if self.integrating_output:
-                whole[r, :, :, r, n:] = np.eye(p)
+                whole[record, :, :, record, n:] = np.eye(p)
         return whole.reshape(count, samples, p, -1)
 
 
-def _free(theta: Theta) -> Free:
+def free_core(theta: Theta) -> Free:
+    """The free parameters of a contracting core."""
     return Free(*(theta[name] for name in FREE_CORE))
 
 
@@ -213,35 +239,42 @@ class Descent:
 def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
     """`|r|^2 + ridge sum |block|^2` over the blocks `free`, infinite where the simulation is not
     finite."""
-    r = problem.residual(theta)
+    residual = problem.residual(theta)
     with np.errstate(all="ignore"):
-        value = float(r @ r) + sum(
-            problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free
-        )
+        penalties = [problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free]
+        value = float(residual @ residual) + sum(penalties)
     return value if np.isfinite(value) else np.inf
 
 
 def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
     """One accepted step in the blocks `free`, or none."""
-    r, j, turn = problem.linearised(at.theta, free)
+    residual, j, turn = problem.linearised(at.theta, free)
     flat = pack(at.theta, free)
-    weights = np.concatenate(
-        [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
-    )  # R, its diagonal
+    ridges = [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
+    weights = np.concatenate(ridges)  # R, its diagonal
     with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
         normal = turn.T @ (j.T @ j) @ turn
-        gradient = turn.T @ (j.T @ r) + weights * flat
+        gradient = turn.T @ (j.T @ residual) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
-    scale = np.maximum(np.diagonal(normal), WRITTEN_OUT.weakest * np.diagonal(normal).max())
+    diagonal = np.diagonal(normal)
+    scale = np.maximum(diagonal, WRITTEN_OUT.weakest * diagonal.max())
+
+    def moved(by: Float[np.ndarray, "P"]) -> Theta:
+        return at.theta | unpack(flat + by, at.theta, free)
+
+    def solved(damping: float) -> Float[np.ndarray, "P"] | None:
+        return damped_step(normal + np.diag(damping * scale), gradient)
+
+    def loss_at(by: Float[np.ndarray, "P"]) -> float:
+        return loss(problem, moved(by), free)
+
     with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed
         by, value, damping = levenberg_marquardt_step(
-            WRITTEN_OUT, at.loss, gradient, normal, at.damping,
-            lambda damping: _solved(normal + np.diag(damping * scale), gradient),
-            lambda by: loss(problem, at.theta | unpack(flat + by, at.theta, free), free),
-        )  # fmt: skip
-    theta = at.theta if by is None else at.theta | unpack(flat + by, at.theta, free)
+            WRITTEN_OUT, at.loss, gradient, normal, at.damping, solved, loss_at
+        )
+    theta = at.theta if by is None else moved(by)
     return Descent(theta=theta, loss=value, damping=damping)
 
 
@@ -263,9 +296,10 @@ def ended(before: float, after: float, damping: float) -> bool:
     return not refused and not after < before * (1.0 - SETTLED)
 
 
-def _solved(
+def damped_step(
     damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "P"] | None:
+    """The step of the damped normal equations; None where they have no solution."""
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite
@@ -279,5 +313,7 @@ def pack(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
 
 def unpack(flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]) -> Theta:
     """The inverse of `pack`, with the shapes of `like`."""
-    parts = split({name: like[name].shape for name in names}, flat)
-    return {name: part.reshape(*flat.shape[:-1], *like[name].shape) for name, part in parts.items()}
+    shapes_of = {name: like[name].shape for name in names}
+    batch = flat.shape[:-1]
+    parts = split(shapes_of, flat)
+    return {name: part.reshape(*batch, *shapes_of[name]) for name, part in parts.items()}
