@@ -47,15 +47,12 @@ class Initialisation:
 
     def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
         """The output to `u` from rest."""
-        filtered = (
-            scipy.signal.lfilter
-        )  # SciPy loads a part at its first use: this one takes half a second
-        x = np.stack(
-            [
-                filtered([0.0, 1.0], [1.0, -z], u @ b)
-                for z, b in zip(self.modes, self.b, strict=True)
-            ]
-        )
+        # SciPy loads a part at its first use: this one takes half a second.
+        lfilter = scipy.signal.lfilter
+        states = []
+        for mode, gain in zip(self.modes, self.b, strict=True):
+            states.append(lfilter([0.0, 1.0], [1.0, -mode], u @ gain))
+        x = np.stack(states)
         twice = np.where(self.modes.imag == 0, 1.0, 2.0)
         return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
 
@@ -75,17 +72,23 @@ def on_ring(
     """
     pairs = (order - real_modes) // 2  # each holds two states
     count = real_modes + pairs
-    modes = np.sqrt(rng.uniform(radius[0] ** 2, radius[1] ** 2, size=count)).astype(complex)
-    modes[real_modes:] *= np.exp(1j * rng.uniform(frequency[0], frequency[1], size=pairs))
+    squared_radii = rng.uniform(radius[0] ** 2, radius[1] ** 2, size=count)
+    modes = np.sqrt(squared_radii).astype(complex)
+    angles = rng.uniform(frequency[0], frequency[1], size=pairs)
+    modes[real_modes:] *= np.exp(1j * angles)
     m, p = channels
-    b, c = (
-        rng.normal(size=shape) + 1j * rng.normal(size=shape) for shape in ((count, m), (p, count))
-    )
-    b = b * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
-    c = c / np.sqrt(2 * count)  # of like size at any radius and order
+    b = complex_normal(rng, (count, m)) * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
+    c = complex_normal(rng, (p, count)) / np.sqrt(2 * count)  # of like size at any radius and order
     b[:real_modes].imag = 0.0
     c[:, :real_modes].imag = 0.0
     return Initialisation(modes=modes, b=b, c=c, d=np.zeros((p, m)))
+
+
+def complex_normal(rng: np.random.Generator, shape: tuple[int, int]) -> Complex[np.ndarray, "_ _"]:
+    """Independent normal real and imaginary parts."""
+    real = rng.normal(size=shape)
+    imaginary = rng.normal(size=shape)
+    return real + 1j * imaginary
 
 
 def from_data(
@@ -100,9 +103,11 @@ def from_data(
     that is no better, it is scaled to what it explains. Source: Ho & Kalman (1966); Juang & Pappa
     (1985) for the realisation.
     """
-    longest = min(ARX_LAGS, max(len(u) for u, _ in records) // 4)
+    longest_record = max(len(u) for u, _ in records)
+    longest = min(ARX_LAGS, longest_record // 4)
     for lags in (longest, min(order, longest)):
-        start = modal_start(realise(impulse_response(*arx(records, lags, feedthrough)), order, rng))
+        response = impulse_response(*arx(records, lags, feedthrough))
+        start = modal_start(realise(response, order, rng))
         share = explained(start, records)
         if share >= LEAST_SHARE:
             return start
@@ -112,9 +117,10 @@ def from_data(
 def explained(start: Initialisation, records: Pairs) -> float:
     """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y`
     than zero is."""
-    seen = np.concatenate([y for _, y in records])
-    made = np.concatenate([start.free_run(u) for u, _ in records])
-    return float((seen * made).sum() / max((made**2).sum(), np.finfo(float).tiny))
+    measured = np.concatenate([y for _, y in records])
+    simulated = np.concatenate([start.free_run(u) for u, _ in records])
+    power = max((simulated**2).sum(), np.finfo(float).tiny)
+    return float((measured * simulated).sum() / power)
 
 
 def arx(
@@ -122,16 +128,18 @@ def arx(
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
     """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
     feedthrough)."""
+    first = 0 if feedthrough else 1
     rows = []
     targets = []
     for u, y in records:
         past = [y[lags - i : len(y) - i] for i in range(1, lags + 1)]
-        driven = [u[lags - j : len(u) - j] for j in range(0 if feedthrough else 1, lags + 1)]
+        driven = [u[lags - j : len(u) - j] for j in range(first, lags + 1)]
         rows.append(np.hstack([*past, *driven]))
         targets.append(y[lags:])
     theta = np.linalg.lstsq(np.vstack(rows), np.vstack(targets), rcond=None)[0].T
-    p = records[0][1].shape[1]
-    m = records[0][0].shape[1]
+    inputs, outputs = records[0]
+    p = outputs.shape[1]
+    m = inputs.shape[1]
     a = theta[:, : lags * p].reshape(p, lags, p).transpose(1, 0, 2)
     b = theta[:, lags * p :].reshape(p, -1, m).transpose(1, 0, 2)
     return a, b if feedthrough else np.concatenate([np.zeros((1, p, m)), b])
@@ -145,9 +153,12 @@ def impulse_response(
     h = np.zeros((RESPONSE, *b.shape[1:]))
     for k in range(RESPONSE):
         recent = h[max(k - len(a), 0) : k][::-1]
-        h[k] = (a[: len(recent)] @ recent).cumsum(0)[-1] if k else 0.0
-        h[k] += b[k] if k < len(b) else 0.0
-        if k > len(b) and np.abs(h[k]).max() > 10 * np.abs(h[: len(b)]).max():
+        if k:
+            h[k] = (a[: len(recent)] @ recent).cumsum(0)[-1]
+        if k < len(b):
+            h[k] += b[k]
+        early_peak = np.abs(h[: len(b)]).max()
+        if k > len(b) and np.abs(h[k]).max() > 10 * early_peak:
             h[k:] = 0.0
             break
     return h
@@ -158,42 +169,47 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     what it lacks."""
     half = len(h) // 2
     p, m = h.shape[1:]
-    lags = (
-        1 + np.arange(half)[:, None] + np.arange(half - 1)[None, :]
-    )  # h[1 + i + j]: the direct term h[0] is D
-    hankel = h[lags].transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
+    rows = np.arange(half)[:, None]
+    columns = np.arange(half - 1)[None, :]
+    blocks = h[1 + rows + columns]  # the direct term h[0] is D
+    hankel = blocks.transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
     left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
     kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
     root = np.sqrt(values[:kept])
-    observe = left[:, :kept] * root
-    reach = root[:, None] * right[:kept]
-    a = np.linalg.lstsq(observe[:-p], observe[p:], rcond=None)[0]
-    a = a + 1e-6 * rng.normal(
-        size=a.shape
-    )  # separates repeated modes, which no diagonal form can hold
-    spare = rng.uniform(0.1, 0.4, size=order - kept)  # forgotten within a few samples
-    b = np.vstack([reach[:, :m], 0.1 * rng.normal(size=(order - kept, m))])
-    c = np.hstack([observe[:p], 0.1 * rng.normal(size=(p, order - kept))])
-    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(spare)), b=b, c=c, d=h[0])
+    observability = left[:, :kept] * root
+    reachability = root[:, None] * right[:kept]
+    a = np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0]
+    # Separates repeated modes, which no diagonal form can hold.
+    a = a + 1e-6 * rng.normal(size=a.shape)
+
+    missing = order - kept
+    fast_modes = rng.uniform(0.1, 0.4, size=missing)  # forgotten within a few samples
+    b = np.vstack([reachability[:, :m], 0.1 * rng.normal(size=(missing, m))])
+    c = np.hstack([observability[:p], 0.1 * rng.normal(size=(p, missing))])
+    return StateSpace(a=scipy.linalg.block_diag(a, np.diag(fast_modes)), b=b, c=c, d=h[0])
 
 
 def modal_start(system: StateSpace) -> Initialisation:
     """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in
     eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
-    b = np.linalg.solve(vectors, system.b.astype(complex))
-    c = system.c @ vectors
-    radius = np.abs(values)
-    values = np.where(
-        radius > 1.0, values / np.maximum(radius, 1.0) ** 2, values
-    )  # mirrored into the unit circle
-    values = np.where(
-        np.abs(values) > SLOWEST, values * SLOWEST / np.maximum(np.abs(values), SLOWEST), values
-    )
+    b = np.linalg.solve(vectors, system.b.astype(complex)).astype(complex)
+    c = (system.c @ vectors).astype(complex)
+    values = inside_unit_circle(values)
     real = np.flatnonzero(np.isreal(values))
-    kept = np.concatenate([real, np.flatnonzero(values.imag > 0)])
-    modes, b, c = (part.astype(complex) for part in (values[kept], b[kept], c[:, kept]))
-    return Initialisation(modes=modes, b=b, c=c, d=system.d)
+    upper = np.flatnonzero(values.imag > 0)
+    kept = np.concatenate([real, upper])
+    return Initialisation(modes=values[kept].astype(complex), b=b[kept], c=c[:, kept], d=system.d)
+
+
+def inside_unit_circle(values: Complex[np.ndarray, "n"]) -> Complex[np.ndarray, "n"]:
+    """Modes mirrored into the unit circle, and pulled inside the radius `SLOWEST`."""
+    radius = np.abs(values)
+    mirrored = values / np.maximum(radius, 1.0) ** 2
+    values = np.where(radius > 1.0, mirrored, values)
+    radius = np.abs(values)
+    pulled = values * SLOWEST / np.maximum(radius, SLOWEST)
+    return np.where(radius > SLOWEST, pulled, values)
 
 
 class ModelSpec(ABC):

@@ -26,7 +26,7 @@ JUMP_UNIT = 0.3
 # `(W (h, m), b (h,), negative slopes (h,), positive slopes (h,), what comes after (k, h) or None)`.
 Layer = tuple[Tensor, Tensor, Tensor, Tensor, Tensor | None]
 Sector = tuple[float, float]
-Initialisation = dict[str, Float[np.ndarray, "..."]]
+StartingValues = dict[str, Float[np.ndarray, "..."]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class Mlp(Trainable):
             return OneChannel(depth=self.depth).build(frame, rng)
         return super().build(frame, rng)
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> Initialisation:
+    def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:
         h = frame.width
         channels = frame.samples.shape[1]
         ends = (("negative", -2.0), ("positive", 2.0))
@@ -200,7 +200,7 @@ class OneChannel(Trainable):
 
     depth: int
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> Initialisation:  # noqa: ARG002
+    def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:  # noqa: ARG002
         kinks = max(frame.width - 1, 1)
         points = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
         layer = {"points": points, "jumps": np.zeros(kinks), "base": np.zeros(1)}
