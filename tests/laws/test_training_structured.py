@@ -45,7 +45,7 @@ from ssm_study.training.structured_problem import (
     step,
     unpack,
 )
-from ssm_study.training.structured_start import LONGEST, _drawn_poles, linear_start, screened_poles
+from ssm_study.training.structured_start import LONGEST, linear_start, random_poles, screened_poles
 from ssm_study.training.training import Training
 
 SIZES = {
@@ -418,10 +418,10 @@ def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
     assert np.linalg.norm(scaled, axis=0) == pytest.approx(np.linalg.norm(scaled, axis=1), rel=1e-6)
 
 
-def test_drawn_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
+def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
-        poles = np.linalg.eigvals(_drawn_poles(5, rng))
+        poles = np.linalg.eigvals(random_poles(5, rng))
         samples = -1.0 / np.log(np.abs(poles))
         assert (samples > 1 - 1e-9).all()
         assert (samples < LONGEST * (1 + 1e-9)).all()
