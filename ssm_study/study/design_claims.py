@@ -19,15 +19,16 @@ from ssm_study.certificates.theorems.integral_action import (
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.data.simulated import SimulatedData
 from ssm_study.evidence.metrics import withheld
-from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.robustness.coverage import Premise, measure_premise
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import input_limits
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
-from ssm_study.synthesis.measured_discs_run import coverage_facts
+from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.systems import System
 
@@ -118,7 +119,20 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     fresh = None
     if run.specification.plant is None:
         fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
-    return coverage_facts(run.design, run.model, premise, fresh)
+    facts = coverage_facts(run.design, run.model, premise, fresh)
+    return facts | fresh_data_again(run, premise, shown)
+
+
+def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
+    """The column of the fresh data sets, which are simulated again."""
+    specification = run.specification
+    if not specification.has_fresh_sets:
+        return {}
+    assert isinstance(specification.data, SimulatedData)
+    assert specification.plant is not None
+    start_up = run.simulated.validation.start_up_samples
+    fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
+    return fresh_facts(fresh_needs(run.design, run.model, premise, mismatch, fresh, start_up))
 
 
 def requested_system(run: RunFiles) -> System:

@@ -129,7 +129,7 @@ class Study(Task["Specification"]):
             known = (unrecorded if left else stages).run_stage(TRIALS, {}, {}, data, *tried)
         if isinstance(request.refine, list):
             known = stages.run_stage(LOGS, *request.select("refine", "data"), data)
-        self.designed(request, stages, known, bounded)
+        self.designed(request, stages, known, bounded, with_fresh_data=request.has_fresh_sets)
 
     def designed(
         self,
@@ -137,9 +137,12 @@ class Study(Task["Specification"]):
         stages: Stages,
         data: StageOutput["DataSet"],
         bounded: StageOutput["ModelRun"],
+        *,
+        with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
         """Controller and observer by what these records show, and the loop that they close."""
         from ssm_study.study.stages.evidence import EVIDENCE
+        from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
         from ssm_study.study.stages.mismatch import MISMATCH
         from ssm_study.study.stages.synthesis import SYNTHESIS
@@ -154,6 +157,9 @@ class Study(Task["Specification"]):
         limits["applied"] = bounded_law or any(end is not None for end in limits.values())
         inputs = request.select("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, shown, judged)
+        if with_fresh_data:
+            inputs = request.select("data", "seed", *plant)
+            stages.run_stage(FRESH_DATA, *inputs, data, bounded, shown, design)
         inputs = request.select("loop", "loop_seed", *plant)
         return design, stages.run_stage(LOOP, *inputs, data, bounded, design)
 
@@ -167,8 +173,7 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages.free_run import SCORE
         from ssm_study.study.stages.model import MODEL
 
-        plant = ("plant", "excitation") if request.plant else ()
-        data = stages.run_stage(DATASET, *request.select("data", "seed", *plant))
+        data = stages.run_stage(DATASET, *request.dataset_inputs())
         # In no key: a bar on the screen changes no number.
         unkeyed = {"progress": request.progress}
         inputs = request.select("model", "training", "seed", unkeyed=unkeyed)

@@ -2,7 +2,7 @@
 before any work."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -173,6 +173,23 @@ class Specification:
         )
         arguments = {name: getattr(self, name) for name in names}
         return Settings({**settings, **sums, **computed}), {**arguments, **computed, **unkeyed}
+
+    def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Settings and arguments of the run's records: without `data.fresh_sets`, which changes
+        none of them."""
+        plant = ("plant", "excitation") if self.plant else ()
+        settings, arguments = self.select("data", "seed", *plant)
+        if isinstance(self.data, SimulatedData):
+            own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
+            settings = Settings({**settings, "data": own})
+            arguments["data"] = replace(self.data, fresh_sets=0)
+        return settings, arguments
+
+    @property
+    def has_fresh_sets(self) -> bool:
+        """Whether fresh data sets of the plant are simulated."""
+        simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
+        return simulated and self.plant is not None and not self.plant.real
 
 
 def files_of(settings: Mapping[str, Any]) -> list[Path]:

@@ -190,13 +190,30 @@ def test_the_loop_is_lost_on_some_of_these_modes() -> None:
     assert radius_on(resonance(-0.05)) > 1 > radius_on(resonance(0.05))
 
 
-def test_a_mode_that_no_record_excites_is_no_coverage() -> None:
-    """The input has no power around the mode, the sensor's noise has: the band is named."""
+def shape_without_high_frequencies() -> np.ndarray:
+    """One period of an input without power above 1.2 rad/sample."""
     lines = np.fft.rfft(period(np.random.default_rng(1)), axis=0)
     angles = np.linspace(0, np.pi, len(lines))
     lines[angles > 1.2] = 0
-    shape = np.fft.irfft(lines, n=PERIOD, axis=0)
-    facts = covered(scaled_model(0.05), shape=shape, noise=0.05)
+    return np.fft.irfft(lines, n=PERIOD, axis=0)
+
+
+def test_a_band_without_excitation_is_no_coverage() -> None:
+    """The input has no power above 1.2 rad/sample, the sensor's noise has: the band is named."""
+    facts = covered(scaled_model(0.05), shape=shape_without_high_frequencies(), noise=0.05)
+    assert facts["coverage"] is None
+    assert "next to no power" in facts["coverage_reason"]
+
+
+@pytest.mark.parametrize(("size", "noise"), [(-0.05, 0.05), (-0.05, 1e-4), (-0.2, 0.0)])
+def test_a_mode_that_no_record_excites_is_no_coverage(size: float, noise: float) -> None:
+    """A lightly damped mode above the excitation, on which this loop is lost."""
+    mode = resonance(size)
+    assert radius_on(mode) > 1
+    shape = shape_without_high_frequencies()
+    facts = covered(
+        lambda u: 1.05 * MODEL.simulate(u)[0] + mode.simulate(u)[0], shape=shape, noise=noise
+    )
     assert facts["coverage"] is None
     assert "next to no power" in facts["coverage_reason"]
 

@@ -66,7 +66,7 @@ NUMBERS = {
         for what in ("rate_limit", "gain_norm")
     },
     **{f"{side}_certified_rate": ITERATED for side in ("controller", "observer")},
-    **dict.fromkeys(("certified_tolerance", "coverage"), ITERATED),
+    **dict.fromkeys(("certified_tolerance", "coverage", "coverage_needed"), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
     **dict.fromkeys(
         ("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"),
@@ -131,7 +131,7 @@ ABSENT = (
     "unsettled_as",
     "limited_rate",
 )  # here: all settle
-REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower",
+REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",
              "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method",
              "rates_chosen", "data_source",
