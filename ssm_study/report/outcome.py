@@ -104,6 +104,9 @@ def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str =
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the identified model: fit, benchmark scores, slopes, how fast it decays without
     control."""
+    reading = log_reading(record)
+    if reading:
+        yield "evidence_reasons", "Log", reading
     yield (
         "fit_test_percent",
         "Fit on the test record",
@@ -120,6 +123,15 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if not record.get("neurons"):  # with neurons the linear part does not say it
         rate = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
         yield "spectral_radius", "Open loop", f"contracts at rate {rate:.3g} per sample"
+
+
+def log_reading(record: Mapping[str, Any]) -> str:
+    """How the log was read and cut, as the notes of the evidence say it; "" of simulated data."""
+    notes = str(record.get("evidence_reasons") or "")
+    reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
+    cut = re.search(r"note: The log was (cut .*?)\.(?= (?:note|doubt):|$)", notes)
+    parts = [match[1] for match in (reading, cut) if match is not None]
+    return "; ".join(parts)
 
 
 def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
