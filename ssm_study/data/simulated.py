@@ -63,8 +63,8 @@ class SimulatedData:
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
-    equilibrium; `trials` are for the mismatch. `fresh_sets` further data sets, which neither fit nor
-    design sees, show what the proof of a design would need of them.
+    equilibrium; `trials` are for the mismatch. `fresh_sets` further data sets, which neither fit
+    nor design sees, show what the proof of a design would need of them.
     """
 
     trajectories: int

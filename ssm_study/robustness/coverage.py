@@ -6,11 +6,11 @@ A disc with two references bounds the mismatch `e = y - m` of the model's output
     sum |e - c m|^2  <=  kappa^2 sum ( floor^2 |m|^2 + |W m|^2 + |V u|^2 )
 
 m bounds e where the model speaks, u where it is silent. An `Item` is one piece of one record's
-spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands, the mean,
-the total. Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of
-`e - c m` the product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest
-amplitude only what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing
-repeats, noise counts as mismatch. Source: docs/theory.md, "Measured discs".
+spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands, the total.
+Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of `e - c m` the
+product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest amplitude only
+what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing repeats, noise
+counts as mismatch. Source: docs/theory.md, "Measured discs".
 """
 
 from collections.abc import Sequence
@@ -37,7 +37,6 @@ from ssm_study.systems import StateSpace
 
 GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together
 TOTAL = "in total"
-MEAN = "in the mean"
 INTEGRATES = (
     "the model integrates, so inputs of finite energy give outputs that have none, and no disc "
     "around them bounds a mismatch"
@@ -238,13 +237,17 @@ def measure_premise(
 
 
 def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Bands, groups of bands, the mean and the total of a record with two periods."""
+    """Bands, groups of bands and the total of a record with two periods.
+
+    The mean is one more line of the band at zero: an input whose mean is next to nothing has no
+    disc of its own there, and what friction adds to the mean comes from the lines around it.
+    """
     first, second = record.deviation(centre)
     repeats = record.sides * (first * second.conj()).real.sum(axis=1)
     measured = record.sides * (_power(first) + _power(second)) / 2
     noise = record.sides * record.noise
     variance = record.sides * (noise * record.noise / 2 + record.noise * np.maximum(repeats, 0.0))
-    bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
+    bands = np.concatenate([[0], bands_of(len(record.angles))[0]])
     powers = [record.input_power[bands == b] for b in range(len(ANGLES))]
     has_lines = np.array([len(power) > 0 for power in powers])  # a short period has few lines
     drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
@@ -271,7 +274,7 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
             dark=unexcited,
         )
 
-    items = [item(bands == -1, MEAN, doubtful=not sure)]
+    items = list[Item]()
     for b in np.flatnonzero(has_lines):
         place = f"around {ANGLES[b]:.2f} rad/sample"
         unexcited = bool(dark[b])
@@ -286,7 +289,7 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
                 continue
             unexcited = bool(dark[start : start + size].all())
             items.append(item(lines, place, doubtful=not sure, unexcited=unexcited))
-    return [*items, item(bands >= -1, TOTAL, doubtful=False)]
+    return [*items, item(bands >= 0, TOTAL, doubtful=False)]
 
 
 def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:

@@ -100,6 +100,18 @@ def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: 
             assert need == pytest.approx(abs(share - centre), rel=1e-6)
 
 
+def test_every_line_is_in_one_band_and_the_mean_is_none_of_its_own() -> None:
+    """An input whose mean is next to nothing has no disc at the mean alone."""
+    items = premise(scaled_model(0.3), amplitudes=(0.1, 1.0)).items(0.0)
+    record = items[0].record
+    bands = [item for item in items if item.is_band and item.record == record]
+    lines = np.concatenate([band.angles for band in bands])
+    np.testing.assert_allclose(np.sort(lines), 2 * np.pi * np.arange(PERIOD // 2 + 1) / PERIOD)
+    assert not any(len(item.angles) == 1 and item.angles[0] == 0 for item in items)
+    first = next(band for band in bands if 0.0 in band.angles)
+    assert len(first.angles) > 4
+
+
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
     totals = [item for item in noisy.items(0.0) if item.where.endswith("in total")]
@@ -219,7 +231,7 @@ def test_a_mode_that_no_record_excites_is_no_coverage(size: float, noise: float)
 
 
 def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
-    """A gain that is wrong by a tenth: measured everywhere; a band is covered where need <= kappa."""
+    """A gain that is wrong by a tenth is measured as that in every band."""
     known = premise(scaled_model(0.1))
     model = SSM.of(MODEL, 0.01)
     part = with_coverage(design(), model, BALLS, known).extra_certificates["coverage"]

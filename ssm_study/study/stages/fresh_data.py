@@ -1,4 +1,4 @@
-"""Fresh data sets of a simulated plant: what each needs of the disc that the design is proved for."""
+"""Fresh data sets of a simulated plant: what each needs of the disc that is proved."""
 
 from pathlib import Path
 from typing import Any
