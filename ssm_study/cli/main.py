@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study import __version__, limit_threads
+from ssm_study.cli.overlay import add_overlay
 from ssm_study.extensions import taken_from
 from ssm_study.refusal import BadRequest, at_least, require
 
@@ -116,6 +117,7 @@ def _parser() -> argparse.ArgumentParser:
         excited.add_argument(words, **settings)
     excited.set_defaults(command=_excite)
     add_look(commands)
+    add_overlay(commands)
     for name, (action, subject, told) in ACTIONS.items():
         command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
         command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])

@@ -33,9 +33,7 @@ class MarginCurve:
     angle: float
 
 
-def margin_curves(
-    model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
-) -> list[MarginCurve]:
+def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> list[MarginCurve]:
     """Compute one curve for each recorded amplitude, the smallest amplitude first.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
@@ -93,6 +91,4 @@ class _WorstCurve:
         with np.errstate(divide="ignore"):
             margin = 1 / self.gain
         smallest = 1 / self.largest if self.largest else float("inf")
-        return MarginCurve(
-            amplitude=amplitude, margin=margin, smallest=smallest, angle=self.angle
-        )
+        return MarginCurve(amplitude=amplitude, margin=margin, smallest=smallest, angle=self.angle)

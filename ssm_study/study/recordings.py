@@ -69,8 +69,18 @@ class RecordedCases:
 
     def label(self, name: str) -> str:
         """The first channel with its unit: `load_speed`, `rad/s` -> `Load speed (rad/s)`."""
-        channel = self.signals(name)[0].channels[0]
-        return f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
+        return self.labels(name)[0]
+
+    def labels(self, name: str) -> list[str]:
+        """Every channel with its unit."""
+        return [
+            f"{channel.name.replace('_', ' ').capitalize()} ({channel.unit or '–'})"
+            for channel in self.signals(name)[0].channels
+        ]
+
+    def unit(self, name: str) -> str:
+        """Unit of the first channel."""
+        return self.signals(name)[0].channels[0].unit
 
     @property
     def settling_band(self) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, Panel, Picture, Series
+from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.signals import Trajectory
 from ssm_study.systems import JacobianBall
@@ -46,7 +46,7 @@ def bode_picture(
         degrees = np.rad2deg(near + apart)
         phases.append(Series(x=at_hertz, y=degrees, mark="dots", colour=style.GREY))
     shared = {"x_label": "Frequency (Hz)", "log_x": True}
-    upper = Panel(
+    upper = PicturePanel(
         y_label=f"Gain{_ratio(units)}",
         series=tuple(gains),
         bands=_bands(model, slopes, hertz, magnitude),
@@ -54,7 +54,7 @@ def bode_picture(
         height=1.2,
         **shared,  # type: ignore[arg-type]
     )
-    lower = Panel(y_label="Phase (degrees)", series=tuple(phases), **shared)  # type: ignore[arg-type]
+    lower = PicturePanel(y_label="Phase (degrees)", series=tuple(phases), **shared)  # type: ignore[arg-type]
     title = "Frequency response at the equilibrium"
     return Picture(title=title, panels=(upper, lower))
 

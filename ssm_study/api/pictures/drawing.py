@@ -3,9 +3,10 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Mark, Panel, Picture, Rule, Series
+from ssm_study.api.pictures.picture import GuideLine, Mark, Picture, PicturePanel, Series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ SHAPES: dict[Mark, str] = {
     "point": "o",
 }
 MOST_LEGEND_COLUMNS = 3
+FEW_DECADES = 200  # ratio of the ends of a logarithmic axis below which more ticks have labels
 
 
 def draw_picture(picture: Picture) -> "Figure":
@@ -50,7 +52,7 @@ def draw_unstyled(picture: Picture) -> "Figure":
     return figure
 
 
-def draw_panel(axes: "Axes", panel: Panel) -> None:
+def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
     """Draw one panel into its axes."""
     for band in panel.bands:
         axes.fill_between(
@@ -65,6 +67,7 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
         axes.set_xscale("log")
     if panel.log_y:
         axes.set_yscale("log")
+        _thin_minor_labels(axes)
     if panel.equal:
         axes.set_aspect("equal", adjustable="box")
     if panel.x_range:
@@ -75,6 +78,17 @@ def draw_panel(axes: "Axes", panel: Panel) -> None:
         style.above(axes, columns=MOST_LEGEND_COLUMNS if _is_wide(axes) else 2)
     elif axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best")
+
+
+def _thin_minor_labels(axes: "Axes") -> None:
+    """Label 2 and 5 between decades, as plain numbers, where the axis spans few decades."""
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
+
+    low, high = axes.get_ylim()
+    if high < FEW_DECADES * low:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.yaxis.set_minor_formatter(lambda *_: "")
 
 
 def _is_wide(axes: "Axes") -> bool:
@@ -109,7 +123,7 @@ def _draw_series(axes: "Axes", series: Series) -> None:
         axes.plot(series.x, series.y, marker=shape, linestyle="", fillstyle=fill, zorder=4, **look)
 
 
-def _draw_rule(axes: "Axes", rule: Rule) -> None:
+def _draw_rule(axes: "Axes", rule: GuideLine) -> None:
     """Draw a line across the axes."""
     look: dict[str, Any] = {
         "color": style.INK,
@@ -123,20 +137,22 @@ def _draw_rule(axes: "Axes", rule: Rule) -> None:
         axes.axvline(rule.x, **look)
 
 
-def _hide_repeated_labels(grid: Any, rows: list[tuple[Panel, ...]]) -> None:
+def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> None:
     """Label the horizontal axis once where a column of panels shares it."""
     for j in range(len(rows[0])):
         labels = [row[j].x_label for row in rows if j < len(row)]
         if len(set(labels)) > 1:
             continue
         for i in range(len(labels) - 1):
-            if rows[i][j].x_range is None and rows[i + 1][j].x_range is None:
+            if rows[i][j].x_range == rows[i + 1][j].x_range:
                 grid[i][j].sharex(grid[i + 1][j])
                 grid[i][j].set_xlabel("")
                 grid[i][j].tick_params(labelbottom=False)
 
 
-def circle(radius: float = 1.0, points: int = 181) -> tuple[np.ndarray, np.ndarray]:
+def circle(
+    radius: float = 1.0, points: int = 181
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Coordinates of a circle around the origin."""
     angles = np.linspace(0, 2 * np.pi, points)
     return radius * np.cos(angles), radius * np.sin(angles)

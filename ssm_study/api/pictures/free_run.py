@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, Panel, Picture, Rule, Series
+from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series
 from ssm_study.signals import fit_percent
 
 LONGEST = 2000  # samples drawn: more would be a solid block of ink
@@ -32,7 +32,7 @@ def free_run_picture(
     upper = []
     lower = []
     for j, label in enumerate(labels):
-        start = _start_up_band(time_s, measured[shown, j], start_up)
+        start = _start_up_band(time_s[shown], measured[shown, j], start_up)
         dots = Series(
             x=time_s[shown], y=measured[shown, j], mark="dots", colour=style.GREY, name="measured"
         )
@@ -46,13 +46,13 @@ def free_run_picture(
             error = measured[shown, j] - output[shown, j]
             errors.append(Series(x=time_s[shown], y=error, colour=_error_colour(i), thin=True))
         upper.append(
-            Panel(
+            PicturePanel(
                 x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3
             )
         )
-        zero = Rule(y=0.0, dashed=False)
+        zero = GuideLine(y=0.0, dashed=False)
         lower.append(
-            Panel(
+            PicturePanel(
                 x_label="Time (s)",
                 y_label=f"Error{_unit(label)}",
                 series=tuple(errors) if len(errors) > 1 else _recoloured(errors),
@@ -74,9 +74,7 @@ def _error_colour(i: int) -> str:
 
 def _recoloured(errors: list[Series]) -> tuple[Series, ...]:
     """The error of a single model, in a colour of its own."""
-    return tuple(
-        Series(x=one.x, y=one.y, colour=style.VERMILLION, thin=True) for one in errors
-    )
+    return tuple(Series(x=one.x, y=one.y, colour=style.VERMILLION, thin=True) for one in errors)
 
 
 def _unit(label: str) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, NothingToShow, Panel, Picture, Series
+from ssm_study.api.pictures.picture import Band, NothingToShow, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model
 from ssm_study.systems import JacobianBall
 
@@ -28,13 +28,13 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     low = np.full(2, slopes.lower)
     high = np.full(2, slopes.upper)
     band = Band(x=ends, low=low, high=high, name=name, colour=style.SKY)
-    left = Panel(
+    left = PicturePanel(
         x_label=input_label,
         y_label="S_u (scaled units, –)",
         series=(Series(x=physical, y=values),),
         height=1.3,
     )
-    right = Panel(
+    right = PicturePanel(
         x_label=input_label,
         y_label="Local slope of S_u (–)",
         series=(Series(x=physical, y=local, mark="steps", name="learned"),),

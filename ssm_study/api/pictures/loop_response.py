@@ -8,9 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import Band, NothingToShow, Panel, Picture, Rule, Series
+from ssm_study.api.pictures.picture import (
+    Band,
+    GuideLine,
+    NothingToShow,
+    Picture,
+    PicturePanel,
+    Series,
+)
 from ssm_study.certificates.certificate import Design
-from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
+from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import Rollouts, settling_times_s
@@ -20,6 +27,8 @@ from ssm_study.signals import Channel
 
 SIZES = (0.5, 0.25, 0.1)  # steps tried, in output scales: the first that the input can hold
 BEFORE = 0.1  # share of the horizon before the step
+SEEN_SETTLING_TIMES = 6  # how much is drawn after the step, in settling times
+FEWEST_SEEN = 40  # samples
 Inputs = Sequence[Float[np.ndarray, "_ m"]]
 
 
@@ -32,7 +41,7 @@ def initial_response_picture(
     for j, channel in enumerate(plant.outputs):
         open_loop = _bundle(uncontrolled, "y", j, "open loop", style.GREY)
         closed = _bundle(controlled, "y", j, "under control", style.BLUE)
-        panel = Panel(
+        panel = PicturePanel(
             x_label="Time (s)", y_label=label_of(channel), series=(*open_loop, *closed)
         )
         upper.append(panel)
@@ -80,10 +89,10 @@ def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> 
     return replace(loop, reference=reference).simulate(plant, controller, rest, noise)
 
 
-def _step_picture(
-    run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float
-) -> Picture:
+def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
     """Output beside its reference, settling band in grey, and the input."""
+    (time_s,) = settling_times_s(run, plant.settling_band)
+    seen = _seen_range(run, time_s)
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
@@ -98,19 +107,30 @@ def _step_picture(
             x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name="set point"
         )
         output = Series(x=run.time_s, y=run.y[0, :, j], name="output")
-        panel = Panel(
+        panel = PicturePanel(
             x_label="Time (s)",
             y_label=label_of(channel),
             series=(set_point, output),
             bands=(band,),
+            x_range=seen,
         )
         upper.append(panel)
-    lower = _input_panels(run, plant.inputs, recorded)
+    lower = [replace(panel, x_range=seen) for panel in _input_panels(run, plant.inputs, recorded)]
     panels = (*_padded(upper, columns), *_padded(lower, columns))
-    (time_s,) = settling_times_s(run, plant.settling_band)
     ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
-    title = f"Step of the set point by {size:.3g} on {place}: {ending}"
+    unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
+    title = f"Step of the set point by {size:.3g}{unit} on {place}: {ending}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
+
+
+def _seen_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
+    """Times that are drawn: around the step, as long as what follows it takes."""
+    end_s = float(run.time_s[-1])
+    at_s = BEFORE * len(run.time_s) * run.step_s
+    if settling_time_s is None:
+        return 0.0, end_s
+    span_s = max(SEEN_SETTLING_TIMES * settling_time_s, FEWEST_SEEN * run.step_s)
+    return max(0.0, at_s - span_s / 4), min(end_s, at_s + span_s)
 
 
 def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
@@ -130,23 +150,30 @@ def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tupl
     )
 
 
-def _input_panels(runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs) -> list[Panel]:
+def _input_panels(
+    runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs
+) -> list[PicturePanel]:
     """Inputs, with the ends of their recorded range."""
     panels = []
     for j, channel in enumerate(inputs):
-        rules: tuple[Rule, ...] = ()
+        rules: tuple[GuideLine, ...] = ()
         if len(recorded):
             values = np.concatenate([one[:, j] for one in recorded])
-            rules = (Rule(y=float(values.min()), name="recorded range"), Rule(y=float(values.max())))
+            rules = (
+                GuideLine(y=float(values.min()), name="recorded range"),
+                GuideLine(y=float(values.max())),
+            )
         series = _bundle(runs, "u", j, "input", style.VERMILLION)
-        panel = Panel(x_label="Time (s)", y_label=label_of(channel), series=series, rules=rules)
+        panel = PicturePanel(
+            x_label="Time (s)", y_label=label_of(channel), series=series, rules=rules
+        )
         panels.append(panel)
     return panels
 
 
-def _padded(panels: list[Panel], columns: int) -> list[Panel]:
+def _padded(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
     """Fill a row whose panels are fewer than its columns with empty ones."""
-    empty = Panel(x_label="", y_label="", series=())
+    empty = PicturePanel(x_label="", y_label="", series=())
     return panels + [empty] * (columns - len(panels))
 
 

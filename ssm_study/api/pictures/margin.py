@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ssm_study import style
-from ssm_study.api.pictures.picture import NothingToShow, Panel, Picture, Rule, Series
+from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
 from ssm_study.robustness.margin_by_frequency import MarginCurve
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 
-HIGHEST = 1e4  # margins above say no more than "far": the axis ends there
+HIGHEST = 1e3  # margins above say no more than "far": the axis ends there
+DECADES = 3  # below half the sampling rate
 
 
 def margin_picture(
@@ -26,18 +27,20 @@ def margin_picture(
     if not drawn:
         raise NothingToShow("The records show no model error beyond their noise.")
     hertz = FINE_ANGLES / (2 * np.pi * step_s)
+    least = min(drawn, key=lambda curve: curve.smallest)
+    first = min(hertz[-1] / 10**DECADES, least.angle / (2 * np.pi * step_s))
+    visible = hertz >= first
     series = [
         Series(
-            x=hertz,
-            y=np.where(curve.margin < HIGHEST, curve.margin, np.nan),
+            x=hertz[visible],
+            y=np.where(curve.margin < HIGHEST, curve.margin, np.nan)[visible],
             name=_name(curve),
             colour=style.CYCLE[i % len(style.CYCLE)],
         )
         for i, curve in enumerate(drawn)
     ]
-    least = min(drawn, key=lambda curve: curve.smallest)
     at_hertz = least.angle / (2 * np.pi * step_s)
-    rules = [Rule(y=1.0, dashed=False, name="1: small gain ends")]
+    rules = [GuideLine(y=1.0, dashed=False, name="1: small gain ends")]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:
         dot = Series(
@@ -50,9 +53,9 @@ def margin_picture(
         series.append(dot)
         title = f"Stability margin {least.smallest:.3g}, decided at {at_hertz:.3g} Hz"
     else:
-        rules.append(Rule(y=margin, name="the design's margin, between two amplitudes"))
+        rules.append(GuideLine(y=margin, name="the design's margin, between two amplitudes"))
         title = f"Stability margin {margin:.3g}, decided between two amplitudes or by an offset"
-    panel = Panel(
+    panel = PicturePanel(
         x_label="Frequency (Hz)",
         y_label="Stability margin (–)",
         series=tuple(series),

@@ -7,7 +7,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle
-from ssm_study.api.pictures.picture import NothingToShow, Panel, Picture, Series
+from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel, Series
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.robustness.mismatch import ANGLES, Mismatch, View
@@ -15,7 +15,7 @@ from ssm_study.robustness.sensitivity import FINE_ANGLES, sensitivity
 from ssm_study.systems import Gains
 
 REACH = 2.2  # how far from the origin the curve is drawn: the point -1 decides
-SMALLEST_DISC = 0.004  # a smaller one is not seen
+SMALLEST_DISC = 0.01  # a smaller one is not seen
 
 
 def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Picture:
@@ -43,7 +43,7 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     series.append(_point())
     unit = circle()
     circle_series = Series(x=unit[0], y=unit[1], colour=style.PALE, thin=True, name="gain 1")
-    panel = Panel(
+    panel = PicturePanel(
         x_label="Real part (–)",
         y_label="Imaginary part (–)",
         series=(circle_series, *series),
@@ -99,7 +99,7 @@ def _discs_at(
 
 def _curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
     """The part of a complex curve that is near enough to be seen."""
-    near = np.abs(values) < 3 * REACH
+    near = np.abs(values) < 2 * REACH
     return Series(
         x=np.where(near, values.real, np.nan),
         y=np.where(near, values.imag, np.nan),
@@ -111,7 +111,7 @@ def _curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
 def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
     """The rims of all discs that can be seen, as one broken line."""
     rims = []
-    x, y = circle(points=37)
+    x, y = circle(points=25)
     for centre, radius in zip(centres, radii, strict=True):
         if radius > SMALLEST_DISC and np.abs(centre) < 2 * REACH:
             rim = centre + radius * (x + 1j * y)

@@ -26,7 +26,7 @@ class Series:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rule:
+class GuideLine:
     """A straight line over the whole panel, at `y` or at `x`."""
 
     y: float | None = None
@@ -47,14 +47,14 @@ class Band:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Panel:
+class PicturePanel:
     """One pair of axes. `equal` gives both axes the same scale; a range limits what is drawn."""
 
     x_label: str
     y_label: str
     series: tuple[Series, ...]
     title: str = ""
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[GuideLine, ...] = ()
     bands: tuple[Band, ...] = ()
     log_x: bool = False
     log_y: bool = False
@@ -69,7 +69,7 @@ class Picture:
     """Panels row by row, `columns` side by side; `title` says what is seen, with its number."""
 
     title: str
-    panels: tuple[Panel, ...]
+    panels: tuple[PicturePanel, ...]
     columns: int = 1
     wide: bool = False
 

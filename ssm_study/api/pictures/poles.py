@@ -7,7 +7,7 @@ from jaxtyping import Inexact
 
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle
-from ssm_study.api.pictures.picture import Mark, Panel, Picture, Series
+from ssm_study.api.pictures.picture import Mark, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.systems import Gains
 
@@ -32,7 +32,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
         mark = MARKS[i % len(MARKS)]
         colour = COLOURS[i % len(COLOURS)]
         series.append(Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=name))
-    panel = Panel(
+    panel = PicturePanel(
         x_label="Real part (per sample)",
         y_label="Imaginary part (per sample)",
         series=tuple(series),
@@ -43,7 +43,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
 
 
 def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
-    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest; an internal model is left out."""
+    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest, without an internal model."""
     linear = at_rest(model)
     n = len(linear.a)
     slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study import style
-from ssm_study.api.pictures.picture import Band, Panel, Picture, Series
+from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
 
 SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
 MAX_LAG = 25  # samples
@@ -29,19 +28,21 @@ def residual_correlation_picture(
         cross = correlate(errors, inputs, 0, j, lags, one_sided=False)
         panels.append(_panel(cross, bound, f"Error with {name}"))
     inside = float(np.mean(np.abs(own[1][1:]) <= bound))
-    title = f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
+    title = (
+        f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
+    )
     return Picture(title=title, panels=tuple(panels), columns=len(panels))
 
 
 def _panel(
     correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]], bound: float, title: str
-) -> Panel:
+) -> PicturePanel:
     """One correlation as stems over its bounds."""
     lags, values = correlation
     ends = np.array([lags[0], lags[-1]], dtype=float)
     band = Band(x=ends, low=np.full(2, -bound), high=np.full(2, bound))
     stems = Series(x=lags.astype(float), y=values, mark="stems")
-    return Panel(
+    return PicturePanel(
         x_label="Lag (samples)",
         y_label="Correlation (–)",
         series=(stems,),
@@ -52,13 +53,7 @@ def _panel(
 
 
 def correlate(
-    first: Signals,
-    second: Signals,
-    i: int,
-    j: int,
-    lags: int,
-    *,
-    one_sided: bool,
+    first: Signals, second: Signals, i: int, j: int, lags: int, *, one_sided: bool
 ) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
     """Correlation of `first[k]` with `second[k - lag]`, all records together, means removed.
 
