@@ -125,6 +125,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "engine.stages.Stages": {"take": "run_stage", "aside": "unrecorded"},
     "engine.task.Task": {"warm": "preload"},
+    "loop.peers.peer.Identified": {"shown": "mismatch"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},
 }
