@@ -36,14 +36,17 @@ def compute_model(
     seed: int,
     progress: bool,
 ) -> None:
-    """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has
-    no infinity."""
-    late = getattr(model, "dead_time", 0)  # of one layer; fitted without it
-    identified = training.identify(
-        model, data.shift_out_dead_time(late) if late else data, seed, folder, progress
-    )
-    made: Any = identified.model
-    write_json(folder / "model.json", (made.delayed(late) if late else made).to_json())
+    """Train the model and write it as explicit numbers.
+
+    A fit that left the finite is a gap in the curve: JSON has no infinity.
+    """
+    dead_time = getattr(model, "dead_time", 0)  # of one layer, which is fitted without it
+    records = data.shift_out_dead_time(dead_time) if dead_time else data
+    identified = training.identify(model, records, seed, folder, progress)
+    trained: Any = identified.model
+    if dead_time:
+        trained = trained.delayed(dead_time)
+    write_json(folder / "model.json", trained.to_json())
     facts = {"seconds": identified.seconds, "ended": identified.ended}
     if data.metadata.get("source") == "recorded":
         from ssm_study.models.baselines.regression import baseline_facts
@@ -56,27 +59,33 @@ def compute_model(
 
 
 def read_trained(folder: Path) -> Trained:
-    """The model with the seconds its training took and why it ended."""
-    return Trained(read_model(folder), **read_json(folder / "training.json"))
+    """Read the model with the seconds its training took and why it ended."""
+    facts = read_json(folder / "training.json")
+    return Trained(read_model(folder), **facts)
 
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
-    """The columns of the training: its time, its end, the model's size, and a baseline's fit."""
+    """Columns of the training: its time, its end, the model's size, and a baseline's fit."""
     facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
     return facts | (trained.baseline or {})
 
 
 def read_model(folder: Path) -> Any:
-    """The model as explicit numbers, without torch."""
+    """Read the model from its explicit numbers, without torch."""
     return model_from_json(read_json(folder / "model.json"))
 
 
 def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """The curve with null for what is not finite."""
-    return [
-        {name: value if math.isfinite(value) else None for name, value in row.items()}
-        for row in curve
-    ]
+    """Training curve with null for what is not finite."""
+    rows: list[dict[str, float | None]] = []
+    for row in curve:
+        rows.append({name: finite_or_none(value) for name, value in row.items()})
+    return rows
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number, or None for infinity and for what is no number."""
+    return value if math.isfinite(value) else None
 
 
 MODEL = Stage(
