@@ -187,7 +187,8 @@ class StructuredFit(pl.LightningModule):
         """Configure no optimiser: a step needs the Jacobian, not a gradient."""
 
     def stored(self) -> StructuredSSM:
-        """The explicit numbers; with `integrating_output` the running sum is one more state per output."""
+        """The explicit numbers; with `integrating_output` the running sum is one more state per
+        output."""
         theta = self.theta
         spec = self.spec
         k = self.problem.matrices(theta)

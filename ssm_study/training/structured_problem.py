@@ -89,7 +89,8 @@ class Batch(NamedTuple):
 class Residuals:
     """`r = weight (y_hat - y)`, all records from their own x0.
 
-    With `rate` the core (A, E, F) is that of `models.contracting`, without it free. `integrating_output`:
+    With `rate` the core (A, E, F) is that of `models.contracting`, without it free.
+    `integrating_output`:
     the output is the running sum of the model's, started at `x0`'s last entry. `ridge` weighs the
     squared parameters that are moved.
     """
@@ -180,7 +181,8 @@ class Residuals:
         return np.concatenate([part.reshape(len(part), part[0].size) for part in turned], axis=1).T
 
     def _by_start(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
-        """Every record has a start of its own, and with `integrating_output` an output it begins at."""
+        """Every record has a start of its own, and with `integrating_output` an output it begins
+        at."""
         count, samples, p, n = own.shape
         whole = np.zeros((count, samples, p, count, n + p * self.integrating_output))
         for r in range(count):
