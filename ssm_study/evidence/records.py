@@ -10,7 +10,8 @@ from jaxtyping import Float
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,

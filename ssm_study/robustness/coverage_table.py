@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.robustness.coverage import Premise, Weights
+from ssm_study.robustness.coverage_items import Item
 
 
 @dataclass(frozen=True, kw_only=True)

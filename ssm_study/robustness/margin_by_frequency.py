@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.structured import Model
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import AmplitudeCondition, LoopResponse, tested_loops
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 from ssm_study.systems import Balls, Gains

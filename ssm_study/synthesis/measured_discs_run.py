@@ -20,7 +20,8 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Item, Premise, Weights, measure_premise
+from ssm_study.robustness.coverage import Premise, Weights, measure_premise
+from ssm_study.robustness.coverage_items import Item
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls

@@ -21,7 +21,8 @@ from ssm_study.certificates.problem import NoSolution, symmetric
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
-from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.robustness.coverage import Premise, Weights
+from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     AngleProgram,

@@ -9,20 +9,21 @@ import pytest
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.models.identified import SSM
+from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.coverage import (
     EMPTY,
     INTEGRATES,
     NO_MISMATCH,
     NOT_AT_REST,
-    MismatchSpectrum,
     Premise,
     Weights,
     measure_premise,
-    repeating_items,
     running_sum,
 )
+from ssm_study.robustness.coverage_items import repeating_items
+from ssm_study.robustness.coverage_spectra import MismatchSpectrum
 from ssm_study.robustness.coverage_table import coverage_table
-from ssm_study.robustness.mismatch import ANGLES, measure_mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import coverage_facts, weights_of, with_coverage
