@@ -38,6 +38,7 @@ class OldName(FutureWarning):
 # Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
 # those that have an entry of their own.
 MODULES: Mapping[str, str] = {
+    "certificates.exact": "exact",
     "cli.endings": "cli.summary",
     "cli.explained": "cli.hydra_errors",
     "data.readers.csv": "data.readers.text",
@@ -53,7 +54,7 @@ MODULES: Mapping[str, str] = {
     "synthesis.area": "synthesis.integrated_error",
     "synthesis.certificate": "certificates.certificate",
     "synthesis.commanded": "synthesis.input_inversion",
-    "synthesis.exact": "certificates.exact",
+    "synthesis.exact": "exact",
     "synthesis.frontier": "certificates.frontier",
     "synthesis.mismatch": "robustness.mismatch",
     "synthesis.prediction": "robustness.prediction",

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.exact import Exact, is_positive_definite
+from ssm_study.exact import Exact, is_positive_definite
 from ssm_study.extensions import load
 from ssm_study.refusal import require
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
