@@ -36,16 +36,20 @@ def identify(
     *,
     progress: bool,
     workplace: Path,
+    keep_on_interrupt: bool = False,
 ) -> tuple[Any, "Identification"]:
     """Train a model on the training records; returns it with its dead time, and how it was found.
 
     A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
-    folder of `workplace` while the training runs.
+    folder of `workplace` while the training runs. With `keep_on_interrupt` Ctrl-C ends the training
+    with the best model so far.
     """
     dead_time = getattr(spec, "dead_time", 0)
     shifted = data.shift_out_dead_time(dead_time) if dead_time else data
     with TemporaryDirectory(prefix="training-", dir=workplace) as folder:
-        identification = training.identify(spec, shifted, seed, Path(folder), progress)
+        identification = training.identify(
+            spec, shifted, seed, Path(folder), progress, keep_on_interrupt
+        )
     model: Any = identification.model
     return (model.delayed(dead_time) if dead_time else model), identification
 

@@ -25,6 +25,12 @@ EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
 
 
+INTERRUPTED = (
+    "interrupted; the same command again does what is missing, a training from its last checkpoint "
+    "(in Python st.fit(..., keep_on_interrupt=True) returns the model so far)"
+)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one `ssm-study` command; returns its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
@@ -39,9 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
         command: Command = options.command
         return command(options) or DONE
     except KeyboardInterrupt:
-        print(
-            "ssm-study: interrupted; the same command again does what is missing", file=sys.stderr
-        )
+        print(f"ssm-study: {INTERRUPTED}", file=sys.stderr)
         # Without a traceback, yet ended by the signal: a script's loop ends with it.
         sys.excepthook = lambda *_: None
         raise

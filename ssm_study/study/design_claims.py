@@ -21,11 +21,13 @@ from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.evidence.metrics import withheld
+from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import input_limits
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
 from ssm_study.study.run_files import RunFiles
+from ssm_study.synthesis.deployed import starts_at_rest
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
 from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
@@ -49,6 +51,7 @@ def certificate(run: RunFiles) -> Claims:
         yield verdict_on_part(run, label, part, sentences)
     yield from internal_model_claim(run)
     yield from limits_claim(run)
+    yield from starts_claim(run)
     facts = design_facts(design, run.model, balls, mismatch_again(run))
     facts |= coverage_again(run)
     yield Derived(withheld(facts, run.record.get("evidence")))
@@ -96,6 +99,30 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
     if pairs:
         said = "given, or the records' range"
         yield agreement("certificate limits", pairs, ONE_FORMULA, said)
+
+
+def starts_claim(run: RunFiles) -> Iterator[Checked]:
+    """That the stored starts are states at rest at the corners of a box of outputs, and that no
+    limit acts from such states as they are derived here."""
+    model = run.model
+    for part in run.design.extra_certificates.values():
+        if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
+            yield stored_starts(part, starts_at_rest(model, part.starts))
+
+
+def stored_starts(part: UnlimitedStart, starts: np.ndarray | None) -> Checked:
+    """The claim about one part's starts, beside those derived of the model."""
+    claim = "certificate starts"
+    if starts is None or starts.shape != part.starts.shape:
+        found = "the outputs at rest do not tell the states of this model"
+        return Checked(claim=claim, holds=False, found=found)
+    said = "states at rest at the corners of a box of outputs"
+    compared = agreement(claim, {"starts": (part.starts, starts)}, ITERATED, said)
+    if compared.holds and not part.holds(**(part.variables | {"starts": starts})):
+        return Checked(
+            claim=claim, holds=False, found="beyond the level set where they are at rest"
+        )
+    return compared
 
 
 def mismatch_again(run: RunFiles) -> Any:

@@ -64,10 +64,20 @@ class Training:
         one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
 
     def identify(
-        self, spec: "ModelSpec", data: DataSet, seed: int, folder: Path, progress: bool = False
+        self,
+        spec: "ModelSpec",
+        data: DataSet,
+        seed: int,
+        folder: Path,
+        progress: bool = False,
+        keep_on_interrupt: bool = False,
     ) -> "Identification":
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running,
-        `last.ckpt`."""
+        `last.ckpt`.
+
+        With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
+        there is one.
+        """
         from ssm_study.models.baselines.solved import SolvedSpec
         from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
@@ -79,9 +89,7 @@ class Training:
             return Identification.of(
                 model, data, seconds=seconds, curve=[], ended="solved without training"
             )
-        from ssm_study.training.saving import (
-            trained,
-        )  # with it torch's compiler, which any optimiser of torch loads
+        from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         began = time.perf_counter()  # the imports are no training
         choice: list[dict[str, object]] = []
@@ -93,7 +101,15 @@ class Training:
         found: list[Identification] = []
         for k in range(getattr(spec, "trainings", self.starts)):
             into = folder / f"start_{k}" if k else folder
-            found.append(trained(self, spec.at_start(k), data, seed + 1000 * k, into, progress))
+            start = spec.at_start(k), data, seed + 1000 * k, into, progress
+            try:
+                found.append(saving.trained(self, *start, keep_on_interrupt))
+            except KeyboardInterrupt:
+                if not keep_on_interrupt or not found:
+                    raise
+                break
+            if found[-1].ended.startswith(saving.INTERRUPTED):
+                break
         rule = getattr(spec, "among_starts", None)
         best = rule(found) if rule else max(found, key=lambda one: one.fit_validation_percent)
         return replace(

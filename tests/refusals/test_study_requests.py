@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from ssm_study.cli.from_python import composed
 from ssm_study.cli.hydra_errors import meant
-from ssm_study.cli.main import main
+from ssm_study.cli.main import INTERRUPTED, main
 from ssm_study.cli.run import _warned, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
@@ -294,7 +294,7 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == -signal.SIGINT
-    assert ended.stderr == "ssm-study: interrupted; the same command again does what is missing\n"
+    assert ended.stderr == f"ssm-study: {INTERRUPTED}\n"
 
 
 def test_our_own_warning_is_a_sentence() -> None:
