@@ -190,7 +190,7 @@ def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         yield "coverage", label, f"not covered: the records show more than is proved ({where})"
     else:
         times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
-        covered = f"{times:.2f} times as large as the records show, at every frequency"
+        covered = f"{times:.2f} times as large as the records show, at every frequency above zero"
         yield "coverage", label, covered + fresh_data_words(record)
 
 

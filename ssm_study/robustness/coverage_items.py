@@ -67,16 +67,15 @@ class RepeatingPower:
 
     @classmethod
     def of(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """The mean is one more line of the band at zero: an input whose mean is next to nothing has
-        no disc of its own there, and what friction adds to the mean comes from the lines around
-        it."""
+        """The mean belongs to no band: friction leaves an offset that no disc bounds, since it stays
+        where model and input have come to rest; see docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
         repeats = sides * (first * second.conj()).real.sum(axis=1)
         noise = sides * record.noise
         of_noise = noise * record.noise / 2
         variance = sides * (of_noise + record.noise * np.maximum(repeats, 0.0))
-        bands = np.concatenate([[0], bands_of(len(record.angles))[0]])
+        bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
         powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
         has_lines = np.array([len(power) > 0 for power in powers])
         drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
