@@ -67,8 +67,9 @@ class RepeatingPower:
 
     @classmethod
     def of(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """The mean belongs to no band: friction leaves an offset that no disc bounds, since it stays
-        where model and input have come to rest; see docs/trust.md, "Covered"."""
+        """Powers of every line but the mean, which belongs to no band: friction leaves an offset
+        that no disc bounds, since it stays where model and input have come to rest. Source:
+        docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
         repeats = sides * (first * second.conj()).real.sum(axis=1)
