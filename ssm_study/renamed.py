@@ -172,6 +172,21 @@ WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {
     "model=deep_ssm": Withdrawn(since="0.2", remedy="use model=structured"),
 }
 
+_OF_THE_SENSOR = Withdrawn(
+    since="0.2",
+    remedy="the sensor's noise is loop.measurement_noise_variance and loop.noise_factor now; "
+    "a converter is a wrapper of your own (docs/howto_plant.md)",
+)
+# Classes of `_target_`, below `ssm_study`, that there are no more.
+WITHDRAWN_TARGETS: Mapping[str, Withdrawn] = {
+    "plants.sensor.QuantisedOutput": _OF_THE_SENSOR,
+    "plants.sensor.NoisyOutput": _OF_THE_SENSOR,
+    "plants.wrapper.QuantisedOutput": _OF_THE_SENSOR,
+    "plants.wrapper.Disturbed": Withdrawn(
+        since="0.2", remedy="disturbances are loop.disturbance now"
+    ),
+}
+
 # Parts of `certificate.json` by the name of their theorem: read past, and not checked.
 WITHDRAWN_THEOREMS: Mapping[str, Withdrawn] = {
     "noise_gain": Withdrawn(
@@ -219,6 +234,11 @@ def present_target(target: Any) -> Any:
         return target
     module, _, name = target.rpartition(".")
     return ".".join(present_symbol(module, name))
+
+
+def withdrawn_target(target: Any) -> Withdrawn | None:
+    """What is said of a class of `_target_` that there is no more; None for any other."""
+    return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
 def warn(old: str, new: str) -> None:

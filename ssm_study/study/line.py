@@ -250,7 +250,8 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     has_runs = any(study.glob(f"{run}/{RECORD}"))
     problem = f"there is nothing in {study} to run again"
     remedy = "leave it out the first time"
-    require(has_runs or not config.retry_failed, "retry_failed", True, problem, remedy)
+    # What is neither true nor false is refused with the other flags.
+    require(has_runs or config.retry_failed is not True, "retry_failed", True, problem, remedy)
 
 
 def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:

@@ -21,7 +21,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball
     `alpha I + beta Delta`.
 
-    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G, which
+    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
     is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
     the map is bounded from its numbers like any other network. Source: Wang & Manchester (2023).
     """
