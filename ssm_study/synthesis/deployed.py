@@ -65,13 +65,13 @@ def with_gain_certificates(
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
-        known = VerificationContext(
+        context = VerificationContext(
             system=model.system, controlled=controlled, balls=balls, gains=design.gains
         )
         found["tolerance"] = within_reach(
             partial(
                 largest_tolerance,
-                known,
+                context,
                 np.eye(len(feedback.k)),
                 theorem=Tolerance if linear else StructuredTolerance,
             )

@@ -50,13 +50,13 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
-    known = VerificationContext(
+    context = VerificationContext(
         system=model.system,
         controlled=controlled_system(model, feedback),
         balls=balls,
         gains=design.gains,
     )
-    find = partial(measured_discs_search.largest_coverage, known, premise)
+    find = partial(measured_discs_search.largest_coverage, context, premise)
     try:
         with within_floats():
             certificate = find().certificate
