@@ -174,19 +174,20 @@ KINDS: dict[str, Case] = {"files": file_case, "requests": request_case}
 def run_fuzzer() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", choices=KINDS)
     parser.add_argument("--table", type=Path)
     options = parser.parse_args()
-    rows = ["kind,seed,cases,accepted,refused,finds,seconds"]
+    rows = ["kind,seed,first,cases,accepted,refused,finds,seconds"]
     finds = 0
     for kind, case in KINDS.items():
         if options.only not in (None, kind):
             continue
         begun = time.monotonic()
         answers: Counter[str] = Counter()
-        for number in range(options.count):
+        for number in range(options.first, options.first + options.count):
             if time.monotonic() - begun > 60 * options.minutes:
                 break
             rng = np.random.default_rng([options.seed, number])
@@ -196,7 +197,8 @@ def run_fuzzer() -> int:
             if answer.startswith("FIND"):
                 print(f"{kind} {number}: {about!r}\n  {answer}", flush=True)
         finds += answers["FIND"]
-        counts = f"{answers.total()},{answers['accepted']},{answers['refused']},{answers['FIND']}"
+        numbers = [answers[name] for name in ("accepted", "refused", "FIND")]
+        counts = ",".join(map(str, [options.first, answers.total(), *numbers]))
         rows.append(f"{kind},{options.seed},{counts},{time.monotonic() - begun:.0f}")
         print(rows[-1], flush=True)
     if options.table:

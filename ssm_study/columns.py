@@ -23,6 +23,7 @@ ADDED_COLUMNS = frozenset(
         "coverage_needed",
         "coverage_reason",
         "coverage_reference",
+        "fresh_sets",
         "noise_gain_model",
         "faster_than_open_loop",
         "swings_at_rest",

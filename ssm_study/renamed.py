@@ -38,6 +38,7 @@ class OldName(FutureWarning):
 # Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
 # those that have an entry of their own.
 MODULES: Mapping[str, str] = {
+    "certificates.exact": "exact",
     "cli.endings": "cli.summary",
     "cli.explained": "cli.hydra_errors",
     "data.readers.csv": "data.readers.text",
@@ -53,7 +54,7 @@ MODULES: Mapping[str, str] = {
     "synthesis.area": "synthesis.integrated_error",
     "synthesis.certificate": "certificates.certificate",
     "synthesis.commanded": "synthesis.input_inversion",
-    "synthesis.exact": "certificates.exact",
+    "synthesis.exact": "exact",
     "synthesis.frontier": "certificates.frontier",
     "synthesis.mismatch": "robustness.mismatch",
     "synthesis.prediction": "robustness.prediction",
@@ -125,6 +126,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "engine.stages.Stages": {"take": "run_stage", "aside": "unrecorded"},
     "engine.task.Task": {"warm": "preload"},
+    "loop.peers.peer.Identified": {"shown": "mismatch"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},
 }
@@ -168,6 +170,21 @@ WITHDRAWN_SETTINGS: Mapping[str, Withdrawn] = {
 WITHDRAWN_CHOICES: Mapping[str, Withdrawn] = {
     "model=dynonet": Withdrawn(since="0.2", remedy="use model=gru, lstm, narx or structured"),
     "model=deep_ssm": Withdrawn(since="0.2", remedy="use model=structured"),
+}
+
+_OF_THE_SENSOR = Withdrawn(
+    since="0.2",
+    remedy="the sensor's noise is loop.measurement_noise_variance and loop.noise_factor now; "
+    "a converter is a wrapper of your own (docs/howto_plant.md)",
+)
+# Classes of `_target_`, below `ssm_study`, that there are no more.
+WITHDRAWN_TARGETS: Mapping[str, Withdrawn] = {
+    "plants.sensor.QuantisedOutput": _OF_THE_SENSOR,
+    "plants.sensor.NoisyOutput": _OF_THE_SENSOR,
+    "plants.wrapper.QuantisedOutput": _OF_THE_SENSOR,
+    "plants.wrapper.Disturbed": Withdrawn(
+        since="0.2", remedy="disturbances are loop.disturbance now"
+    ),
 }
 
 # Parts of `certificate.json` by the name of their theorem: read past, and not checked.
@@ -217,6 +234,11 @@ def present_target(target: Any) -> Any:
         return target
     module, _, name = target.rpartition(".")
     return ".".join(present_symbol(module, name))
+
+
+def withdrawn_target(target: Any) -> Withdrawn | None:
+    """What is said of a class of `_target_` that there is no more; None for any other."""
+    return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
 def warn(old: str, new: str) -> None:

@@ -49,7 +49,7 @@ def plant_of(name: str) -> Plant:
 def before(known: Identified) -> Mismatch:
     """What the rule that went before knew: the validation record alone, its average where the input
     has no power."""
-    shown = replace(known, mismatch_records=()).shown
+    shown = replace(known, mismatch_records=()).mismatch
     view: View = shown.views[0]
     unknown = np.isin(
         np.round(np.linspace(0, np.pi, len(view.rest)), 9), np.round(shown.unexcited, 9)
@@ -87,7 +87,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     validation, test = (
         Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test)
     )
-    about["evidence"] = judge(data, model, validation, test, known.shown).level
+    about["evidence"] = judge(data, model, validation, test, known.mismatch).level
     settles = rows.stable_count_noise_free == rows.initial_conditions
     drawn = rows.index > 0
     candidates = grid.auto.candidates(model, known.balls)
@@ -109,7 +109,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         "both_right": int((old & rows.predicted_stable & settles).sum()),
         "choice_predicted": bool(rows.predicted_stable[0]), "choice_settles": bool(settles[0]),
         "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone,
-        "rests": known.shown.rests,
+        "rests": known.mismatch.rests,
     }  # fmt: skip
 
 

@@ -14,6 +14,9 @@ from ssm_study.data.arrays import signal
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
+Outputs = Float[np.ndarray, "T p"]
+Records = Sequence[Float[np.ndarray, "_ p"]]  # of any lengths
+
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ModelComparison:
@@ -28,6 +31,7 @@ class ModelComparison:
     simulated: dict[str, Float[np.ndarray, "T p"]]
     time_s: Float[np.ndarray, "T"]
     output_names: list[str]
+    start_up_samples: int = 0
 
     def __repr__(self) -> str:
         return self.table.to_string(float_format=lambda value: f"{value:.4g}")
@@ -38,9 +42,14 @@ class ModelComparison:
 
     def plot(self) -> Any:
         """Draw measured and simulated outputs, residuals below. Returns the Matplotlib figure."""
-        from ssm_study.api.plots import plot_overlay
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.free_run import free_run_picture
 
-        return plot_overlay(self)
+        return draw_picture(
+            free_run_picture(
+                self.time_s, self.measured, self.simulated, self.output_names, self.start_up_samples
+            )
+        )
 
 
 def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values) -> ModelComparison:
@@ -61,25 +70,52 @@ def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values)
     named = dict(models) if isinstance(models, Mapping) else _name_models(models)
     require(bool(named), "models", "none", "there is nothing to compare", "give a list of models")
     measured = signal(y, "y")[1]
+    first = next(iter(named.values()))
     simulated = {}
-    rows = {}
     for name, model in named.items():
         output = signal(model.predict(u), "y")[1]
         problem = f"{name} answers with {output.shape}"
         remedy = "give the outputs of this input"
         require(output.shape == measured.shape, "y", measured.shape, problem, remedy)
-        simulated[name] = output
-        rows[name] = _score_row(model, measured, output)
+        simulated[name] = [output]
+    return compare_simulations(
+        [measured],
+        simulated,
+        output_names=first.output_names,
+        step_s=first.data.step_s,
+        states={name: getattr(model.simulator, "order", None) for name, model in named.items()},
+    )
+
+
+def compare_simulations(
+    measured: Records,
+    simulated: Mapping[str, Records],
+    *,
+    output_names: list[str],
+    step_s: float,
+    states: Mapping[str, int | None],
+    start_up_samples: int = 0,
+) -> ModelComparison:
+    """Score simulations of the same records, best fit first; the longest record is what is drawn.
+
+    The first `start_up_samples` of each record are not scored: they tell the initial state.
+    """
+    scored = slice(start_up_samples, None)
+    whole = np.concatenate([record[scored] for record in measured])
+    rows = {}
+    for name, outputs in simulated.items():
+        output = np.concatenate([one[scored] for one in outputs])
+        rows[name] = _score_row(whole, output, output_names) | {"states": states[name]}
     table = pd.DataFrame.from_dict(rows, orient="index").sort_values("fit_percent", ascending=False)
     table.index.name = "model"
-    first = next(iter(named.values()))
-    time_s = np.arange(len(measured)) * first.data.step_s
+    longest = int(np.argmax([len(record) for record in measured]))
     return ModelComparison(
         table=table,
-        measured=measured,
-        simulated=simulated,
-        time_s=time_s,
-        output_names=first.output_names,
+        measured=measured[longest],
+        simulated={str(name): simulated[str(name)][longest] for name in table.index},
+        time_s=np.arange(len(measured[longest])) * step_s,
+        output_names=output_names,
+        start_up_samples=start_up_samples,
     )
 
 
@@ -94,15 +130,14 @@ def _name_models(models: Sequence[Model]) -> dict[str, Model]:
 
 
 def _score_row(
-    model: Model, measured: Float[np.ndarray, "T p"], simulated: Float[np.ndarray, "T p"]
+    measured: Outputs, simulated: Outputs, output_names: Sequence[str]
 ) -> dict[str, Any]:
     """Scores of one model on a record."""
     row: dict[str, Any] = {"fit_percent": fit_percent(measured, simulated)}
     if measured.shape[1] > 1:
-        for j, name in enumerate(model.output_names):
+        for j, name in enumerate(output_names):
             column = slice(j, j + 1)
             row[f"fit_percent of {name}"] = fit_percent(measured[:, column], simulated[:, column])
     row["rmse"] = rmse(measured, simulated)
     row["largest_error"] = float(np.abs(measured - simulated).max())
-    row["states"] = getattr(model.simulator, "order", None)
     return row

@@ -12,15 +12,16 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Complex, Float
 
-from ssm_study.api.model import Model, Values, html_table
+from ssm_study.api.model import Model, Values, draw_or_refuse, html_table
 from ssm_study.api.scratch import new_folder
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import StructuredSSM, at_rest, model_from_json
+from ssm_study.models.structured import StructuredSSM, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from ssm_study.plants.plant import Plant
 
+STARTS = (-1.0, 1.0)  # from where a loop is drawn unless it is told, in output scales
 PROVED = {True: "certified in exact arithmetic", False: "not certified"}
 
 
@@ -159,18 +161,9 @@ class Design:
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
-        linear = at_rest(self.model)
-        gains = self.certificate.pair
-        n = len(linear.a)
-        input_slope = self.model.scaffold_in.jacobian(np.zeros(self.model.scaffold_in.inputs))
-        output_slope = self.model.scaffold_out.jacobian(np.zeros(self.model.scaffold_out.inputs))
-        controlled = linear.a + linear.b @ input_slope @ gains.k[:, :n]
-        observed = linear.a + gains.l @ output_slope @ linear.c
-        return {
-            "model": np.asarray(np.linalg.eigvals(linear.a), dtype=complex),
-            "controlled": np.asarray(np.linalg.eigvals(controlled), dtype=complex),
-            "estimate": np.asarray(np.linalg.eigvals(observed), dtype=complex),
-        }
+        from ssm_study.api.pictures.poles import pole_groups
+
+        return pole_groups(self.model, self.certificate.pair)
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
         """Guarantee of the design under a limited input, in physical units.
@@ -266,21 +259,92 @@ class Design:
     def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:
         """Draw outputs and inputs of the loop from initial outputs, beside the open loop.
 
-        By default from one output scale above and below the equilibrium. Returns the Matplotlib
-        figure.
+        By default from one output scale above and below the equilibrium, on the identified model or
+        on `plant`; dashed is the range of the recorded inputs. Returns the Matplotlib figure.
         """
-        from ssm_study.api.plots import plot_loop
+        from ssm_study.api.loops import close_loop, identified_plant
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.loop_response import initial_response_picture
+        from ssm_study.loop.controller import Uncontrolled
 
-        return plot_loop(self, y0, plant)
+        on = plant or identified_plant(self)
+        scale = self.model.scale
+        if y0 is None:
+            y0 = scale.output_equilibrium + np.outer(STARTS, scale.output_scale)
+        controlled = close_loop(self, y0, on)
+        uncontrolled = close_loop(self, y0, on, controller=Uncontrolled.of(on))
+        return draw_picture(
+            initial_response_picture(
+                controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
+            )
+        )
+
+    def step(self, size: float | None = None, *, plant: "Plant | None" = None) -> Any:
+        """Draw a step of the set point by `size`, and the input with the range of the records.
+
+        In the output's unit; by default half the output's scale, or less where the recorded inputs
+        cannot hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no
+        input holds.
+        """
+        from ssm_study.api.loops import identified_plant
+        from ssm_study.api.pictures.loop_response import set_point_picture
+
+        on = plant or identified_plant(self)
+        loop = Loop().fitted(self.model)
+        recorded = self._recorded_inputs
+        if recorded:
+            loop = loop.within(self.model.scale.with_rest(recorded))
+        return draw_or_refuse(
+            "step",
+            lambda: set_point_picture(
+                on, self.certificate, self.model, loop, recorded, _place(plant), size
+            ),
+        )
 
     def margin_plot(self) -> Any:
         """Draw the stability margin at each frequency, line at 1, for every amplitude on record.
 
-        Returns the Matplotlib figure. Raises `BadRequest` for a design without records.
+        A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
+        without records.
         """
-        from ssm_study.api.plots import plot_margin
+        from ssm_study.api.pictures.margin import margin_picture
+        from ssm_study.robustness.margin_by_frequency import margin_curves
 
-        return plot_margin(self)
+        origin = self._origin_with_records()
+        balls = certified_balls(self.model)
+        curves = margin_curves(self.model, self.certificate.pair, balls, origin.mismatch)
+        margin = self.facts.get("resolved_margin")
+        return draw_or_refuse(
+            "margin_plot", lambda: margin_picture(curves, self.model.step_s, margin)
+        )
+
+    def coverage_plot(self) -> Any:
+        """Draw how many times the measured model error the proof tolerates, band by band.
+
+        Returns the Matplotlib figure. Raises `BadRequest` for a design without records, and where
+        nothing is covered for want of a proof.
+        """
+        from ssm_study.api.pictures.coverage import coverage_picture
+        from ssm_study.api.steps import measure_coverage_premise
+
+        origin = self._origin_with_records()
+        premise = measure_coverage_premise(self.model, origin.data, origin.mismatch)
+        part = self.certificate.extra_certificates.get(MeasuredDiscs.part)
+        return draw_or_refuse(
+            "coverage_plot", lambda: coverage_picture(part, premise, self.model.step_s)
+        )
+
+    def nyquist(self) -> Any:
+        """Draw the loop's Nyquist curve with a disc of the measured model error in each band.
+
+        Returns the Matplotlib figure. Raises `BadRequest` for several inputs or outputs.
+        """
+        from ssm_study.api.pictures.nyquist import nyquist_picture
+
+        mismatch = None if self.origin is None else self.origin.mismatch
+        return draw_or_refuse(
+            "nyquist", lambda: nyquist_picture(self.model, self.certificate.pair, mismatch)
+        )
 
     def poles(self) -> Any:
         """Draw the eigenvalues of model, controlled model and estimate in the unit circle.
@@ -288,10 +352,30 @@ class Design:
         The inner circle is the factor per sample of the certified rate. Returns the Matplotlib
         figure. The numbers: `eigenvalues`.
         """
-        from ssm_study.api.plots import plot_poles
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.poles import poles_picture
 
         rate = self.certificate.certified_rate("state_feedback")
-        return plot_poles(self.eigenvalues(), rate)
+        return draw_picture(poles_picture(self.eigenvalues(), rate))
+
+    @property
+    def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
+        """Inputs of the training records; none of a bare system or a loaded design."""
+        return [] if self.origin is None else [record.u for record in self.origin.data.training]
+
+    def _origin_with_records(self) -> Model:
+        """The identified model. Raises `BadRequest` for a design that knows no records."""
+        origin = self.origin
+        require(
+            origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
+        )
+        assert origin is not None
+        return origin
+
+
+def _place(plant: "Plant | None") -> str:
+    """Where a loop runs, in words."""
+    return "the simulated plant" if plant else "the identified model"
 
 
 def _signal_group(

@@ -30,6 +30,7 @@ def fit(
     feedthrough: bool | str | None = None,
     seed: int | None = None,
     progress: bool = True,
+    keep_on_interrupt: bool = False,
     results_dir: str | Path | None = None,
     **settings: Any,
 ) -> Model:
@@ -45,7 +46,9 @@ def fit(
     the input map's slopes, and `settings` are further fields of the model; a field left at None
     has the value of its yaml file. `overrides` are settings as the command takes them, such as
     `"training.max_epochs=10"` or `"data.test_fraction=0.3"`. `results_dir` keeps the log that the
-    arrays become.
+    arrays become. With `keep_on_interrupt` Ctrl-C ends the training and the best model so far is
+    returned; `model.facts["training_ended"]` says so. Before the first epoch has ended there is
+    none, and `KeyboardInterrupt` is raised as without it.
 
     Raises `BadRequest`, before any long work, for whatever `ssm-study run data=recorded` refuses.
 
@@ -84,7 +87,13 @@ def fit(
 
     seed = parts.numbers["seed"]
     trained, identification = identify(
-        spec, training, data, seed, progress=progress, workplace=folder
+        spec,
+        training,
+        data,
+        seed,
+        progress=progress,
+        workplace=folder,
+        keep_on_interrupt=keep_on_interrupt,
     )
     simulator = reduction.reduce(trained) if spec.gives_ssm else trained
     return Model(

@@ -1,6 +1,7 @@
 """An identified model as Python users hold it: predictions, scores, poles, and a summary."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -13,6 +14,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
@@ -27,10 +29,10 @@ from ssm_study.training.metrics import mean_fit, training_facts
 if TYPE_CHECKING:
     import control as python_control
 
+    from ssm_study.api.pictures.picture import Picture
     from ssm_study.training.metrics import Identification
 
 Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
-MAX_LAG = 25  # samples over which residuals are correlated
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -243,37 +245,76 @@ class Model:
         return html_table("Model", self.summary())
 
     def plot(self) -> Any:
-        """Draw measured and simulated outputs of the test records, residuals below.
+        """Draw measured and simulated outputs of the longest test record, errors below.
 
         Returns the Matplotlib figure.
         """
-        from ssm_study.api.plots import plot_free_run
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.free_run import free_run_picture
+        from ssm_study.api.pictures.loop_response import label_of
 
-        return plot_free_run(self)
+        data = self.data
+        simulation = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        longest = int(np.argmax([len(record) for record in data.test]))
+        record = data.test[longest]
+        simulated = {"model": simulation.simulated[longest]}
+        labels = [label_of(channel) for channel in data.outputs]
+        start_up = data.start_up_samples
+        return draw_picture(free_run_picture(record.time_s, record.y, simulated, labels, start_up))
 
     def bode(self) -> Any:
-        """Draw the frequency response at the equilibrium. Returns the Matplotlib figure."""
-        from ssm_study.api.plots import plot_bode
+        """Draw gain and phase at the equilibrium, beside what the validation record shows.
 
-        return plot_bode(self)
+        First input to first output. Returns the Matplotlib figure. The numbers of all channels:
+        `frequency_response`.
+        """
+        from ssm_study.api.pictures.bode import bode_picture
+        from ssm_study.api.pictures.drawing import draw_picture
+
+        record = max(self.data.validation, key=len)
+        slopes = certified_balls(self.ssm).input
+        units = (self.data.outputs[0].unit, self.data.inputs[0].unit)
+        return draw_picture(bode_picture(self.ssm, record, slopes, units))
 
     def residuals(self) -> Any:
         """Draw the correlations of the test records' residuals with themselves and the input.
 
         Returns the Matplotlib figure. The numbers: `simulation_errors`.
         """
-        from ssm_study.api.plots import plot_residual_correlations
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 
-        return plot_residual_correlations(self, MAX_LAG)
+        data = self.data
+        start = data.start_up_samples
+        simulation = Simulation.of(self.simulator, data.test, start)
+        pairs = zip(data.test, simulation.simulated, strict=True)
+        errors = [record.y[start:] - simulated[start:] for record, simulated in pairs]
+        inputs = [record.u[start:] for record in data.test]
+        return draw_picture(
+            residual_correlation_picture(errors, inputs, self.output_names[0], self.input_names)
+        )
 
     def poles(self) -> Any:
         """Draw the eigenvalues at the equilibrium in the unit circle.
 
         Returns the Matplotlib figure. The numbers: `eigenvalues`.
         """
-        from ssm_study.api.plots import plot_poles
+        from ssm_study.api.pictures.drawing import draw_picture
+        from ssm_study.api.pictures.poles import poles_picture
 
-        return plot_poles({"model": self.eigenvalues()})
+        return draw_picture(poles_picture({"model": self.eigenvalues()}))
+
+    def input_map(self) -> Any:
+        """Draw the learned input map and its slope within the interval that is certified.
+
+        Returns the Matplotlib figure. Raises `BadRequest` for several inputs.
+        """
+        from ssm_study.api.pictures.input_map import input_map_picture
+        from ssm_study.api.pictures.loop_response import label_of
+
+        label = label_of(self.data.inputs[0])
+        slopes = certified_balls(self.ssm).input
+        return draw_or_refuse("input_map", lambda: input_map_picture(self.ssm, slopes, label))
 
     def save(self, folder: str | Path) -> Path:
         """Write `model.json`, complete enough to simulate the model without torch.
@@ -296,6 +337,19 @@ def import_python_control(function: str) -> Any:
         remedy = "pip install 'ssm-study[export]'"
         raise BadRequest(function, "control", "is not installed", remedy) from error
     return control
+
+
+def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
+    """Draw a picture. Raises `BadRequest` with the reason where there is none."""
+    from ssm_study.api.pictures.drawing import draw_picture
+    from ssm_study.api.pictures.picture import NothingToShow
+
+    try:
+        picture = make()
+    except NothingToShow as reason:
+        remedy = "look at the other pictures"
+        raise BadRequest(name, "there is no picture", str(reason).rstrip("."), remedy) from reason
+    return draw_picture(picture)
 
 
 def _name_with_unit(channel: Any) -> str:

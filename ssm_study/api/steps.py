@@ -36,14 +36,18 @@ def identify(
     *,
     progress: bool,
     workplace: Path,
+    keep_on_interrupt: bool = False,
 ) -> tuple[Any, "Identification"]:
     """Train a model on the training records; returns it with its dead time, and how it was found.
 
     A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
-    folder of `workplace` while the training runs.
+    folder of `workplace` while the training runs. With `keep_on_interrupt` Ctrl-C ends the training
+    with the best model so far.
     """
     with TemporaryDirectory(prefix="training-", dir=workplace) as folder:
-        identification = training.identify(spec, data, seed, Path(folder), progress)
+        identification = training.identify(
+            spec, data, seed, Path(folder), progress, keep_on_interrupt
+        )
     return identification.model, identification
 
 

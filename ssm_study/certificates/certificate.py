@@ -81,9 +81,9 @@ class Side(Theorem, abstract=True):
         return float(np.linalg.norm(self.gain, 2))
 
     @classmethod
-    def ball(cls, known: VerificationContext) -> JacobianBall:
+    def ball(cls, context: VerificationContext) -> JacobianBall:
         """That of `S_u`, of an observer that of `S_y`."""
-        return known.balls.output if cls.observes else known.balls.input
+        return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
         """The same gain, certified at the largest rate that is proved for it; None where that is no
@@ -116,21 +116,21 @@ class OfProblem(Side, abstract=True):
         }
 
     @classmethod
-    def _system(cls, known: VerificationContext) -> Any:
-        return known.system if cls.observes else known.controlled
+    def _system(cls, context: VerificationContext) -> Any:
+        return context.system if cls.observes else context.controlled
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """Every field that is a matrix of the system."""
-        system = self._system(known)
+        system = self._system(context)
         return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
 
     @classmethod
-    def rate_limit_of(cls, known: VerificationContext) -> float:
+    def rate_limit_of(cls, context: VerificationContext) -> float:
         """The exact frontier; with neurons the worst over frozen slopes, beyond which no
         certificate goes."""
-        system = cls._system(known)
+        system = cls._system(context)
         return controller_frontier(
-            dual(system) if cls.observes else system, cls.ball(known)
+            dual(system) if cls.observes else system, cls.ball(context)
         ).rate_limit
 
     @classmethod

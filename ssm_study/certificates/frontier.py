@@ -56,11 +56,11 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
     """
     if isinstance(system, StateSpace):
         return frontier(system.a, system.b, ball)
-    frozen = (
-        system.at_slopes(slopes) for slopes in system.corners()
-    )  # each neuron at slope zero or one
-    found = (frontier(one.a, one.b, ball) for one in frozen)
-    return max(found, key=lambda one: one.contraction_limit)
+    frontiers = []
+    for slopes in system.corners():  # each neuron at slope zero or one
+        frozen = system.at_slopes(slopes)
+        frontiers.append(frontier(frozen.a, frozen.b, ball))
+    return max(frontiers, key=lambda limit: limit.contraction_limit)
 
 
 def frontier(
@@ -90,15 +90,15 @@ def frontier(
     high = product
     least = _product_limit(moduli, ball.relative_radius ** b.shape[1])
     low = max(unreached, least, np.finfo(float).tiny)
-    while (
-        low < (middle := float(np.sqrt(low * high))) < high
-    ):  # the largest ball grows with r: until doubles run out
-        feasible = 1 / np.sqrt(1 + largest_energy(a, b, middle)) > ball.relative_radius
-        low, high = (low, middle) if feasible else (middle, high)
-    return Frontier(
-        contraction_limit=high,
-        decided_by="the slopes" if low > unreached else "a mode out of reach",
-    )
+    # The largest ball grows with r: halved until doubles run out.
+    while low < (middle := float(np.sqrt(low * high))) < high:
+        largest_ball = 1 / np.sqrt(1 + largest_energy(a, b, middle))
+        if largest_ball > ball.relative_radius:
+            high = middle
+        else:
+            low = middle
+    decided_by = "the slopes" if low > unreached else "a mode out of reach"
+    return Frontier(contraction_limit=high, decided_by=decided_by)
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
@@ -109,9 +109,12 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
     decides.
     """
     values, left = np.linalg.eig(a.T)  # columns are left eigenvectors of A
-    reach = np.linalg.norm(left.T @ b, axis=1) / max(np.linalg.norm(b, 2), np.finfo(float).tiny)
-    distances = np.abs(values[:, None] - values) + np.diag(np.full(len(values), np.inf))
-    for i in np.flatnonzero(distances.min(axis=1) < REPEATED * np.abs(values).max()):
+    size_of_b = max(np.linalg.norm(b, 2), np.finfo(float).tiny)
+    reach = np.linalg.norm(left.T @ b, axis=1) / size_of_b
+    to_itself = np.diag(np.full(len(values), np.inf))
+    distances = np.abs(values[:, None] - values) + to_itself
+    is_repeated = distances.min(axis=1) < REPEATED * np.abs(values).max()
+    for i in np.flatnonzero(is_repeated):
         pencil = np.hstack([a - values[i] * np.eye(len(a)), b])
         reach[i] = np.linalg.svd(pencil, compute_uv=False)[-1] / np.linalg.norm(pencil, 2)
     return float(np.abs(values[reach < REACH_FLOOR]).max(initial=0.0))
@@ -132,9 +135,8 @@ def energy_root(
     for _ in range(MOST_STEPS):
         root = np.hstack([root, f @ root])
         if root.shape[1] > len(root):
-            root = np.asarray(
-                np.linalg.qr(root.T, mode="r")
-            ).T  # R^T R = root root^T: as narrow as W again
+            # R^T R = root root^T: as narrow as W again.
+            root = np.asarray(np.linalg.qr(root.T, mode="r")).T
         f = f @ f  # F^(2^j): each round doubles the terms summed
         size = np.abs(f).max()
         if not np.isfinite(size):

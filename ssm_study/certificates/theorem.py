@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.exact import Exact, is_positive_definite
+from ssm_study.exact import Exact, is_positive_definite
 from ssm_study.extensions import load
 from ssm_study.refusal import require
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
@@ -151,17 +151,17 @@ class Theorem(ABC):
         field and product."""
 
     @abstractmethod
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """Fields that are not the theorem's but the model's, as the verifier knows them."""
 
     @staticmethod
     @abstractmethod
-    def ball(known: VerificationContext) -> JacobianBall:
+    def ball(context: VerificationContext) -> JacobianBall:
         """The ball that `alpha, beta` must contain."""
 
     @classmethod
     @abstractmethod
-    def rate_limit_of(cls, known: VerificationContext) -> float | None:
+    def rate_limit_of(cls, context: VerificationContext) -> float | None:
         """The exact limit of the rate, if one is known; None where nothing can be said."""
 
     @classmethod
@@ -232,16 +232,16 @@ class Theorem(ABC):
             if name not in {*INFORMATION, *self.products}
         }
 
-    def failed_checks(self, known: VerificationContext) -> list[str]:
+    def failed_checks(self, context: VerificationContext) -> list[str]:
         """Sentences, one per claim of this certificate that does not hold beside what is known of
         the model.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
         reverse.
         """
-        if isinstance(known.system, StructuredSystem) != hasattr(self, "e"):
+        if isinstance(context.system, StructuredSystem) != hasattr(self, "e"):
             return [f": {UNFIT}"]
-        given = self.model_data(known)
+        given = self.model_data(context)
         stored = vars(self)
         try:
             conditions = self.exactly(**self.variables)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study import __version__, limit_threads
+from ssm_study.cli.overlay import add_overlay
 from ssm_study.extensions import taken_from
 from ssm_study.refusal import BadRequest, at_least, require
 
@@ -22,6 +23,12 @@ WRONG_REQUEST = 2
 Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 TEMPLATE = Path(__file__).with_name("study_folder")  # what `new` writes
+
+
+INTERRUPTED = (
+    "interrupted; the same command again does what is missing, a training from its last checkpoint "
+    "(in Python st.fit(..., keep_on_interrupt=True) returns the model so far)"
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -38,9 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
         command: Command = options.command
         return command(options) or DONE
     except KeyboardInterrupt:
-        print(
-            "ssm-study: interrupted; the same command again does what is missing", file=sys.stderr
-        )
+        print(f"ssm-study: {INTERRUPTED}", file=sys.stderr)
         # Without a traceback, yet ended by the signal: a script's loop ends with it.
         sys.excepthook = lambda *_: None
         raise
@@ -116,6 +121,7 @@ def _parser() -> argparse.ArgumentParser:
         excited.add_argument(words, **settings)
     excited.set_defaults(command=_excite)
     add_look(commands)
+    add_overlay(commands)
     for name, (action, subject, told) in ACTIONS.items():
         command = commands.add_parser(name, help=told, description=told[0].upper() + told[1:] + ".")
         command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])

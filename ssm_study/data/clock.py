@@ -1,19 +1,17 @@
-"""The clock of a log: which column it is, its unit, and the rows on an even clock.
+"""Rows of a log on an even clock.
 
 A clock that is even to within a jitter gives the mean period. One with holes gives the period
 between them, and the log is cut there: nothing is invented. One that wanders is interpolated onto
 its median period, inputs that hold levels held; how much was interpolated is stated.
 """
 
-import re
-from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.data.readers.reader import Table, folded, title_without_unit
+from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, at_least, require
 
 # Relative difference allowed between the claimed sampling time and the one that the times show.
@@ -21,43 +19,6 @@ AGREEMENT = 1e-3
 HOLE = 1.5  # periods from one row to the next from which on a row is missing
 WANDERS = 0.5  # spread of the periods, of the median, beyond which rows are no samples of a clock
 HELD = 0.5  # share of samples at which a held input does not change
-SECONDS = {
-    "s": 1.0,
-    "sec": 1.0,
-    "secs": 1.0,
-    "second": 1.0,
-    "seconds": 1.0,
-    "sek": 1.0,
-    "sekunden": 1.0,
-    "ms": 1e-3,
-    "msec": 1e-3,
-    "millis": 1e-3,
-    "milliseconds": 1e-3,
-    "us": 1e-6,
-    "usec": 1e-6,
-    "μs": 1e-6,
-    "micros": 1e-6,
-    "microseconds": 1e-6,
-    "ns": 1e-9,
-    "nanoseconds": 1e-9,
-    "min": 60.0,
-    "mins": 60.0,
-    "minutes": 60.0,
-    "h": 3600.0,
-    "hr": 3600.0,
-    "hrs": 3600.0,
-    "hour": 3600.0,
-    "hours": 3600.0,
-    "d": 86400.0,
-    "day": 86400.0,
-    "days": 86400.0,
-}
-WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "dateandtime", "zeit",
-         "zeitstempel", "datum", "clock", "elapsed", "elapsedtime", "runtime", "timesec", "temps",
-         "tiempo", "tempo", "epoch", "unixtime", "utc", "timeofday", "simtime",
-         "stamp", "localtime", "uptime", "recordtime", "logtime")  # fmt: skip
-# Seconds since 1970 in smaller units have so many digits: what a unit is without a name.
-EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,85 +32,6 @@ class EvenRows:
     starts: list[int]
     step_s: float
     remarks: list[str]
-
-
-def clock_unit(title: str, stated: str) -> float | None:
-    """Seconds of one unit of a clock, as its name or its column states; None without a unit.
-
-    `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
-    none of time.
-    """
-    if stated:
-        unit = stated.strip().replace("µ", "μ")
-        seconds = SECONDS.get(unit.lower().rstrip("."))
-        problem = f"states the unit {unit}, which is none of time"
-        if seconds is None:
-            remedy = "use s, ms, us, ns, min or h, or data.step_s"
-            raise BadRequest("data.time", title, problem, remedy)
-        return seconds
-    words = re.split(r"[\s_.\-/]+", title.replace("µ", "μ").strip().lower())
-    known = [SECONDS[word] for word in words[-1:] if word in SECONDS and len(words) > 1]
-    whole = title.strip().lower()
-    long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
-    return known[0] if known else SECONDS[whole] if whole in long_words else None
-
-
-def is_clock_name(title: str) -> bool:
-    """Whether a title is that of a clock: `time`, `t`, `Timestamp (ms)`, `time_s`, `date`, ..."""
-    plain = title_without_unit(title)
-    if folded(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
-        return True
-    words = [word for word in re.split(r"[\s_.\-/]+", plain.lower()) if word]
-    return len(words) > 1 and folded("".join(words[:-1])) in WORDS and words[-1] in SECONDS
-
-
-def find_clock(table: Table, signals: Collection[str]) -> str | None:
-    """The column that is the clock: named like one, or without a name and first; else None.
-
-    Its values must increase (a clock written with few digits may stand still). A nameless column
-    that counts rows is none: nobody knows how long a row lasts.
-    """
-    free = [title for title in table.columns if title not in signals]
-    for title in free:
-        if is_clock_name(title) and runs_forwards(table.columns[title]):
-            return title
-    first = next(iter(table.columns), None)
-    nameless = first is not None and (first == "" or table.nameless or first.startswith("Unnamed"))
-    if not nameless or first not in free or len(table.columns) < 2:
-        return None
-    times = table.columns[first]
-    strictly = runs_forwards(times) and bool((np.diff(times[np.isfinite(times)]) > 0).mean() > 0.5)
-    return first if strictly and not counts_rows(times) else None
-
-
-def runs_forwards(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the times never run backwards, and mostly known."""
-    known = times[np.isfinite(times)]
-    enough = len(known) >= max(3, 0.5 * len(times))
-    return bool(enough and (np.diff(known) >= 0).all() and known[-1] > known[0])
-
-
-def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the column is 0, 1, 2, ... or 1, 2, 3, ..."""
-    known = times[np.isfinite(times)]
-    return bool(known[0] in (0.0, 1.0) and (np.diff(known) == 1.0).all())
-
-
-def clock_seconds(title: str, table: Table) -> tuple[Float[np.ndarray, "T"], str]:
-    """The times of a column in seconds, and in words what unit was read."""
-    times = table.columns[title]
-    name = title or "the nameless first column"
-    if title in table.dated:
-        return times, f"clock {name} (dates)"
-    factor = clock_unit(title, table.units.get(title, ""))
-    if factor is not None:
-        return factor * times, f"clock {name}"
-    known = np.abs(times[np.isfinite(times)])
-    largest = float(known.max(initial=0.0))
-    for digits, seconds in EPOCHS:
-        if largest >= digits and np.ptp(known) < 0.1 * largest:
-            return seconds * (times - times[0]), f"clock {name} (units of {seconds:g} s since 1970)"
-    return times, f"clock {name} (no unit: seconds)"
 
 
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
@@ -220,6 +102,9 @@ def on_even_clock(
     at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     if step_s is not None and (np.diff(time_s) == 0).any():
         return rounded_clock(time_s, values, step_s, where)
+    rounded = None if step_s is not None or resample else rounded_rows(time_s, values, tolerance)
+    if rounded is not None:
+        return rounded
     refuse_backwards(time_s, where)
     mean_s, late = lateness(time_s)
     if late.max() <= tolerance and not resample:
@@ -227,6 +112,26 @@ def on_even_clock(
         period_s = mean_s if step_s is None else step_s
         return without_missing(EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[]))
     return cut_at_holes(time_s, values, inputs, where, step_s, tolerance, resample)
+
+
+def rounded_rows(
+    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], tolerance: float
+) -> EvenRows | None:
+    """Rows on the even clock that explains times written with few digits, None where none does
+    or the times are even as they stand."""
+    steps = np.diff(time_s)
+    forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
+    if not forwards or (steps.all() and lateness(time_s)[1].max() <= tolerance):
+        return None
+    period = rounded_period_s(time_s)
+    if period is None:
+        return None
+    remark = (
+        f"times rounded to {steps.max():.3g} s at their coarsest; an even clock of {period[0]:g} s "
+        f"explains every row (to {period[1]:.2g} of it; data.step_s states it exactly)"
+    )
+    rows = EvenRows(values=[values], starts=[0], step_s=period[0], remarks=[remark])
+    return without_missing(rows)
 
 
 def rounded_clock(

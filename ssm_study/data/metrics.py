@@ -25,6 +25,7 @@ COLUMNS = (
     Column("seed", "Int64", word="Seed", setting="seed"),
     Column("excitation", "string", word="Excitation", setting="excitation"),
     Column("fold", "Int64", word="Fold that tests", setting="data.fold"),
+    Column("fresh_sets", "Int64", word="Fresh data sets", setting="data.fresh_sets"),
     Column("data_source", "string", word="Data"),
     Column("benchmark", "string", word="Benchmark"),
     Column("input_coverage", "Float64", "high", "coverage", "Input amplitude coverage", "–"),

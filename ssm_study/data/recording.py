@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import (
-    EvenRows,
+from ssm_study.data.clock import EvenRows, on_even_clock, without_missing
+from ssm_study.data.clock_column import (
     clock_seconds,
-    counts_rows,
+    counts_in_first_column,
     find_clock,
-    is_clock_name,
-    on_even_clock,
-    without_missing,
+    refuse_clock_as_signal,
 )
 from ssm_study.data.readers.reader import Reader, Table, read_table, reader_for
 from ssm_study.data.text_layout import TextSettings
@@ -23,6 +21,8 @@ from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
 
 Names = str | int | list[str] | list[int] | tuple[str, ...]
+# Of a file without names whose first column counts the rows; the evidence then has a doubt.
+ASSUMED_SECOND = "and a row is taken to last one second"
 LOOK = "`ssm-study look {}` shows what is in the file"
 
 
@@ -267,9 +267,25 @@ class Columns:
         refuse_clock_as_signal(contents, taken, file)
         title = find_clock(contents, taken)
         if title is None or len(contents.columns[title]) != length:
-            return None, counter_remark(contents, self.step_s)
+            return self._counted_rows(contents, length)
         time_s, words = clock_seconds(title, contents)
         return time_s, [words]
+
+    def _counted_rows(
+        self, contents: Table, length: int
+    ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
+        """Times from a first column that counts the rows: in seconds in a file without names (which
+        the evidence doubts), none where the sampling time is given; refused otherwise."""
+        if not counts_in_first_column(contents):
+            return None, []
+        if self.step_s is not None:
+            return None, ["the first column counts rows"]
+        title, times = next(iter(contents.columns.items()))
+        remedy = "give it in seconds (data.time=0 if a row lasts one second)"
+        problem = "the first column counts the rows, and how long a row lasts is unknown"
+        bare = contents.nameless and len(times) == length
+        require(bare, "data.step_s", None, problem, remedy)
+        return times, [f"column {title} counts the rows, {ASSUMED_SECOND}"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -279,20 +295,6 @@ class _LogFile:
     table: Table
     time_s: Float[np.ndarray, "T"] | None
     remarks: list[str]
-
-
-def counter_remark(contents: Table, step_s: float | None) -> list[str]:
-    """A sentence on a first column that counts rows; refuses to take it for a clock."""
-    title, times = next(iter(contents.columns.items()))
-    nameless = title == "" or contents.nameless or title.startswith("Unnamed")
-    if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
-        return []
-    if len(times) < 3 or not counts_rows(times):
-        return []
-    remedy = "give it in seconds (data.time=0 if a row lasts one second)"
-    problem = "the first column counts the rows, and how long a row lasts is unknown"
-    require(step_s is not None, "data.step_s", None, problem, remedy)
-    return ["the first column counts rows"]
 
 
 def pieces_end(pieces: EvenRows) -> int:
@@ -317,19 +319,6 @@ def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
             remedy = "name another column for one of them"
             moves = float(np.nanstd(table.columns[name])) > 0
             require(not (equal and moves), f"{file.name}, column {name}", name, problem, remedy)
-
-
-def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
-    """Refuse a signal that is the clock: by its name, or nameless, first and even."""
-    first = next(iter(contents.columns))
-    for title in taken:
-        steps = np.diff(contents.columns[title])
-        forwards = bool((steps > 0).all()) and len(steps) > 2
-        nameless = title == first and (contents.nameless or title == "")
-        even = forwards and float(np.ptp(steps)) <= 1e-6 * float(steps.mean())
-        is_clock = (forwards and is_clock_name(title)) or (nameless and even)
-        problem = "is the clock: it increases from row to row"
-        require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")
 
 
 @dataclass(frozen=True, kw_only=True)

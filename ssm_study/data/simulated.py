@@ -7,6 +7,7 @@ little of what happens near rest, above its own band, or from where the loop sta
 docs/trust.md.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +18,7 @@ from ssm_study.data.assembly import assemble
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
-from ssm_study.signals import DataSet, Trajectory
+from ssm_study.signals import DataSet, Trajectories, Trajectory
 
 FEWEST_SAMPLES = 20
 SHARES = (0.05, 0.1, 0.2, 0.5, 1.0)  # amplitudes of the trials, as shares of the plant's own
@@ -40,8 +41,19 @@ RETURNS = (
 )  # input levels, as SHARES, from which a straight line leads back to rest
 
 
+FRESH = 11  # marks the seeds of fresh data sets
+
+
 class TrainingAlone(UserWarning):
     """An amplitude of the excitation's own moves the training records, and no others."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreshRecords:
+    """The records of a further data set that show its mismatch; nothing is fitted to it."""
+
+    validation: Trajectories
+    mismatch_records: Trajectories
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +63,8 @@ class SimulatedData:
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
-    equilibrium; `trials` are for the mismatch.
+    equilibrium; `trials` are for the mismatch. `fresh_sets` further data sets, which neither fit
+    nor design sees, show what the proof of a design would need of them.
     """
 
     trajectories: int
@@ -63,6 +76,7 @@ class SimulatedData:
     test_noise: bool = False
     start_up_samples: int = 0
     trials: bool = True
+    fresh_sets: int = 0
 
     def __post_init__(self) -> None:
         at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
@@ -75,49 +89,76 @@ class SimulatedData:
             "use 0 for no noise, or null for the plant's own",
         )
         at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
+        at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
         """The data set of this plant under this excitation; equal seeds give equal numbers."""
         rng = np.random.default_rng(seed)
-        own = np.array(plant.noise_variance)
-        deviation = np.sqrt(
-            own if self.noise_variance is None else np.full_like(own, self.noise_variance)
-        )
-        amplitude = plant.input_amplitude
-        clock_s = plant.input_clock_s
-        rest = plant.equilibrium()
-
-        def records(
-            exciting: Excitation, count: int, samples: int, noisy: bool = True
-        ) -> list[Trajectory]:
-            request = SignalRequest(
-                samples=samples, step_s=plant.step_s, amplitude=amplitude, clock_s=clock_s
-            )
-            u = rest.u + np.stack([exciting.signal(request, rng) for _ in range(count)])
-            y = plant.simulate(u)[1]
-            if noisy:
-                y = y + deviation * rng.standard_normal(y.shape)
-            return [Trajectory(u=u[i], y=y[i], step_s=plant.step_s) for i in range(count)]
-
-        training = records(excitation, self.trajectories, self.samples)
-        validation = records(self.scoring_excitation, 1, self.validation_samples)
-        test = records(self.scoring_excitation, 1, self.test_samples, self.test_noise)
+        scoring = self.scoring_excitation
+        training = self._records(plant, excitation, rng, self.trajectories, self.samples)
+        validation = self._records(plant, scoring, rng, 1, self.validation_samples)
+        test = self._records(plant, scoring, rng, 1, self.test_samples, noisy=self.test_noise)
         about = {
             "source": "simulated",
             "plant": type(plant).__name__,
             "excitation": excitation.kind,
         }
         told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
-        told |= (
-            {"mismatch_records": mismatch_records(plant, seed, deviation)} if self.trials else {}
-        )
+        if self.trials:
+            trial_rng = np.random.default_rng([seed, 7])
+            told["mismatch_records"] = mismatch_records(plant, trial_rng, self.deviation(plant))
         parts = (training, validation, test)
+        rest = plant.equilibrium()
         channels = (plant.inputs, plant.outputs)
         return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
+    def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
+        """`fresh_sets` further validation records and trials of the plant, each with a seed of its
+        own."""
+        for number in range(self.fresh_sets):
+            rng = np.random.default_rng([seed, FRESH, number])
+            scoring = self.scoring_excitation
+            validation = self._records(plant, scoring, rng, 1, self.validation_samples)
+            trials: Trajectories = ()
+            if self.trials:
+                trials = mismatch_records(plant, rng, self.deviation(plant))
+            yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
+
+    def deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
+        """Standard deviation of the sensor's noise, physical: `noise_variance`, or the plant's
+        own."""
+        variance = np.array(plant.noise_variance)
+        if self.noise_variance is not None:
+            variance = np.full_like(variance, self.noise_variance)
+        return np.asarray(np.sqrt(variance))
+
+    def _records(
+        self,
+        plant: Plant,
+        excitation: Excitation,
+        rng: np.random.Generator,
+        count: int,
+        samples: int,
+        *,
+        noisy: bool = True,
+    ) -> list[Trajectory]:
+        """`count` records from rest."""
+        request = SignalRequest(
+            samples=samples,
+            step_s=plant.step_s,
+            amplitude=plant.input_amplitude,
+            clock_s=plant.input_clock_s,
+        )
+        signals = np.stack([excitation.signal(request, rng) for _ in range(count)])
+        u = plant.equilibrium().u + signals
+        y = plant.simulate(u)[1]
+        if noisy:
+            y = y + self.deviation(plant) * rng.standard_normal(y.shape)
+        return [Trajectory(u=u[i], y=y[i], step_s=plant.step_s) for i in range(count)]
+
 
 def mismatch_records(
-    plant: Plant, seed: int, deviation: Float[np.ndarray, "p"]
+    plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"]
 ) -> tuple[Trajectory, ...]:
     """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of
     that `deviation`.
@@ -125,7 +166,6 @@ def mismatch_records(
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
     """
-    rng = np.random.default_rng([seed, 7])
     rest = plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)

@@ -6,9 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from ssm_study.columns import Column
+from ssm_study.data.recording import ASSUMED_SECOND
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback, fit, records, response
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, note
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, doubt, note
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
 from ssm_study.refusal import one_of, require
@@ -68,6 +69,13 @@ def judge(
     found += own_motion.findings(case) + fit.whiteness(case)
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
+    if ASSUMED_SECOND in data.metadata.get("reading", ""):
+        found.append(
+            doubt(
+                "How long a row lasts is unknown: the first column counts the rows, "
+                f"{ASSUMED_SECOND}. Give data.step_s."
+            )
+        )
     if data.metadata.get("reading"):
         found.append(note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(found))

@@ -10,7 +10,8 @@ from jaxtyping import Float
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.robustness.mismatch import ANGLES, Mismatch
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
@@ -45,8 +46,9 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 def findings(case: Case, shown: Mismatch) -> list[Finding]:
     """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch
     come last."""
-    looks = (_range, _levels, _limits, _length, _drift, _same, _spectrum)
-    return [*(doubt(sentence) for look in looks for sentence in look(case)), *_rest(case, shown)]
+    looks = (_range, _levels, _length, _drift, _same, _spectrum)
+    doubts = [doubt(sentence) for look in looks for sentence in look(case)]
+    return [*doubts, *_limits(case), *_rest(case, shown)]
 
 
 def _joined(
@@ -117,22 +119,35 @@ def input_changes(data: DataSet) -> int:
     return changes
 
 
-def _limits(case: Case) -> Iterator[str]:
-    outputs = _joined(case, case.data.training)[1].T
+def _limits(case: Case) -> Iterator[Finding]:
+    """A doubt where an output saturates; a note where it stands at zero while the input moves.
+
+    A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
+    from a sensor that ends there.
+    """
+    outputs = np.concatenate([record.y for record in case.data.training]).T
     for i, (channel, column) in enumerate(zip(case.data.outputs, outputs, strict=True)):
         if len(np.unique(column)) <= FEW_VALUES:
             continue
         for name, limit in (("largest", column.max()), ("smallest", column.min())):
             share = saturated_share(case, i, float(limit))
-            if share > AT_LIMIT:
-                yield (
+            if share <= AT_LIMIT:
+                continue
+            if limit == 0:
+                yield note(
+                    f"{channel.name} stands at 0 in {100 * share:.0f} % of samples while the input "
+                    "moves: a dead zone, or the end of the sensor."
+                )
+            else:
+                yield doubt(
                     f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: "
                     "it saturates."
                 )
 
 
 def saturated_share(case: Case, output: int, limit: float) -> float:
-    """Share of training samples in stretches at `limit` that a moving output runs into.
+    """Share of training samples in stretches at `limit`, in the output's unit, that a moving output
+    runs into.
 
     Counted are stretches in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
@@ -141,8 +156,8 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
     counted = 0
     stretches = 0
     for record in case.data.training:
-        u, scaled = case.scaled(record)
-        y = scaled[:, output]
+        u = record.u
+        y = record.y[:, output]
         samples += len(y)
         if len(y) <= APPROACH:
             continue

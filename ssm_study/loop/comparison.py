@@ -1,4 +1,4 @@
-"""One table: controllers down, situations across, on the same plant, initial conditions and
+"""Table that compares controllers in several situations, on the same plant, initial conditions and
 noise."""
 
 from collections.abc import Sequence
@@ -25,7 +25,9 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Every controller in every situation; one row each: docs/closed_loop.md, "Robustness".
+    """Comparison of every controller in every situation, one row each.
+
+    It is explained in docs/closed_loop.md, "Robustness".
 
     `load`, in the unit of the plant's first disturbance, begins at a third of the horizon;
     `load_pulse` ends at half of it. What a plant cannot show (no disturbance, no fields) is left
@@ -49,41 +51,30 @@ class Comparison(ComparisonTable):
         rate = self.rate
         share = self.spread_share
         require(0 < rate < 1, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
-        require(
-            0 <= share < 1,
-            "loop.comparison.spread_share",
-            share,
-            "parameters would change sign",
-            "use 0.2",
-        )
+        problem = "parameters would change sign"
+        require(0 <= share < 1, "loop.comparison.spread_share", share, problem, "use 0.2")
         at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
         is_pi = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0)
-        require(
-            is_pi,
-            "loop.comparison.own_pi",
-            self.own_pi,
-            "not a gain and a time",
-            "give [gain, integral time in seconds]",
-        )
+        remedy = "give [gain, integral time in seconds]"
+        require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
     def _check_names(self, field_name: str, names: Sequence[str]) -> None:
         """Refuse values of a field that are not among these names."""
         unknown = [value for value in getattr(self, field_name) if value not in names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
-        require(
-            not unknown,
-            f"loop.comparison.{field_name}",
-            unknown,
-            withdrawn[0] if withdrawn else "not known",
-            f"use some of {', '.join(names)}",
-        )
+        problem = withdrawn[0] if withdrawn else "not known"
+        remedy = f"use some of {', '.join(names)}"
+        require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
-        """The table; a controller that does not exist for this model has rows with the reason and
-        no numbers."""
+        """Rows of the table.
+
+        A controller that does not exist for this model has rows with the reason and no numbers.
+        """
         built = [compared(name, plant, known, self.rate) for name in self.controllers]
         if self.own_pi is not None:
-            built.append((PI.on(plant, *self.own_pi), UNSAID | {"controller": "own_pi"}))
+            own_pi = PI.on(plant, *self.own_pi)
+            built.append((own_pi, UNSAID | {"controller": "own_pi"}))
         rows: list[Row] = []
         for situation in self.situations:
             cases = self.cases(plant, loop, situation, seed)
@@ -99,7 +90,7 @@ class Comparison(ComparisonTable):
         return rows
 
     def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """The plants and loops one situation consists of; none if the plant cannot show it."""
+        """Plants and loops of one situation; empty if the plant cannot show it."""
         horizon_s = loop.samples(plant.step_s) * plant.step_s
         match situation:
             case "spread":
@@ -124,18 +115,12 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def spread(self, plant: Plant, seed: int) -> list[Plant]:
-        """`spread_plants` plants, each field multiplied by a factor in `1 +- spread_share`,
-        space-filling."""
+        """Plants whose fields are multiplied by factors in `1 +- spread_share`, space-filling."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))
-        require(
-            not missing,
-            "loop.comparison.spread_fields",
-            missing,
-            "not fields of this plant",
-            "name its own",
-        )
+        problem = "not fields of this plant"
+        require(not missing, "loop.comparison.spread_fields", missing, problem, "name its own")
         count = len(self.spread_fields)
         rng = np.random.default_rng([seed, 2])
         sampler = scipy.stats.qmc.LatinHypercube(d=count, rng=rng)

@@ -4,7 +4,7 @@ A controller is a discrete-time system of its own. Its memory is one array `(N, 
 cases step together and nothing is hidden in an object.
 """
 
-# ruff: noqa: ARG002 - every law is shown everything; some need less
+# ruff: noqa: ARG002 - every law gets all arguments; some need less
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
@@ -30,15 +30,16 @@ Inputs = Float[np.ndarray, "N m"]
 Outputs = Float[np.ndarray, "N p"]
 Target = Float[np.ndarray, "t"]
 Estimate = Float[np.ndarray, "N n"]
+ScaledInputs = Float[np.ndarray, "*batch m"]
 
 
 class Controller(ABC):
-    """`u[k] = input(memory[k], y[k], target[k]),  memory[k+1] = advance(memory[k], u[k], y[k],
-    target[k])`.
+    """Law from measured outputs to inputs, with a memory that steps from sample to sample.
 
-    `u` and `y` are in physical units. `targets` turns a reference into whatever the law follows at
-    each sample, once, before the loop runs. Law: the same memory and measurement give the same
-    input, row by row, whatever the batch.
+    `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
+    target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
+    law follows at each sample, once, before the loop runs. Law: the same memory and measurement
+    give the same input, row by row, whatever the batch.
     """
 
     step_s: float  # the sampling time the law was designed for
@@ -53,8 +54,7 @@ class Controller(ABC):
         return reference
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """The inputs that hold the reference's extremes, by the law's own reckoning; none if it
-        reckons nothing."""
+        """Inputs that hold the reference's extremes, as the law computes them; by default none."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
@@ -70,13 +70,13 @@ class Controller(ABC):
         return memory[:, :0]
 
     def among(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """The law of the cases that go on; it differs where each case has gains of its own."""
+        """Law for the cases that go on; it differs where each case has gains of its own."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """`u = u_eq`: the plant left alone, which every other law is measured against."""
+    """Constant equilibrium input `u = u_eq`, against which every other law is measured."""
 
     u: Float[np.ndarray, "m"]
     step_s: float
@@ -84,8 +84,10 @@ class Uncontrolled(Controller):
 
     @classmethod
     def of(cls, plant: Plant) -> "Uncontrolled":
-        dimensions = len(plant.inputs), len(plant.outputs)
-        return cls(u=plant.equilibrium().u, step_s=plant.step_s, dimensions=dimensions)
+        """Uncontrolled plant, for its sampling time and dimensions."""
+        rest = plant.equilibrium()
+        dimensions = (len(plant.inputs), len(plant.outputs))
+        return cls(u=rest.u, step_s=plant.step_s, dimensions=dimensions)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         return np.tile(self.u, (len(y), 1))
@@ -93,12 +95,12 @@ class Uncontrolled(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateFeedback(Controller):
-    """A law on an observer's estimate: `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh
-    its output.
+    """Law on an observer's estimate of the model's state.
 
-    With neurons `L_z (yh - y) / s_y` is added inside them. `L (n, p)` and `L_z` act in the model's
+    `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output. With neurons `L_z (yh - y)
+    / s_y` is added inside them. `L (n, p)` and `L_z` act in the model's
     scaled units, as `K` does; the memory is as wide as K. The input of sample k does not wait for
-    the measurement of sample k. By default the law follows rest points `(x*, u*)`.
+    the measurement of sample k. By default the law follows equilibria `(x*, u*)`.
     """
 
     model: Model
@@ -106,7 +108,7 @@ class EstimateFeedback(Controller):
     inverse: Inverse | None = None  # of S_u, where the law undoes it
 
     @property
-    def step_s(self) -> float:  # type: ignore[override]  # a plain field elsewhere; here the model knows it
+    def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
         return self.model.step_s
 
     @property
@@ -120,11 +122,16 @@ class EstimateFeedback(Controller):
         return set_points(self.model, reference)
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Estimate:
-        x_hat = memory[:, : self.model.order]
-        lifted = self.model.lift(u)
-        innovation = (self.model.read(x_hat, lifted) - y) / self.model.scale.output_scale
-        injected = () if self.gains.l_z is None else (times(self.gains.l_z, innovation),)
-        return self.model.advance(x_hat, lifted, *injected) + times(self.gains.l, innovation)
+        model = self.model
+        gains = self.gains
+        x_hat = memory[:, : model.order]
+        lifted = model.lift(u)
+        predicted_output = model.read(x_hat, lifted)
+        innovation = (predicted_output - y) / model.scale.output_scale
+        correction = times(gains.l, innovation)
+        if gains.l_z is None:
+            return model.advance(x_hat, lifted) + correction
+        return model.advance(x_hat, lifted, times(gains.l_z, innovation)) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
         return memory  # the estimated state of the model, then the internal model's
@@ -132,10 +139,10 @@ class EstimateFeedback(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """`u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the observer's estimate ([Z26] eq. 9 and
-    Theorem 3).
+    """Feedback of the observer's estimate, about a trajectory of the model.
 
-    A target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
+    `u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the estimate ([Z26] eq. 9 and Theorem 3). A
+    target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
     pair of gains for each case, stacked: such a law brings to rest only. With a wider K there is an
     internal model, `z+ = A_z z + E (y - y*) / s_y`; no error enters it while a limit keeps the
     input from what was asked (`systems.frozen_modes`). With `inverse` the scaled input is
@@ -143,67 +150,69 @@ class ObserverFeedback(EstimateFeedback):
     """
 
     def __post_init__(self) -> None:
-        (n, m), p = self.model.linear.b.shape, self.model.scale.outputs
-        k = self.gains.k.shape[-2:]
-        l_ = self.gains.l.shape[-2:]
+        n, m = self.model.linear.b.shape
+        p = self.model.scale.outputs
+        k_shape = self.gains.k.shape[-2:]
+        l_shape = self.gains.l.shape[-2:]
         remedy = "use the design made for this model"
-        widths = (n, n + p) if self.gains.internal is None else (n + len(self.gains.internal),)
+        internal = self.gains.internal
+        widths = (n, n + p) if internal is None else (n + len(internal),)
         needed = " or ".join(str((m, width)) for width in widths)
-        require(
-            k[0] == m and k[1] in widths,
-            "k",
-            k,
-            f"the model needs a gain of shape {needed}",
-            remedy,
-        )
-        require(l_ == (n, p), "l", l_, f"the model needs a gain of shape {(n, p)}", remedy)
+        fits = k_shape[0] == m and k_shape[1] in widths
+        require(fits, "k", k_shape, f"the model needs a gain of shape {needed}", remedy)
+        problem = f"the model needs a gain of shape {(n, p)}"
+        require(l_shape == (n, p), "l", l_shape, problem, remedy)
 
     @classmethod
     def of(cls, model: Model, design: Design) -> "ObserverFeedback":
-        """The loop of a design; raises `BadRequest` if one of its parts is infeasible."""
-        undone = inverse_of(model.scaffold_in.portable()) if design.inverts else None
-        return cls(model=model, gains=design.pair, inverse=undone)
+        """Loop of a design; raises `BadRequest` if one of its parts is infeasible."""
+        inverse = None
+        if design.inverts:
+            inverse = inverse_of(model.scaffold_in.portable())
+        return cls(model=model, gains=design.pair, inverse=inverse)
 
-    def asked(
-        self, u: Float[np.ndarray, "*batch m"], moved: Float[np.ndarray, "*batch m"]
-    ) -> np.ndarray:
-        """`u* + K (...)`, scaled; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`."""
-        return (
-            u + moved if self.inverse is None else self.inverse(self.model.scaffold_in(u) + moved)
-        )
+    def asked(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
+        """Scaled input that the law asks for, before any limit.
+
+        `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
+        """
+        if self.inverse is None:
+            return u + feedback
+        return self.inverse(self.model.scaffold_in(u) + feedback)
 
     def targets(self, reference: Reference) -> Plan:
-        n = self.model.order
-        if isinstance(self.model, StructuredSSM):
-            k = (
-                self.gains.k if self.gains.k.ndim == 2 else self.gains.k[0]
-            )  # at rest all have the same targets
-            plan = guided_trajectory(self.model, k[:, :n], reference, self.asked)
+        model = self.model
+        n = model.order
+        if isinstance(model, StructuredSSM):
+            # At rest all cases have the same targets, whatever their gains.
+            k = self.gains.k if self.gains.k.ndim == 2 else self.gains.k[0]
+            plan = guided_trajectory(model, k[:, :n], reference, self.asked)
         else:
-            plan = feasible_trajectory(self.model, reference)
-        return np.concatenate(
-            [plan, self.model.read(plan[:, :n], self.model.scaffold_in(plan[:, n:]))], axis=1
-        )
+            plan = feasible_trajectory(model, reference)
+        lifted = model.scaffold_in(plan[:, n:])
+        outputs = model.read(plan[:, :n], lifted)
+        return np.concatenate([plan, outputs], axis=1)
 
     def among(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
-        return (
-            self
-            if self.gains.k.ndim == 2
-            else replace(self, gains=self.gains.at(np.flatnonzero(stayed)))
-        )
+        if self.gains.k.ndim == 2:
+            return self
+        gains = self.gains.at(np.flatnonzero(stayed))
+        return replace(self, gains=gains)
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
         ends = np.stack([reference.min(axis=0), reference.max(axis=0)])
-        return self.model.scale.physical_input(set_points(self.model, ends)[:, self.model.order :])
+        inputs = set_points(self.model, ends)[:, self.model.order :]
+        return self.model.scale.physical_input(inputs)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         n = self.model.order
         m = self.model.scale.inputs
-        error = np.concatenate(
-            [memory[:, :n] - target[:n], memory[:, n:]], axis=1
-        )  # the internal model aims at zero
+        estimation_error = memory[:, :n] - target[:n]
+        internal_states = memory[:, n:]  # the internal model aims at zero
+        error = np.concatenate([estimation_error, internal_states], axis=1)
         u = np.broadcast_to(target[n : n + m], (len(error), m))
-        return self.model.scale.physical_input(self.asked(u, times(self.gains.k, error)))
+        asked = self.asked(u, times(self.gains.k, error))
+        return self.model.scale.physical_input(asked)
 
     def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
         x_hat = super().advance(memory, u, y, target)
@@ -211,19 +220,21 @@ class ObserverFeedback(EstimateFeedback):
         modes = self.gains.modes
         if not len(modes):
             return x_hat
-        free = np.isclose(u, self.input(memory, y, target), rtol=1e-9, atol=1e-12).all(
-            axis=1, keepdims=True
-        )
-        error = (y - target[-y.shape[1] :]) / self.model.scale.output_scale
+        asked = self.input(memory, y, target)
+        as_asked = np.isclose(u, asked, rtol=1e-9, atol=1e-12)
+        unlimited = as_asked.all(axis=1, keepdims=True)
         p = y.shape[1]
-        z = np.where(
-            free, z @ modes.T + error @ error_input_matrix(modes, p).T, z @ frozen_modes(modes).T
-        )
+        error = (y - target[-p:]) / self.model.scale.output_scale
+        driven = z @ modes.T + error @ error_input_matrix(modes, p).T
+        frozen = z @ frozen_modes(modes).T
+        z = np.where(unlimited, driven, frozen)
         return np.concatenate([x_hat, z], axis=1)
 
 
 def times(
     gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]
 ) -> Float[np.ndarray, "N r"]:
-    """One gain for all rows, or one for each."""
-    return rows @ gain.T if gain.ndim == 2 else np.einsum("nij,nj->ni", gain, rows)
+    """Product of a gain with each row: one gain for all rows, or one for each."""
+    if gain.ndim == 2:
+        return rows @ gain.T
+    return np.einsum("nij,nj->ni", gain, rows)

@@ -1,5 +1,5 @@
-"""Hundreds of certified designs for one model, each on the true plant: what the mismatch margin is
-worth."""
+"""Hundreds of certified designs for one model, each run on the true plant, to see how well the
+mismatch margin predicts."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,14 +33,13 @@ impossible."""
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """`designs` pairs drawn from the grids of `auto`, wide enough to fail, and the default choice,
-    if any, as row 0.
+    """Table of `designs` gains drawn from the grids of `auto`, wide enough to fail.
 
-    A row holds rates, gains, what is predicted (`synthesis.mismatch`), the response area on the
-    model, and what the true plant did over the run's own horizon: `stable_count` of
-    `initial_conditions` with and without measurement noise (`stable_count_noise_free` is the one to
-    judge by where noise alone crosses the band), settling times, cases that left the bound, and
-    what the noise-free ones that do not settle do.
+    The default choice, if any, is row 0. A row holds rates, gains, what is predicted
+    (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
+    run's own horizon: `stable_count` of `initial_conditions` with and without measurement noise
+    (`stable_count_noise_free` is the one to judge by where noise alone crosses the band), settling
+    times, cases that left the bound, and what the noise-free ones that do not settle do.
     """
 
     designs: int = 150
@@ -54,81 +53,97 @@ class DesignGrid(ComparisonTable):
         if candidates is None:
             return []
         drawn = self.drawn(candidates, seed)
-        chosen = known.chosen(Auto())
         gains = candidates.gains(drawn)
         rates = [
             (candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer)
             for i, j in drawn
         ]
+        chosen = known.chosen(Auto())
+        number = 1
         if chosen.feasible:
-            own = {name: gain for name, gain in vars(chosen.pair).items() if gain is not None}
-            gains = Gains(
-                **{
-                    name: np.concatenate([gain[None], getattr(gains, name)])
-                    for name, gain in own.items()
-                }
-            )
-            rates.insert(0, (chosen.parts()[0].rate, chosen.parts()[1].rate))
-        each = zip(
-            rates,
-            self._predicted(known, gains),
-            _behaved(plant, known, gains, loop, seed),
-            strict=True,
-        )
-        return [
-            {"design": i, "rate_controller": rate[0], "rate_observer": rate[1]}
-            | predicted
-            | behaved
-            for i, (rate, predicted, behaved) in enumerate(each, start=int(not chosen.feasible))
-        ]
+            number = 0
+            gains = _with_first(chosen.pair, gains)
+            feedback, observer = chosen.parts()[:2]
+            rates.insert(0, (feedback.rate, observer.rate))
+        predictions = _prediction_columns(known, gains)
+        behaviours = _behaviour_columns(plant, known, gains, loop, seed)
+        rows: list[Row] = []
+        for rate, predicted, behaved in zip(rates, predictions, behaviours, strict=True):
+            row: Row = {"design": number, "rate_controller": rate[0], "rate_observer": rate[1]}
+            rows.append(row | predicted | behaved)
+            number += 1
+        return rows
 
     def drawn(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
         """Controller and observer of each design."""
-        counts = len(candidates.ks), len(candidates.ls)
+        counts = (len(candidates.ks), len(candidates.ls))
         total = counts[0] * counts[1]
-        flat = np.random.default_rng([seed, 3]).choice(
-            total, size=min(self.designs, total), replace=False
-        )
-        return np.stack(np.unravel_index(np.sort(flat), counts), axis=1)
-
-    def _predicted(self, known: Identified, gains: Gains) -> list[Row]:
-        rows = []
-        for i, area in enumerate(relative_areas(known.model, gains, known.validation)):
-            predicted = predict(known.model, pair := gains.at(i), known.balls, known.shown)
-            norms = {"gain_norm": pair.k, "observer_gain_norm": pair.l}
-            row: Row = {name: float(np.linalg.norm(gain, 2)) for name, gain in norms.items()}
-            row |= {"mismatch_gain": known.shown.gain, **vars(predicted)}
-            rows.append(
-                row
-                | {"predicted_stable": predicted.predicts_stability(), "model_area": float(area)}
-            )
-        return rows
+        size = min(self.designs, total)
+        flat = np.random.default_rng([seed, 3]).choice(total, size=size, replace=False)
+        pairs = np.unravel_index(np.sort(flat), counts)
+        return np.stack(pairs, axis=1)
 
 
-def _behaved(plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: int) -> list[Row]:
-    """All designs as one batch of cases, with the noise and without it."""
-    (y0, noise), band, designs = loop.draw(plant, seed), plant.settling_band, len(gains.k)
-    each = ObserverFeedback(
-        model=known.model, gains=gains.at(np.repeat(np.arange(designs), len(y0)))
-    )
+def _with_first(pair: Gains, gains: Gains) -> Gains:
+    """Stacked gains with one more pair in front."""
+    stacked = {
+        name: np.concatenate([gain[None], getattr(gains, name)])
+        for name, gain in vars(pair).items()
+        if gain is not None
+    }
+    return Gains(**stacked)
+
+
+def _prediction_columns(known: Identified, gains: Gains) -> list[Row]:
+    """Gain norms, predictions and the response area on the model, one row per design."""
+    mismatch = known.mismatch
+    rows = []
+    for i, area in enumerate(relative_areas(known.model, gains, known.validation)):
+        pair = gains.at(i)
+        predicted = predict(known.model, pair, known.balls, mismatch)
+        row: Row = {
+            "gain_norm": float(np.linalg.norm(pair.k, 2)),
+            "observer_gain_norm": float(np.linalg.norm(pair.l, 2)),
+            "mismatch_gain": mismatch.gain,
+            **vars(predicted),
+            "predicted_stable": predicted.predicts_stability(),
+            "model_area": float(area),
+        }
+        rows.append(row)
+    return rows
+
+
+def _behaviour_columns(
+    plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: int
+) -> list[Row]:
+    """Behaviour of all designs on the plant, run as one batch of cases, with noise and without."""
+    y0, noise = loop.draw(plant, seed)
+    band = plant.settling_band
+    designs = len(gains.k)
+    cases = len(y0)
+    each_case = np.repeat(np.arange(designs), cases)
+    controller = ObserverFeedback(model=known.model, gains=gains.at(each_case))
     starts = np.tile(y0, (designs, 1))
     noises = np.tile(noise, (designs, 1, 1))
-    run, quiet = (
-        loop.simulate(plant, each, starts, given) for given in (noises, np.zeros_like(noises))
-    )
-    alone = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
-    open_loop = mean(settling_times_s(alone, band))
+    run = loop.simulate(plant, controller, starts, noises)
+    quiet = loop.simulate(plant, controller, starts, np.zeros_like(noises))
+    uncontrolled = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
+    open_loop_s = mean(settling_times_s(uncontrolled, band))
     times_s = settling_times_s(run, band)
     kinds = motions(quiet, band)
     rows = []
-    for first in range(0, len(starts), len(y0)):
-        own = slice(first, first + len(y0))
+    for first in range(0, len(starts), cases):
+        own = slice(first, first + cases)
+        unsettled_kinds = sorted(set(kinds[own]) - {"settled"})
+        left_bound = ~run.stayed[own]
         row: Row = {
-            "initial_conditions": len(y0),
-            "stable_count": len(y0) - times_s[own].count(None),
+            "initial_conditions": cases,
+            "stable_count": cases - times_s[own].count(None),
+            "settling_time_mean_s": mean(times_s[own]),
+            "settling_time_open_loop_s": open_loop_s,
+            "stable_count_noise_free": kinds[own].count("settled"),
+            "unsettled_as": ", ".join(unsettled_kinds) or None,
+            "left_bound_count": int(left_bound.sum()),
         }
-        row |= {"settling_time_mean_s": mean(times_s[own]), "settling_time_open_loop_s": open_loop}
-        row |= {"stable_count_noise_free": kinds[own].count("settled")}
-        row |= {"unsettled_as": ", ".join(sorted(set(kinds[own]) - {"settled"})) or None}
-        rows.append(row | {"left_bound_count": int((~run.stayed[own]).sum())})
+        rows.append(row)
     return rows

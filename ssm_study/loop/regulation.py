@@ -1,5 +1,5 @@
-"""The experiment: initial conditions, noise, reference and disturbance, on the plant, without
-control, on the model."""
+"""The closed-loop experiment: initial conditions, noise, reference and disturbance, on the plant,
+on the uncontrolled plant and on the model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -25,10 +25,10 @@ Channels = tuple[Channel, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
-    """`x+ = A x + B S_u(u) + B d,  y = S_y(C x)`: the model answers for itself, so the loop says
-    nothing of mismatch.
+    """Identified model in the place of the plant, so that the loop shows no mismatch.
 
-    The state is the model's (scaled), `u` and `y` are physical; `d (m)` disturbs the recurrence's
+    `x+ = A x + B S_u(u) + B d,  y = S_y(C x)`. The state is the model's (scaled), `u` and `y` are
+    physical; `d (m)` disturbs the recurrence's
     scaled input. Raises `BadRequest` for a model with feedthrough: the loop reads the output before
     the input acts.
     """
@@ -45,43 +45,31 @@ class IdentifiedPlant(Plant):
     def __post_init__(self) -> None:
         model = self.model
         remedy = "identify with model.feedthrough=false"
-        problem = "the input reaches the output at once"
-        told = "the loop samples the output before the input acts"
-        require(not answers_at_once(model), "model.feedthrough", problem, told, remedy)
+        value = "the input reaches the output at once"
+        problem = "the loop samples the output before the input acts"
+        require(not answers_at_once(model), "model.feedthrough", value, problem, remedy)
         channels = (len(self.inputs), len(self.outputs))
         needed = (model.scale.inputs, model.scale.outputs)
-        require(
-            channels == needed,
-            "channels",
-            channels,
-            f"the model has {needed}",
-            "name each of its signals",
-        )
+        problem = f"the model has {needed}"
+        require(channels == needed, "channels", channels, problem, "name each of its signals")
 
     @classmethod
     def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
-        """Channels are `u_1, ...` and `y_1, ...`, or without a number where there is one, unless
-        given.
+        """Model as a plant; channels without a name are `u_1, ...` and `y_1, ...`, or `u` and `y`.
 
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
         """
         unit = float(model.scale.output_scale.min())
-        counts = {"u": model.scale.inputs, "y": model.scale.outputs}
-        names = {
-            one: [one] if n == 1 else [f"{one}_{i + 1}" for i in range(n)]
-            for one, n in counts.items()
-        }
+        scaled_inputs = model.linear.b.shape[1]
         return cls(
             model=model,
             step_s=model.step_s,
             settling_band=0.05 * unit,
-            inputs=inputs or tuple(Channel(name=name, unit="") for name in names["u"]),
-            outputs=outputs or tuple(Channel(name=name, unit="") for name in names["y"]),
-            states=tuple(Channel(name=f"x{i}", unit="1") for i in range(model.order)),
-            disturbances=tuple(
-                Channel(name=f"scaled_input_{i}", unit="1") for i in range(model.linear.b.shape[1])
-            ),
+            inputs=inputs or _numbered_channels("u", model.scale.inputs),
+            outputs=outputs or _numbered_channels("y", model.scale.outputs),
+            states=_indexed_channels("x", model.order),
+            disturbances=_indexed_channels("scaled_input_", scaled_inputs),
             initial_range=(-unit, unit),
         )
 
@@ -91,9 +79,8 @@ class IdentifiedPlant(Plant):
 
     def equilibrium(self) -> Equilibrium:
         scale = self.model.scale
-        return Equilibrium(
-            u=scale.input_equilibrium, x=np.zeros(self.model.order), y=scale.output_equilibrium
-        )
+        x = np.zeros(self.model.order)
+        return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
         """States in which a constant input would hold `y0`: the model released from a set point.
@@ -101,15 +88,17 @@ class IdentifiedPlant(Plant):
         Where no input holds it (neurons may rectify or saturate), the smallest state that the
         linear part reads as it.
         """
-        return np.stack([self._released(y) for y in y0])
+        return np.stack([self._state_at(y) for y in y0])
 
-    def _released(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+    def _state_at(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+        """State in which a constant input would hold one output."""
         try:
             return equilibrium(self.model, y)[0]
         except BadRequest:
             if not isinstance(self.model, StructuredSSM):
                 raise
-            return np.linalg.pinv(self.model.c) @ self.model.scale.scaled_output(y)
+            scaled_output = self.model.scale.scaled_output(y)
+            return np.linalg.pinv(self.model.c) @ scaled_output
 
     def advance(
         self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
@@ -117,29 +106,41 @@ class IdentifiedPlant(Plant):
         return self.model.advance(x, self.model.lift(u) + d)
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
-        return self.model.read(x, np.zeros((len(x), self.model.linear.b.shape[1])))
+        no_input = np.zeros((len(x), self.model.linear.b.shape[1]))
+        return self.model.read(x, no_input)
+
+
+def _numbered_channels(name: str, count: int) -> Channels:
+    """Channels without a unit, numbered from 1 where there are several."""
+    if count == 1:
+        return (Channel(name=name, unit=""),)
+    return tuple(Channel(name=f"{name}_{i + 1}", unit="") for i in range(count))
+
+
+def _indexed_channels(prefix: str, count: int) -> Channels:
+    """Channels of scaled signals, numbered from 0."""
+    return tuple(Channel(name=f"{prefix}{i}", unit="1") for i in range(count))
 
 
 def answers_at_once(model: Model) -> bool:
     """Whether the input reaches the output within its sample, by D or through a neuron."""
-    through = isinstance(model, StructuredSSM) and bool(
-        (model.g.any(axis=1) & model.h.any(axis=0)).any()
-    )
-    return through or bool(model.linear.d.any())
+    through_neuron = False
+    if isinstance(model, StructuredSSM):
+        is_driven = model.g.any(axis=1)
+        is_read = model.h.any(axis=0)
+        through_neuron = bool((is_driven & is_read).any())
+    return through_neuron or bool(model.linear.d.any())
 
 
-SAMPLES = (
-    150,
-    1500,
-)  # shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
+# shortest and longest horizon; 150 are 1.5 s on the motor, seven times its uncontrolled mean
+SAMPLES = (150, 1500)
 RESPONSES = 4  # horizon, in lengths of the model's own response
 REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of the response
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """Runs of one experiment: the controlled plant, the uncontrolled plant from the same states,
-    and the model.
+    """Runs of one experiment: controlled plant, uncontrolled plant from the same states, model.
 
     `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
     output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
@@ -157,24 +158,24 @@ class LoopRuns:
 
     @property
     def judged(self) -> Rollouts:
+        """Runs by which settling is judged."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Table that a run writes beside its record, `comparison.csv`: one flat row per case, missing
-    values None."""
+    """Table that a run writes beside its record, `comparison.csv`, one flat row per case."""
 
     @abstractmethod
     def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """The same columns in every row."""
+        """Rows of the table, with the same columns in every row; missing values are None."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """`initial_conditions` outputs uniform in the plant's `initial_range`, each simulated for
-    `horizon_s` seconds.
+    """Closed-loop experiment from several initial outputs, each simulated for `horizon_s` seconds.
 
-    The fields are explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
+    The `initial_conditions` outputs are uniform in the plant's `initial_range`. The fields are
+    explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
     the output's unit squared. The bound counts from the equilibrium and is wider by the largest
     offset of the reference. `comparison` is a table the run leaves beside its record,
     `comparison.csv`.
@@ -192,49 +193,46 @@ class Loop:
     comparison: ComparisonTable | None = None
 
     def __post_init__(self) -> None:
-        far = self.bound_in_initial_ranges
+        bound = self.bound_in_initial_ranges
+        variance = self.measurement_noise_variance
         at_least(1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does")
         positive("loop.horizon_s", self.horizon_s, "give it in seconds")
-        at_least(
-            0,
-            "loop.measurement_noise_variance",
-            self.measurement_noise_variance,
-            "use 0 for no noise",
-        )
+        at_least(0, "loop.measurement_noise_variance", variance, "use 0 for no noise")
         at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
-        require(
-            far > 1,
-            "loop.bound_in_initial_ranges",
-            far,
-            "cases would start outside the bound",
-            "use more than 1",
-        )
-        (low, high), names = self.limits, "loop.input_lower, loop.input_upper"
-        shown = np.asarray(low).tolist(), np.asarray(high).tolist()
-        require(bool(np.all(low < high)), names, shown, "lower must be below upper", "swap them")
+        problem = "cases would start outside the bound"
+        require(bound > 1, "loop.bound_in_initial_ranges", bound, problem, "use more than 1")
+        low, high = self.limits
+        names = "loop.input_lower, loop.input_upper"
+        values = (np.asarray(low).tolist(), np.asarray(high).tolist())
+        is_range = bool(np.all(low < high))
+        require(is_range, names, values, "lower must be below upper", "swap them")
 
     @property
     def limits(self) -> Limits:
-        """For each input, or one for all."""
-        ends = zip((self.input_lower, self.input_upper), UNLIMITED, strict=True)
-        low, high = (np.asarray(none if end is None else end, dtype=float) for end, none in ends)
-        return low, high
+        """Input limits, one for each input or one for all."""
+        lowest, highest = UNLIMITED
+        low = lowest if self.input_lower is None else self.input_lower
+        high = highest if self.input_upper is None else self.input_upper
+        return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def within(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """This experiment, limited as given, else to the range of these recorded inputs."""
+        """Experiment with the limits that are set, else the range of these recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
 
     def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
-        """The certified design on the plant, beside the plant left alone and the noise-free
-        model."""
+        """Run a certified design on the plant, and beside it on the noise-free model."""
         controller = ObserverFeedback.of(model, design)
         runs = self.on_plant(plant, controller, seed)
-        return replace(runs, on_model=self.on_model(plant, controller, runs.controlled.y[:, 0]))
+        initial_outputs = runs.controlled.y[:, 0]
+        on_model = self.on_model(plant, controller, initial_outputs)
+        return replace(runs, on_model=on_model)
 
     def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
-        """Any controller: at one seed all meet the same initial states, noise, reference and
-        disturbance."""
+        """Run any controller on the plant, and the plant without control.
+
+        At one seed all controllers meet the same initial states, noise, reference and disturbance.
+        """
         rest = plant.equilibrium()
         y0, noise = self.draw(plant, seed)
         controlled = self.simulate(plant, controller, y0, noise)
@@ -261,23 +259,24 @@ class Loop:
         still = replace(self, reference=Rest(), disturbance=NoDisturbance())
         y0 = np.tile(plant.equilibrium().y, (len(noise), 1))
         shaken = still.simulate(plant, controller, y0, noise)
-        return bool((np.abs(shaken.y - shaken.reference) > plant.settling_band).any())
+        distance = np.abs(shaken.y - shaken.reference)
+        return bool((distance > plant.settling_band).any())
 
     def on_model(
         self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
     ) -> Rollouts:
-        """The certified situation: the controller on its own model from the same outputs, nothing
-        else acting."""
+        """Run the controller on its own model from the same outputs, with nothing else acting.
+
+        This is the situation that the certificate speaks of.
+        """
         twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
-        twin = replace(twin, initial_range=plant.initial_range)  # which the bound is a multiple of
+        twin = replace(twin, initial_range=plant.initial_range)  # the bound is a multiple of it
         quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
-        return quiet.simulate(
-            twin, controller, y0, np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1]))
-        )
+        no_noise = np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1]))
+        return quiet.simulate(twin, controller, y0, no_noise)
 
     def fitted(self, model: Model) -> "Loop":
-        """This experiment with a horizon: as given, else `RESPONSES` times as long as the model's
-        own response."""
+        """Experiment with a horizon: the one that is set, else `RESPONSES` times the response."""
         if self.horizon_s is not None:
             return self
         response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
@@ -285,22 +284,27 @@ class Loop:
         return replace(self, horizon_s=samples * model.step_s)
 
     def samples(self, step_s: float) -> int:
-        return SAMPLES[0] if self.horizon_s is None else max(2, round(self.horizon_s / step_s))
+        """Samples of the horizon."""
+        if self.horizon_s is None:
+            return SAMPLES[0]
+        return max(2, round(self.horizon_s / step_s))
 
     def draw(
         self, plant: Plant, seed: int
     ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
         """Initial outputs and measurement noise, the same for every controller at one seed."""
-        shape = (self.initial_conditions, self.samples(plant.step_s), len(plant.outputs))
-        initial, noise = (np.random.default_rng([seed, stream]) for stream in (0, 1))
-        y0 = plant.equilibrium().y + initial.uniform(
-            *plant.initial_range, size=(shape[0], shape[2])
-        )
-        given = self.measurement_noise_variance
-        variance = self.noise_factor * np.array(
-            plant.noise_variance if given is None else (given,) * shape[2]
-        )
-        return y0, np.sqrt(variance) * noise.standard_normal(shape)
+        cases = self.initial_conditions
+        samples = self.samples(plant.step_s)
+        outputs = len(plant.outputs)
+        initial_stream = np.random.default_rng([seed, 0])
+        noise_stream = np.random.default_rng([seed, 1])
+        offsets = initial_stream.uniform(*plant.initial_range, size=(cases, outputs))
+        variances: Sequence[float] = plant.noise_variance
+        if self.measurement_noise_variance is not None:
+            variances = (self.measurement_noise_variance,) * outputs
+        deviation = np.sqrt(self.noise_factor * np.array(variances))
+        noise = deviation * noise_stream.standard_normal((cases, samples, outputs))
+        return plant.equilibrium().y + offsets, noise
 
     def simulate(
         self,
@@ -309,34 +313,33 @@ class Loop:
         y0: Float[np.ndarray, "N p"],
         noise: Float[np.ndarray, "N T p"],
     ) -> Rollouts:
-        """One batched closed loop from the states that read `y0`."""
+        """Simulate one batched closed loop from the states that read `y0`."""
         cases, samples, outputs = noise.shape
         time_s = np.arange(samples) * plant.step_s
         offset = self.reference.signal(time_s)
+        offsets = np.repeat(offset[:, None], outputs, axis=1)
         disturbance = np.zeros((cases, samples, len(plant.disturbances)))
-        if not isinstance(self.disturbance, NoDisturbance):
+        signal = self.disturbance
+        if not isinstance(signal, NoDisturbance):
+            has_disturbance = disturbance.shape[2] > 0
             remedy = "use disturbance@loop.disturbance=none"
-            require(
-                disturbance.shape[2] > 0,
-                "loop.disturbance",
-                self.disturbance,
-                "the plant has none",
-                remedy,
-            )
-            disturbance[:, :, 0] = self.disturbance.signal(time_s)
-        reach = self.bound_in_initial_ranges * max(abs(r) for r in plant.initial_range) + float(
-            np.abs(offset).max()
-        )
-        asked = {
-            "reference": plant.equilibrium().y + np.repeat(offset[:, None], outputs, axis=1),
-            "noise": noise,
-        }
-        asked |= {
-            "x0": plant.states_at(y0),
-            "disturbance": disturbance,
-            "bound": np.full(outputs, reach),
-        }
+            require(has_disturbance, "loop.disturbance", signal, "the plant has none", remedy)
+            disturbance[:, :, 0] = signal.signal(time_s)
+        largest_start = max(abs(end) for end in plant.initial_range)
+        largest_offset = float(np.abs(offset).max())
+        reach = self.bound_in_initial_ranges * largest_start + largest_offset
+        reference = plant.equilibrium().y + offsets
+        x0 = plant.states_at(y0)
         try:
-            return close_loop(plant, controller, **asked, limits=self.limits)
+            return close_loop(
+                plant,
+                controller,
+                x0=x0,
+                reference=reference,
+                noise=noise,
+                disturbance=disturbance,
+                bound=np.full(outputs, reach),
+                limits=self.limits,
+            )
         finally:
             plant.stop()

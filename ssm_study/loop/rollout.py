@@ -1,4 +1,4 @@
-"""The loop itself, a thousand cases in one array, and whether they settle.
+"""Simulation of the closed loop, a thousand cases in one array, and how each case moves.
 
 Judged on the true output alone, never on the noisy measurement.
 """
@@ -19,7 +19,13 @@ STAYED = -1  # `left_at_sample` of a case that never left the bound
 UNLIMITED = (-np.inf, np.inf)
 Limit = float | Float[np.ndarray, "*m"]
 Limits = tuple[Limit, Limit]
-Shrinks = Float[np.ndarray, "N"]
+PerCase = Float[np.ndarray, "N"]
+Log = dict[str, Float[np.ndarray, "N T _"]]
+States = Float[np.ndarray, "N x"]
+Outputs = Float[np.ndarray, "N p"]
+OutputSignal = Float[np.ndarray, "T p"]
+OutputSignals = Float[np.ndarray, "N T p"]
+Bound = Float[np.ndarray, "p"]
 # share of the horizon, at its end, that a settled case spends in the band: a last sample in it is
 # no rest
 DWELL = 0.1
@@ -30,10 +36,10 @@ STEADY = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts:
-    """N cases of T samples each; `u[:, k]` is held over sample k, `y[:, k]` is read before it acts.
-    Physical units.
+    """Runs of N cases with T samples each, in physical units.
 
-    `y` is the true output, `measured` what the controller saw, `estimate` its state estimate (the
+    `u[:, k]` is held over sample k, `y[:, k]` is read before it acts. `y` is the true output,
+    `measured` what the controller saw, `estimate` its state estimate (the
     model's scaled state, width 0 if it has none). A case that leaves `|y - y_eq| <= bound` is
     stopped there: `left_at_sample` says when (`STAYED` if never), and from then on its signals
     repeat the last values inside the bound. One that starts outside repeats its start, with the
@@ -41,21 +47,23 @@ class Rollouts:
     """
 
     step_s: float
-    reference: Float[np.ndarray, "T p"]
+    reference: OutputSignal
     u: Float[np.ndarray, "N T m"]
-    y: Float[np.ndarray, "N T p"]
-    measured: Float[np.ndarray, "N T p"]
+    y: OutputSignals
+    measured: OutputSignals
     estimate: Float[np.ndarray, "N T n"]
     states: Float[np.ndarray, "N T x"]
-    bound: Float[np.ndarray, "p"]
+    bound: Bound
     left_at_sample: Int[np.ndarray, "N"] = field(repr=False)
 
     @property
     def stayed(self) -> Bool[np.ndarray, "N"]:
+        """Whether each case stayed within the bound."""
         return self.left_at_sample == STAYED
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
+        """Time of each sample, in seconds."""
         return np.arange(self.y.shape[1]) * self.step_s
 
 
@@ -63,11 +71,11 @@ def close_loop(
     plant: Plant,
     controller: Controller,
     *,
-    x0: Float[np.ndarray, "N x"],
-    reference: Float[np.ndarray, "T p"],
-    noise: Float[np.ndarray, "N T p"],
+    x0: States,
+    reference: OutputSignal,
+    noise: OutputSignals,
     disturbance: Float[np.ndarray, "N T q"],
-    bound: Float[np.ndarray, "p"],
+    bound: Bound,
     limits: Limits = UNLIMITED,
 ) -> Rollouts:
     """Simulate `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
@@ -77,17 +85,15 @@ def close_loop(
     `BadRequest` for unmatched plant and controller.
     """
     _check_dimensions(plant, controller)
-    cases, samples, outputs = noise.shape
-    memory = controller.start(cases)
-    x = x0
-    targets = controller.targets(reference)
     if any(np.isfinite(end).any() for end in limits):
         _check_reachable(controller.demanded(reference), limits)
-    widths = {"u": len(plant.inputs), "y": outputs, "measured": outputs, "states": x0.shape[1]}
-    widths["estimate"] = controller.estimate(memory).shape[1]
-    log = {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
+    cases, samples, _ = noise.shape
+    memory = controller.start(cases)
+    targets = controller.targets(reference)
+    log = _empty_log(plant, controller.estimate(memory).shape[1], noise.shape, x0.shape[1])
     left_at_sample = np.full(cases, STAYED)
     going = np.arange(cases)
+    x = x0
     for k in range(samples):
         y = plant.output(x)
         measured = y + noise[going, k]
@@ -96,9 +102,9 @@ def close_loop(
         if not inside.all():  # only those that stay go on
             stopped = going[~inside]
             left_at_sample[stopped] = k
-            at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
-            values = {"u": at_rest, "y": y, "measured": measured, "states": x}
-            for name, value in values.items():
+            u_at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
+            last_values = {"u": u_at_rest, "y": y, "measured": measured, "states": x}
+            for name, value in last_values.items():
                 log[name][stopped, k:] = value[~inside, None]
             x = x[inside]
             y = y[inside]
@@ -119,24 +125,36 @@ def close_loop(
     )
 
 
+def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
+    """Zeros for each signal of a run; `shape` is cases, samples, outputs."""
+    cases, samples, outputs = shape
+    widths = {
+        "u": len(plant.inputs),
+        "y": outputs,
+        "measured": outputs,
+        "states": states,
+        "estimate": estimates,
+    }
+    return {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
+
+
 def _inside_bound(
     plant: Plant,
-    y: Float[np.ndarray, "N p"],
+    y: Outputs,
     u: Float[np.ndarray, "N m"],
     estimate: Float[np.ndarray, "N n"],
-    bound: Float[np.ndarray, "p"],
+    bound: Bound,
 ) -> Bool[np.ndarray, "N"]:
     """Whether output, input and estimate of each case are within what counts as staying."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
-    sizes = np.hstack([amplitudes, estimate])
-    near = (np.abs(y - rest.y) <= bound).all(axis=1)
-    return np.asarray(near & (np.abs(sizes) < LARGEST_SIGNAL).all(axis=1))
+    sizes = np.abs(np.hstack([amplitudes, estimate]))
+    is_near = (np.abs(y - rest.y) <= bound).all(axis=1)
+    is_small = (sizes < LARGEST_SIGNAL).all(axis=1)
+    return np.asarray(is_near & is_small)
 
 
-def _repeat_last_values(
-    log: dict[str, Float[np.ndarray, "N T _"]], left_at_sample: Int[np.ndarray, "N"]
-) -> None:
+def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
     """Fill each case that left the bound with its last values inside it."""
     for case in np.flatnonzero(left_at_sample > 0):
         left = left_at_sample[case]
@@ -146,22 +164,15 @@ def _repeat_last_values(
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:
     """Refuse a controller made for other inputs, outputs or another sampling time."""
-    needed = len(plant.inputs), len(plant.outputs)
-    dimensions = controller.dimensions
-    require(
-        dimensions == needed,
-        "controller inputs, outputs",
-        dimensions,
-        f"the plant has {needed}",
-        "identify the model on this plant's records",
-    )
-    require(
-        bool(np.isclose(controller.step_s, plant.step_s, rtol=1e-9)),
-        "controller.step_s",
-        controller.step_s,
-        f"the plant is sampled every {plant.step_s} s",
-        "identify the model at the plant's sampling time",
-    )
+    needed = (len(plant.inputs), len(plant.outputs))
+    fits = controller.dimensions == needed
+    problem = f"the plant has {needed}"
+    remedy = "identify the model on this plant's records"
+    require(fits, "controller inputs, outputs", controller.dimensions, problem, remedy)
+    is_in_step = bool(np.isclose(controller.step_s, plant.step_s, rtol=1e-9))
+    problem = f"the plant is sampled every {plant.step_s} s"
+    remedy = "identify the model at the plant's sampling time"
+    require(is_in_step, "controller.step_s", controller.step_s, problem, remedy)
 
 
 def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
@@ -172,39 +183,44 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
         return
     lowest = demanded.min()
     highest = demanded.max()
-    raise BadRequest(
-        "loop.input_lower, loop.input_upper",
-        tuple(np.asarray(end).tolist() for end in limits),
-        f"what the loop is to hold is held by inputs from {lowest:.4g} to {highest:.4g}",
-        f"widen the limits by {excess:.4g}, or choose a smaller loop.reference",
-    )
+    values = tuple(np.asarray(end).tolist() for end in limits)
+    problem = f"what the loop is to hold is held by inputs from {lowest:.4g} to {highest:.4g}"
+    remedy = f"widen the limits by {excess:.4g}, or choose a smaller loop.reference"
+    raise BadRequest("loop.input_lower, loop.input_upper", values, problem, remedy)
 
 
-def last_step(reference: Float[np.ndarray, "T p"]) -> int:
-    """The sample at which a reference of steps takes its last value; 0 if it still moves in the
-    second half."""
-    changes = np.flatnonzero(np.any(np.diff(reference, axis=0) != 0, axis=1))
-    last = int(changes[-1]) + 1 if len(changes) else 0
+def last_step(reference: OutputSignal) -> int:
+    """Sample at which a reference of steps takes its last value.
+
+    0 if the reference still moves in the second half.
+    """
+    has_changed = np.any(np.diff(reference, axis=0) != 0, axis=1)
+    changes = np.flatnonzero(has_changed)
+    if not len(changes):
+        return 0
+    last = int(changes[-1]) + 1
     return last if last <= len(reference) // 2 else 0
 
 
 def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...]:
-    """Seconds after the last step of the reference from which `|y - reference| <= band` holds to
-    the end.
+    """Settling time of each case, in seconds after the last step of the reference.
 
-    None if there is no such time, or if less than `DWELL` of the horizon follows it. `band` in the
-    output's unit. A case that left the bound never settles, whatever it did before; one that is in
-    the band throughout settles in 0.
+    From that time on `|y - reference| <= band` holds to the end. None if there is no such time, or
+    if less than `DWELL` of the horizon follows it. `band` in the output's unit. A case that left
+    the bound never settles, whatever it did before; one that is in the band throughout settles in
+    0.
     """
     outside = (np.abs(rollouts.y - rollouts.reference) > band).any(axis=2)
     samples = outside.shape[1]
-    first = np.where(outside.any(axis=1), samples - np.argmax(outside[:, ::-1], axis=1), 0)
-    settled = rollouts.stayed & (first <= samples - max(int(np.ceil(DWELL * samples)), 1))
+    since_last_outside = np.argmax(outside[:, ::-1], axis=1)
+    first = np.where(outside.any(axis=1), samples - since_last_outside, 0)
+    dwell = max(int(np.ceil(DWELL * samples)), 1)
+    is_settled = rollouts.stayed & (first <= samples - dwell)
     after = np.maximum(first - last_step(rollouts.reference), 0)
-    return tuple(
-        float(k * rollouts.step_s) if rests else None
-        for k, rests in zip(after, settled, strict=True)
-    )
+    times_s: list[float | None] = []
+    for k, settles in zip(after, is_settled, strict=True):
+        times_s.append(float(k * rollouts.step_s) if settles else None)
+    return tuple(times_s)
 
 
 def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
@@ -221,88 +237,95 @@ def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     third_quarter = size[:, -2 * quarter : -quarter].max(axis=1)
     last_quarter = size[:, -quarter:].max(axis=1)
     worst_output = np.argmax(np.abs(error).max(axis=1), axis=1)
-    tail = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, -2 * quarter :, 0]
-    rise, swing = rise_and_swing(tail)
+    worst_error = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, :, 0]
+    rise, swing = rise_and_swing(worst_error[:, -2 * quarter :])
     oscillates = swing > np.maximum(np.abs(rise), band)
     moving = np.where(oscillates, "oscillating", "drifting")
     kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
     kinds = np.where(rollouts.stayed, kinds, "lost")
-    return tuple(str(kind) for kind in np.where(settled, "settled", kinds))
+    kinds = np.where(settled, "settled", kinds)
+    return tuple(str(kind) for kind in kinds)
 
 
-def rise_and_swing(
-    signals: Float[np.ndarray, "N K"],
-) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+def rise_and_swing(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
     """Rise of the least-squares line of each row, and the peak-to-peak deviation from that line."""
     time = np.linspace(-0.5, 0.5, signals.shape[1])
     rise = signals @ time / (time @ time)
     centred = signals - signals.mean(axis=1, keepdims=True)
-    return rise, np.ptp(centred - rise[:, None] * time, axis=1)
+    deviation = centred - rise[:, None] * time
+    return rise, np.ptp(deviation, axis=1)
 
 
 def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude, about a straight line, of the last tenth of each settled case: the worst output.
+    """Amplitude of what each settled case still does in the last tenth: the worst output.
 
-    A loop that swings for ever inside the band of settling is settled by definition, and not at
-    rest. In the output's unit.
+    The amplitude is about a straight line. A loop that swings for ever inside the band of settling
+    is settled by definition, and not at rest. In the output's unit.
     """
-    settled = np.array([time_s is not None for time_s in settling_times_s(rollouts, band)])
-    error = (rollouts.y - rollouts.reference)[settled]
+    is_settled = np.array([time_s is not None for time_s in settling_times_s(rollouts, band)])
+    error = (rollouts.y - rollouts.reference)[is_settled]
     last = max(int(np.ceil(DWELL * error.shape[1])), 2)
     tails = error[:, -last:]
     swings = [rise_and_swing(tails[:, :, output])[1] for output in range(tails.shape[2])]
     return np.asarray(np.max(swings, axis=0) / 2)
 
 
-def overshoots(rollouts: Rollouts, band: float) -> Float[np.ndarray, "N"]:
-    """`max(0, excursion beyond the reference, on the far side from the start) / |y - reference| at
-    the start`.
+def overshoots(rollouts: Rollouts, band: float) -> PerCase:
+    """Overshoot of each case beyond the reference, as a share of the error at the start.
 
-    The start is the last step of the reference; the worst channel counts. Only excursions beyond
-    the band count: within it, the measurement noise that the controller passes on decides. Zero for
-    cases that start within the band.
+    An excursion counts on the far side from the start, which is the last step of the reference; the
+    worst channel counts. Only excursions beyond the band count: within it, the measurement noise
+    that the controller passes on decides. Zero for cases that start within the band.
     """
-    error = (rollouts.y - rollouts.reference)[:, last_step(rollouts.reference) :]
+    start_sample = last_step(rollouts.reference)
+    error = (rollouts.y - rollouts.reference)[:, start_sample:]
     start = error[:, :1]
-    far = np.maximum(-np.sign(start) * error, 0.0).max(axis=1)
-    counts = (np.abs(start[:, 0]) > band) & (far > band)
-    return np.where(counts, far / np.where(counts, np.abs(start[:, 0]), 1.0), 0.0).max(axis=1)
+    size = np.abs(start[:, 0])
+    excursion = np.maximum(-np.sign(start) * error, 0.0).max(axis=1)
+    counts = (size > band) & (excursion > band)
+    shares = excursion / np.where(counts, size, 1.0)
+    return np.where(counts, shares, 0.0).max(axis=1)
 
 
 def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
-    """`1 - r^2`, r the mean shrink per sample of `|y_i - y_j|` from the start until it is within
-    the band.
+    """Measured contraction rate `1 - r^2` of the closed loop, median over pairs of cases.
 
-    The median over all pairs of cases that start more than twice the band apart; in the convention
-    of `rate_controller` (distances shrink by `sqrt(1 - rate)`), so the two compare. Pairs that
+    r is the mean shrink per sample of `|y_i - y_j|` from the start until it is within the band.
+    Pairs count that start more than twice the band apart; the rate is in the convention of
+    `rate_controller` (distances shrink by `sqrt(1 - rate)`), so the two compare. Pairs that
     never come within the band are taken to the end of the horizon. None without such pairs.
     """
     i, j = np.triu_indices(len(rollouts.y), k=1)  # each pair of cases once
-    distance = np.linalg.norm(rollouts.y[i] - rollouts.y[j], axis=2)
-    distance = np.maximum(
-        distance[distance[:, 0] > 2 * band], band / 2
-    )  # resolution: an exact zero is not a rate
-    return float(1.0 - np.median(squared_shrink(distance, band))) if len(distance) else None
+    distances = np.linalg.norm(rollouts.y[i] - rollouts.y[j], axis=2)
+    starts_apart = distances[:, 0] > 2 * band
+    if not starts_apart.any():
+        return None
+    resolution = band / 2  # an exact zero is not a rate
+    distances = np.maximum(distances[starts_apart], resolution)
+    return float(1.0 - np.median(squared_shrink(distances, band)))
 
 
 def squared_shrink(
     distance: Float[np.ndarray, "N T"], until: float | Float[np.ndarray, "N 1"]
-) -> Shrinks:
-    """`r^2`, r the mean factor per sample by which each row shrinks until it is at most `until`,
-    else to its end."""
-    within = distance <= until
-    at = np.where(within.any(axis=1), np.argmax(within, axis=1), distance.shape[1] - 1)
-    return np.asarray(
-        (distance[np.arange(len(distance)), at] / distance[:, 0]) ** (2.0 / np.maximum(at, 1))
-    )
+) -> PerCase:
+    """Square of the mean factor per sample by which each row shrinks.
+
+    A row counts until it is at most `until`, else to its end.
+    """
+    is_small = distance <= until
+    last_sample = distance.shape[1] - 1
+    at = np.where(is_small.any(axis=1), np.argmax(is_small, axis=1), last_sample)
+    ratios = distance[np.arange(len(distance)), at] / distance[:, 0]
+    exponents = 2.0 / np.maximum(at, 1)
+    return np.asarray(ratios**exponents)
 
 
 def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
-    """Largest `|u - u_again| / max |u|` over cases that stayed: `u_again` from the recorded
-    measurements alone.
+    """Largest difference of the recorded inputs from those computed again, relative to the largest.
 
-    `u_again` is cut at the limits that the controller knew of; an integrator replays its own hold
-    at a limit. The memory advances by the recorded input, so that errors do not add up.
+    `|u - u_again| / max |u|` over cases that stayed, `u_again` from the recorded measurements
+    alone. `u_again` is cut at the limits that the controller knew of; an integrator replays its own
+    hold at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
     stayed = run.stayed
     targets = controller.targets(run.reference)

@@ -68,35 +68,37 @@ class CascadedTanks(Plant):
     def equilibrium(self) -> Equilibrium:
         upper = (self.pump_gain * self.rest_pump_v / self.outflow_upper) ** 2
         lower = upper * (self.inflow_lower / self.outflow_lower) ** 2  # Torricelli at both outlets
-        return Equilibrium(
-            u=np.array([self.rest_pump_v]), x=np.array([upper, lower]), y=np.array([lower])
-        )
+        u = np.array([self.rest_pump_v])
+        return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
     def states_at(self, y0: Outputs) -> States:
-        """The lower level as asked, the upper one at rest."""
-        return np.concatenate([np.full_like(y0, self.equilibrium().x[0]), y0], axis=1)
+        """States with the lower level at `y0` and the upper one at rest."""
+        upper = np.full_like(y0, self.equilibrium().x[0])
+        return np.concatenate([upper, y0], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         pumped = self.pump_gain * np.maximum(u[:, 0], 0.0)  # a pump does not suck
+        substep_s = self.step_s / self.substeps
+
+        def rate(levels: States) -> States:
+            return self._rate(levels, pumped, d[:, 0])
+
         for _ in range(self.substeps):  # the brim is enforced after each substep
-            x = runge_kutta(
-                lambda z: self._rate(z, pumped, d[:, 0]), x, self.step_s / self.substeps, 1
-            )
+            x = runge_kutta(rate, x, substep_s, 1)
             x = np.clip(x, 0.0, self.brim_v)
         return x
 
     def _rate(self, x: States, pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]) -> States:
-        root = np.sqrt(np.clip(x, 0.0, self.brim_v))
-        surplus = pumped - self.outflow_upper * root[:, 0]
-        full = x[:, 0] >= self.brim_v  # the upper tank spills
-        spill = np.where(full, np.maximum(surplus, 0.0), 0.0)
-        upper = np.where(full, np.minimum(surplus, 0.0), surplus)
-        lower = (
-            self.inflow_lower * root[:, 0]
-            - self.outflow_lower * root[:, 1]
-            + self.spill_share * spill
-            + d
-        )
+        """Time derivative of both levels."""
+        roots = np.sqrt(np.clip(x, 0.0, self.brim_v))
+        root_upper = roots[:, 0]
+        root_lower = roots[:, 1]
+        surplus = pumped - self.outflow_upper * root_upper
+        spills = x[:, 0] >= self.brim_v
+        spill = np.where(spills, np.maximum(surplus, 0.0), 0.0)
+        upper = np.where(spills, np.minimum(surplus, 0.0), surplus)
+        through_outlets = self.inflow_lower * root_upper - self.outflow_lower * root_lower
+        lower = through_outlets + self.spill_share * spill + d
         return np.stack([upper, lower], axis=1)
 
     def output(self, x: States) -> Outputs:

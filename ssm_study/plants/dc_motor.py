@@ -29,10 +29,21 @@ MotorConstants = namedtuple(
 )
 
 
+NOT_NEGATIVE = (
+    "shaft_damping_nms_per_rad",
+    "motor_viscous_nms_per_rad",
+    "load_viscous_nms_per_rad",
+    "coulomb_torque_nm",
+    "dead_zone_v",
+    "speed_noise_variance",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class DCMotor(Plant):
-    """Armature, motor shaft, elastic coupling, load; Coulomb friction that can hold each shaft
-    still; input dead-zone.
+    """DC motor whose shaft drives a load through an elastic coupling.
+
+    Coulomb friction can hold each shaft still; the input has a dead-zone.
 
         L_a di_a/dt = u_eff - R_a i_a - K_m w_m,          u_eff = v_a - sgn(v_a) v_dz, or 0 inside
         the dead-zone
@@ -81,54 +92,49 @@ class DCMotor(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        not_negative = ("shaft_damping_nms_per_rad", "motor_viscous_nms_per_rad",
-                        "load_viscous_nms_per_rad",
-                        "coulomb_torque_nm", "dead_zone_v", "speed_noise_variance")  # fmt: skip
-        check_signs(self, not_negative=not_negative)
+        check_signs(self, not_negative=NOT_NEGATIVE)
+        step_s = self.solver_step_s
         electrical_s = self.inductance_h / self.resistance_ohm
         problem = (
             f"longer than the armature's time constant of {electrical_s:.3g} s, where the series "
             "turns unstable"
         )
-        require(
-            self.solver_step_s <= electrical_s,
-            "solver_step_s",
-            self.solver_step_s,
-            problem,
-            "shorten it",
-        )
+        require(step_s <= electrical_s, "solver_step_s", step_s, problem, "shorten it")
 
     @cached_property
     def constants(self) -> MotorConstants:
-        electrical = (self.resistance_ohm, 1.0 / self.inductance_h, self.torque_constant_nm_per_a)
-        inertias = (1.0 / self.motor_inertia_kgm2, 1.0 / self.load_inertia_kgm2)
-        shaft = (self.shaft_stiffness_nm_per_rad, self.shaft_damping_nms_per_rad)
-        friction = (
-            self.motor_viscous_nms_per_rad,
-            self.load_viscous_nms_per_rad,
-            self.coulomb_torque_nm,
-        )
+        """Constants that the compiled kernel reads."""
         return MotorConstants(
-            *map(float, (*electrical, *inertias, *shaft, *friction, self.dead_zone_v))
+            resistance=float(self.resistance_ohm),
+            per_inductance=float(1.0 / self.inductance_h),
+            k=float(self.torque_constant_nm_per_a),
+            per_motor_inertia=float(1.0 / self.motor_inertia_kgm2),
+            per_load_inertia=float(1.0 / self.load_inertia_kgm2),
+            stiffness=float(self.shaft_stiffness_nm_per_rad),
+            damping=float(self.shaft_damping_nms_per_rad),
+            motor_viscous=float(self.motor_viscous_nms_per_rad),
+            load_viscous=float(self.load_viscous_nms_per_rad),
+            coulomb=float(self.coulomb_torque_nm),
+            dead_zone=float(self.dead_zone_v),
         )
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
 
     def states_at(self, y0: Outputs) -> States:
-        """Both shafts turning at `y0`, no current, no twist."""
+        """States with both shafts turning at `y0`, no current and no twist."""
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        from ssm_study.plants.dc_motor_kernel import (
-            advance_batch,
-        )  # numba: describing a motor does without
+        # Imported here: numba takes a while to load, and describing a motor does without.
+        from ssm_study.plants.dc_motor_kernel import advance_batch
 
         substeps = ceil(self.step_s / self.solver_step_s - 1e-9)
+        substep_s = self.step_s / substeps
         # Contiguous: for every other layout of the three numba would compile the kernel once more.
-        arrays = map(np.ascontiguousarray, (x, u, d))
-        return advance_batch(self.constants, *arrays, self.step_s / substeps, substeps)
+        arrays = [np.ascontiguousarray(array) for array in (x, u, d)]
+        return advance_batch(self.constants, *arrays, substep_s, substeps)
 
     def output(self, x: States) -> Outputs:
         return x[:, 2:3]

@@ -22,9 +22,8 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 
 @compiled
 @no_type_check
-def _torques(
-    p, i, wm, wl, th, load
-):  # Torques on motor shaft and load without Coulomb friction, N m
+def _torques(p, i, wm, wl, th, load):
+    """Torques on motor shaft and load without Coulomb friction, N m."""
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
@@ -32,8 +31,10 @@ def _torques(
 @compiled
 @no_type_check
 def _series(p, c, v, load, motor_mode, load_mode):
-    """Fill `c[1:]`; row 0 is the state. A stuck body keeps a zero speed in every row, hence
-    exactly."""
+    """Fill the Taylor coefficients `c[1:]`; row 0 is the state.
+
+    A stuck body has speed zero in every row, hence exactly.
+    """
     for q in range(ORDER):
         i = c[q, 0]
         wm = c[q, 1]
@@ -54,6 +55,7 @@ def _series(p, c, v, load, motor_mode, load_mode):
 @compiled
 @no_type_check
 def _at(c, j, t):
+    """Value of state j at time t of the series."""
     value = c[ORDER, j]
     for q in range(ORDER - 1, -1, -1):
         value = value * t + c[q, j]  # Horner
@@ -63,7 +65,8 @@ def _at(c, j, t):
 @compiled
 @no_type_check
 def _keeps(p, c, t, load, body, mode):
-    """Positive while `body` (0 motor, 1 load) stays in its mode at time t of the series."""
+    """Margin that is positive while `body` (0 motor, 1 load) stays in its mode at time t of the
+    series."""
     if mode != 0:
         return mode * _at(c, 1 + body, t)
     tm, tl = _torques(p, _at(c, 0, t), _at(c, 1, t), _at(c, 2, t), _at(c, 3, t), load)
@@ -72,9 +75,8 @@ def _keeps(p, c, t, load, body, mode):
 
 @compiled
 @no_type_check
-def _leaves(
-    p, c, h, load, body, mode
-):  # The time in [0, h] at which body leaves its mode; above h if it does not
+def _leaves(p, c, h, load, body, mode):
+    """Time in [0, h] at which the body leaves its mode; above h if it does not."""
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0
@@ -90,9 +92,8 @@ def _leaves(
 
 @compiled
 @no_type_check
-def _mode(
-    speed, torque, coulomb
-):  # 0 stuck, else the sign of the motion (or of the motion about to begin)
+def _mode(speed, torque, coulomb):
+    """Mode of a body: 0 stuck, else the sign of its motion or of the motion about to begin."""
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -102,7 +103,8 @@ def _mode(
 
 @compiled
 @no_type_check
-def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
+def _substep(p, c, h, v, load):
+    """Advance row 0 of c by h, mode by mode."""
     tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
     motor_mode = _mode(c[0, 1], tm, p.coulomb)
     load_mode = _mode(c[0, 2], tl, p.coulomb)
@@ -129,8 +131,10 @@ def _substep(p, c, h, v, load):  # Advance row 0 of c by h, mode by mode
 @compiled
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
-    """`x (N, 4)` after `substeps` steps of `h` seconds under voltage `u (N, 1)` and load torque `d
-    (N, 1)`."""
+    """States `x (N, 4)` after `substeps` steps of `h` seconds.
+
+    Under voltage `u (N, 1)` and load torque `d (N, 1)`.
+    """
     out = np.empty_like(x)
     c = np.empty((ORDER + 1, 4))
     for n in range(x.shape[0]):

@@ -5,14 +5,15 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Float
 
-Rate = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
+States = Float[np.ndarray, "N n"]
+Rate = Callable[[States], States]
 
 
-def runge_kutta(
-    rate: Rate, x: Float[np.ndarray, "N n"], step_s: float, substeps: int
-) -> Float[np.ndarray, "N n"]:
-    """`x(t + step_s)` of `dx/dt = rate(x)` in `substeps` steps, fourth order where the rate is
-    smooth."""
+def runge_kutta(rate: Rate, x: States, step_s: float, substeps: int) -> States:
+    """States after `step_s` seconds of `dx/dt = rate(x)`, in `substeps` steps.
+
+    Fourth order where the rate is smooth.
+    """
     h = step_s / substeps
     for _ in range(substeps):
         a = rate(x)

@@ -1,5 +1,5 @@
-"""The interface every plant answers: what it is called, where it rests, and one sampling period
-under held input."""
+"""The interface of every plant: its signals, its equilibrium, and one sampling period under held
+input."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ssm_study import refusal
 from ssm_study.signals import Channel
 
-# Of all cases at once, a row each; a plant's own documentation says what the columns are.
+# All cases at once, a row each; a plant's own documentation says what the columns are.
 States = Float[np.ndarray, "N n"]
 Inputs = Float[np.ndarray, "N m"]
 Disturbances = Float[np.ndarray, "N q"]
@@ -20,8 +20,10 @@ Outputs = Float[np.ndarray, "N p"]
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibrium:
-    """`x = f(x, u)` with `y = h(x)`: held at `u (m,)`, a plant started in `x (n,)` stays there and
-    reads `y (p,)`."""
+    """Equilibrium of a plant, `x = f(x, u)` with `y = h(x)`.
+
+    Held at `u (m,)`, a plant started in `x (n,)` stays there and reads `y (p,)`.
+    """
 
     u: Float[np.ndarray, "m"]
     x: Float[np.ndarray, "n"]
@@ -29,10 +31,10 @@ class Equilibrium:
 
 
 class Plant(ABC):
-    """`x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`: a sampled system under held input, physical
-    units throughout.
+    """Sampled system under held input, in physical units throughout.
 
-    Concrete plants are frozen keyword-only dataclasses, one file and one yaml each, that name their
+    `x[k+1] = f(x[k], u[k], d[k]),  y[k] = h(x[k])`. Concrete plants are frozen keyword-only
+    dataclasses, one file and one yaml each, that name their
     signals as class attributes; wrappers are plants around a plant. Laws (tested for every yaml):
     the equilibrium is a fixed point; a batch equals its rows; two halves equal the whole;
     `output(states_at(y)) = y`; `output` never sees the input that acts after it.
@@ -43,35 +45,37 @@ class Plant(ABC):
 
     @property
     @abstractmethod
-    def inputs(self) -> tuple[Channel, ...]: ...
+    def inputs(self) -> tuple[Channel, ...]:
+        """Names and units of the inputs."""
 
     @property
     @abstractmethod
-    def outputs(self) -> tuple[Channel, ...]: ...
+    def outputs(self) -> tuple[Channel, ...]:
+        """Names and units of the outputs."""
 
     @property
     @abstractmethod
-    def states(self) -> tuple[Channel, ...]: ...
+    def states(self) -> tuple[Channel, ...]:
+        """Names and units of the states."""
 
     @property
     @abstractmethod
-    def disturbances(self) -> tuple[Channel, ...]: ...
+    def disturbances(self) -> tuple[Channel, ...]:
+        """Names and units of the disturbances."""
 
     @property
     @abstractmethod
     def initial_range(self) -> tuple[float, float]:
-        """Offsets of the output from its equilibrium from which initial conditions are drawn, unit
-        of the output."""
+        """Range of the initial outputs, as offsets from the equilibrium in the output's unit."""
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
-        """Offsets of each input from its equilibrium that an excitation uses unless it is told
-        otherwise."""
+        """Default amplitude of an excitation: offsets of each input from its equilibrium."""
         return (1.0,) * len(self.inputs)
 
     @property
     def input_clock_s(self) -> float:
-        """The shortest time an excitation holds a level unless it is told otherwise."""
+        """Shortest time for which an excitation holds a level by default."""
         return 10 * self.step_s
 
     @property
@@ -81,15 +85,18 @@ class Plant(ABC):
 
     @property
     def real(self) -> bool:
-        """Whether it is a device: one case at a time, from where it is, and never run again to
-        check a record."""
+        """Whether the plant is a device.
+
+        A device runs one case at a time, from where it is, and never again to check a record.
+        """
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Called at the end of every closed loop, also after an error: a device switches off."""
+        """Switch a device off; called at the end of every closed loop, also after an error."""
 
     @abstractmethod
-    def equilibrium(self) -> Equilibrium: ...
+    def equilibrium(self) -> Equilibrium:
+        """Input, state and output at which the plant rests."""
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
@@ -97,11 +104,11 @@ class Plant(ABC):
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        """The states one sampling period later, `u` and `d` held meanwhile."""
+        """States one sampling period later, `u` and `d` held meanwhile."""
 
     @abstractmethod
     def output(self, x: States) -> Outputs:
-        """The sensor's reading before the input of the same sample acts."""
+        """Outputs that the sensors read before the input of the same sample acts."""
 
     def simulate(
         self,
@@ -109,26 +116,33 @@ class Plant(ABC):
         x0: States | None = None,
         d: Float[np.ndarray, "N T q"] | None = None,
     ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
-        """States and outputs at the sampling instants; `x0` None starts at the equilibrium, `d`
-        None is undisturbed."""
+        """States and outputs at the sampling instants.
+
+        `x0` None starts at the equilibrium, `d` None is undisturbed.
+        """
         cases, samples = u.shape[:2]
-        state = np.tile(self.equilibrium().x, (cases, 1)) if x0 is None else x0
-        still = np.zeros((cases, len(self.disturbances)))
+        state = x0
+        if state is None:
+            state = np.tile(self.equilibrium().x, (cases, 1))
+        no_disturbance = np.zeros((cases, len(self.disturbances)))
         x = np.empty((cases, samples, state.shape[1]))
         y = np.empty((cases, samples, len(self.outputs)))
         for k in range(samples):
-            x[:, k], y[:, k] = state, self.output(state)  # y[k] is read before u[k] acts
-            state = self.advance(state, u[:, k], still if d is None else d[:, k])
+            x[:, k] = state
+            y[:, k] = self.output(state)  # y[k] is read before u[k] acts
+            disturbance = no_disturbance if d is None else d[:, k]
+            state = self.advance(state, u[:, k], disturbance)
         return x, y
 
 
 def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """A property that answers with the plant's field of that name, or with that times each of the
-    factors."""
+    """Property that reads the plant's field of that name, times each of the factors if any."""
 
     def read(plant: Plant) -> Any:
         value = getattr(plant, field)
-        return tuple(factor * value for factor in factors) if factors else value
+        if not factors:
+            return value
+        return tuple(factor * value for factor in factors)
 
     return property(read)
 
@@ -140,9 +154,9 @@ def check_signs(
 
     `positive` None: every one that is not among `not_negative`.
     """
-    for name in (
-        (name for name in vars(plant) if name not in not_negative) if positive is None else positive
-    ):
+    if positive is None:
+        positive = tuple(name for name in vars(plant) if name not in not_negative)
+    for name in positive:
         refusal.positive(name, getattr(plant, name), "give it in the unit of its name")
     for name in not_negative:
         refusal.at_least(0, name, getattr(plant, name), "use 0 to leave the effect out")

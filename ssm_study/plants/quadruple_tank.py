@@ -19,13 +19,16 @@ from ssm_study.refusal import require
 from ssm_study.signals import Channel
 
 GRAVITY_CM_PER_S2 = 981.0
-Gains = tuple[float, float] | list[float]
-Four = tuple[float, float, float, float] | list[float]
+PerPump = tuple[float, float] | list[float]
+PerTank = tuple[float, float, float, float] | list[float]
+LENGTHS = {"area_cm2": 4, "outlet_cm2": 4, "pump_cm3_per_vs": 2, "rest_pump_v": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuadrupleTank(Plant):
-    """Pump 1 fills tanks 1 and 4, pump 2 fills 2 and 3; tank 3 drains into 1 and 4 into 2.
+    """Four coupled tanks: pump 1 fills tanks 1 and 4, pump 2 fills 2 and 3.
+
+    Tank 3 drains into 1 and 4 into 2.
 
         A_i dh_i/dt = inflows - a_i sqrt(2 g h_i);  pump j gives k_j v_j: gamma_j of it below, the
         rest across
@@ -47,12 +50,12 @@ class QuadrupleTank(Plant):
     input_amplitude = stated("amplitude_v", (1, 1))
     noise_variance = stated("level_noise_variance", (1, 1))
 
-    area_cm2: Four
-    outlet_cm2: Four
-    pump_cm3_per_vs: Gains
-    share_below: Gains
+    area_cm2: PerTank
+    outlet_cm2: PerTank
+    pump_cm3_per_vs: PerPump
+    share_below: PerPump
     sensor_v_per_cm: float
-    rest_pump_v: Gains
+    rest_pump_v: PerPump
     step_s: float
     substeps: int
     initial_level_v: float
@@ -62,60 +65,55 @@ class QuadrupleTank(Plant):
     level_noise_variance: float
 
     def __post_init__(self) -> None:
-        for name, count in (
-            ("area_cm2", 4),
-            ("outlet_cm2", 4),
-            ("pump_cm3_per_vs", 2),
-            ("rest_pump_v", 2),
-        ):
+        for name, count in LENGTHS.items():
             values = getattr(self, name)
-            require(
-                len(values) == count,
-                name,
-                values,
-                f"{count} numbers are needed",
-                "give one per tank or pump",
-            )
+            problem = f"{count} numbers are needed"
+            require(len(values) == count, name, values, problem, "give one per tank or pump")
         shares = self.share_below
-        require(
-            len(shares) == 2 and max(shares) < 1, "share_below", shares, "not in (0, 1)", "use 0.6"
-        )
+        are_shares = len(shares) == 2 and max(shares) < 1
+        require(are_shares, "share_below", shares, "not in (0, 1)", "use 0.6")
         check_signs(self, not_negative=("level_noise_variance",))
 
     def equilibrium(self) -> Equilibrium:
-        """Each outlet passes what flows in: `a_i sqrt(2 g h_i) = inflow_i`."""
+        """Equilibrium, where each outlet passes what flows in: `a_i sqrt(2 g h_i) = inflow_i`."""
         u = np.array(self.rest_pump_v, dtype=np.float64)
         into = self._pumped(u[None])[0]
-        flow = into + np.array(
-            [into[2], into[3], 0.0, 0.0]
-        )  # the upper tanks drain into the lower ones
+        from_upper = np.array([into[2], into[3], 0.0, 0.0])  # upper tanks drain into lower ones
+        flow = into + from_upper
         x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
     def states_at(self, y0: Outputs) -> States:
-        """The lower levels as asked, the upper ones at rest."""
+        """States with the lower levels at `y0` and the upper ones at rest."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
-        return np.concatenate([y0 / self.sensor_v_per_cm, upper], axis=1)
+        lower = y0 / self.sensor_v_per_cm
+        return np.concatenate([lower, upper], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         into = self._pumped(u)
         into[:, :2] += d
-        return np.maximum(
-            runge_kutta(lambda h: self._rate(h, into), x, self.step_s, self.substeps), 0.0
-        )
+
+        def rate(levels: States) -> States:
+            return self._rate(levels, into)
+
+        levels = runge_kutta(rate, x, self.step_s, self.substeps)
+        return np.maximum(levels, 0.0)
 
     def _rate(self, h: States, into: States) -> States:
-        out = np.array(self.outlet_cm2) * np.sqrt(
-            2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0)
-        )  # Torricelli
-        fallen = np.concatenate([out[:, 2:], np.zeros_like(out[:, 2:])], axis=1)
-        return (into + fallen - out) / np.array(self.area_cm2)
+        """Time derivative of the four levels."""
+        speed = np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))  # Torricelli
+        out = np.array(self.outlet_cm2) * speed
+        out_of_upper = out[:, 2:]
+        from_above = np.concatenate([out_of_upper, np.zeros_like(out_of_upper)], axis=1)
+        return (into + from_above - out) / np.array(self.area_cm2)
 
     def _pumped(self, u: Inputs) -> States:
         """Flow from the pumps into each tank, cm^3/s; a negative voltage pumps nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
-        below = np.array(self.share_below)
-        return np.concatenate([below * flow, ((1 - below) * flow)[:, ::-1]], axis=1)
+        share = np.array(self.share_below)
+        into_lower = share * flow
+        into_upper = ((1 - share) * flow)[:, ::-1]
+        return np.concatenate([into_lower, into_upper], axis=1)
 
     def output(self, x: States) -> Outputs:
         return self.sensor_v_per_cm * x[:, :2]

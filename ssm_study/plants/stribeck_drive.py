@@ -65,14 +65,10 @@ class StribeckDrive(Plant):
             "speed_noise_variance",
         )
         check_signs(self, not_negative=signs)
-        static = self.static_torque_nm
-        require(
-            static >= self.coulomb_torque_nm,
-            "static_torque_nm",
-            static,
-            "below the Coulomb torque",
-            "raise it",
-        )
+        static_nm = self.static_torque_nm
+        is_higher = static_nm >= self.coulomb_torque_nm
+        problem = "below the Coulomb torque"
+        require(is_higher, "static_torque_nm", static_nm, problem, "raise it")
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(2), y=np.zeros(1))
@@ -88,17 +84,17 @@ class StribeckDrive(Plant):
         w = x[:, 1]
         for _ in range(self.substeps):
             torque = self.torque_constant_nm_per_a * i - self.viscous_nms_per_rad * w - d[:, 0]
-            free = w + (h / self.inertia_kgm2) * torque
-            w = np.sign(free) * np.maximum(
-                np.abs(free) - (h / self.inertia_kgm2) * self.friction_nm(w), 0.0
-            )
+            frictionless = w + (h / self.inertia_kgm2) * torque
+            friction = (h / self.inertia_kgm2) * self.friction_nm(w)
+            w = np.sign(frictionless) * np.maximum(np.abs(frictionless) - friction, 0.0)
             i = drive + (i - drive) * keep  # exact over the substep
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """The torque friction can take up at speed w: `Fs` at rest, falling to `Fc`."""
+        """Torque that friction can take up at speed w: `Fs` at rest, falling to `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm
-        return self.coulomb_torque_nm + extra * np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
+        fading = np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
+        return self.coulomb_torque_nm + extra * fading
 
     def output(self, x: States) -> Outputs:
         return x[:, 1:2]

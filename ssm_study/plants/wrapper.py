@@ -15,22 +15,32 @@ Limit = float | tuple[float, ...] | list[float]
 Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
-def _inner(name: str) -> Any:  # A property that answers as the inner plant does
+def _inner(name: str) -> Any:
+    """Property that answers as the inner plant does."""
     return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Everything is the inner plant's unless a wrapper says otherwise; one with `memory` appends
-    states of its own."""
+    """Plant around a plant, from which it takes all that it does not define itself.
+
+    A wrapper with `memory` appends states of its own.
+    """
 
     memory: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
 
-    step_s, settling_band, initial_range = map(_inner, ("step_s", "settling_band", "initial_range"))
-    inputs, outputs, disturbances = map(_inner, ("inputs", "outputs", "disturbances"))
-    input_amplitude, input_clock_s = map(_inner, ("input_amplitude", "input_clock_s"))
-    noise_variance, real, stop = map(_inner, ("noise_variance", "real", "stop"))
+    step_s = _inner("step_s")
+    settling_band = _inner("settling_band")
+    initial_range = _inner("initial_range")
+    inputs = _inner("inputs")
+    outputs = _inner("outputs")
+    disturbances = _inner("disturbances")
+    input_amplitude = _inner("input_amplitude")
+    input_clock_s = _inner("input_clock_s")
+    noise_variance = _inner("noise_variance")
+    real = _inner("real")
+    stop = _inner("stop")
 
     @property
     def states(self) -> tuple[Channel, ...]:
@@ -42,28 +52,29 @@ class Wrapper(Plant):
 
     def equilibrium(self) -> Equilibrium:
         rest = self.plant.equilibrium()
-        return Equilibrium(u=rest.u, x=np.append(rest.x, self.fresh_memory()), y=rest.y)
+        x = np.append(rest.x, self.fresh_memory())
+        return Equilibrium(u=rest.u, x=x, y=rest.y)
 
     def states_at(self, y0: Outputs) -> States:
-        return np.hstack([self.plant.states_at(y0), np.tile(self.fresh_memory(), (len(y0), 1))])
+        memory = np.tile(self.fresh_memory(), (len(y0), 1))
+        return np.hstack([self.plant.states_at(y0), memory])
 
     def split(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
-        """The inner plant's states and the appended ones."""
+        """States of the inner plant, and the appended ones."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         inner, memory = self.split(x)
-        return np.concatenate(
-            [self.plant.advance(inner, self.applied(memory, u), d), self.renewed(memory, u)], axis=1
-        )
+        advanced = self.plant.advance(inner, self.applied(memory, u), d)
+        return np.concatenate([advanced, self.renewed(memory, u)], axis=1)
 
     def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
-        """The input that reaches the inner plant."""
+        """Input that reaches the inner plant."""
         return u
 
     def renewed(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
-        """The appended states one sample later."""
+        """Appended states one sample later."""
         return memory
 
     def output(self, x: States) -> Outputs:
@@ -72,25 +83,26 @@ class Wrapper(Plant):
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatedInput(Wrapper):
-    """`x+ = f(x, clip(u, lower, upper), d)`: limits in the input's unit, one number or one per
-    input."""
+    """Plant whose input is limited, `x+ = f(x, clip(u, lower, upper), d)`.
+
+    Limits in the input's unit, one number or one per input.
+    """
 
     lower: Limit
     upper: Limit
 
     def __post_init__(self) -> None:
         rest = self.plant.equilibrium().u
+        problem = f"there are {len(rest)} inputs"
+        for name in ("lower", "upper"):
+            limit = getattr(self, name)
+            has_a_limit_each = np.size(limit) in (1, len(rest))
+            require(has_a_limit_each, name, limit, problem, "give as many")
+        is_above = np.all(np.asarray(self.lower) <= rest)
+        is_below = np.all(rest <= np.asarray(self.upper))
         limits = (self.lower, self.upper)
-        for name, limit in zip(("lower", "upper"), limits, strict=True):
-            require(
-                np.size(limit) in (1, len(rest)),
-                name,
-                limit,
-                f"there are {len(rest)} inputs",
-                "give as many",
-            )
-        inside = np.all(np.asarray(self.lower) <= rest) and np.all(rest <= np.asarray(self.upper))
-        require(inside, "lower, upper", limits, f"do not enclose rest at {rest}", "widen them")
+        problem = f"do not enclose rest at {rest}"
+        require(is_above and is_below, "lower, upper", limits, problem, "widen them")
 
     def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
         return np.clip(u, self.lower, self.upper)
@@ -98,8 +110,10 @@ class SaturatedInput(Wrapper):
 
 @dataclass(frozen=True, kw_only=True)
 class DelayedInput(Wrapper):
-    """`x+ = f(x, u[k - samples], d)`: a dead time of whole samples; what is under way are the
-    appended states."""
+    """Plant with a dead time of whole samples at its input, `x+ = f(x, u[k - samples], d)`.
+
+    The inputs that are under way are the appended states.
+    """
 
     samples: int
 
@@ -108,10 +122,11 @@ class DelayedInput(Wrapper):
 
     @property
     def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
-        ages = range(self.samples)
-        return tuple(
-            Channel(name=f"{c.name}_due_in_{age}", unit=c.unit) for age in ages for c in self.inputs
-        )
+        channels = []
+        for age in range(self.samples):
+            for channel in self.inputs:
+                channels.append(Channel(name=f"{channel.name}_due_in_{age}", unit=channel.unit))
+        return tuple(channels)
 
     def fresh_memory(self) -> Float[np.ndarray, "r"]:
         return np.tile(self.plant.equilibrium().u, self.samples)

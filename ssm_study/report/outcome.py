@@ -22,6 +22,7 @@ AHEAD = 0.1  # percent points of fit, which are printed, from which on a baselin
 # range of the records.
 LIMITS_OF = {False: "Within input limits", True: "Exported, within limits"}
 SCORE_UNITS = {"emps": " mm", "cascaded_tanks": " V", "ced": " ticks/s"}  # as published
+DOUBTFUL_NOISE_GAIN = 2.0  # noise that reaches the output, over what the model says of it
 THEOREMS = {"controller": "Theorem 1", "observer": "Theorem 2"}
 Row = tuple[str, str, str]  # the column that must be known, label, value
 
@@ -104,6 +105,9 @@ def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str =
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the identified model: fit, benchmark scores, slopes, how fast it decays without
     control."""
+    reading = log_reading(record)
+    if reading:
+        yield "evidence_reasons", "Log", reading
     yield (
         "fit_test_percent",
         "Fit on the test record",
@@ -131,6 +135,15 @@ def baseline_text(record: Mapping[str, Any]) -> str:
     text = f"{printed(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
     is_ahead = fit is not None and own is not None and fit - own >= AHEAD
     return f"{text}: it predicts better than this model" if is_ahead else text
+
+
+def log_reading(record: Mapping[str, Any]) -> str:
+    """How the log was read and cut, as the notes of the evidence say it; "" of simulated data."""
+    notes = str(record.get("evidence_reasons") or "")
+    reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
+    cut = re.search(r"note: The log was (cut .*?)\.(?= (?:note|doubt):|$)", notes)
+    parts = [match[1] for match in (reading, cut) if match is not None]
+    return "; ".join(parts)
 
 
 def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
@@ -189,11 +202,25 @@ def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         yield "coverage", label, f"not covered: the records show more than is proved ({where})"
     else:
         times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
-        covered = f"{times:.2f} times as large as the records show, at every frequency"
-        needed = record.get("coverage_needed")
-        if needed is not None:
-            covered += f"; the test record needs {math.ceil(100 * needed) / 100:.2f}"
-        yield "coverage", label, covered
+        covered = f"{times:.2f} times as large as the records show, at every frequency above zero"
+        yield "coverage", label, covered + fresh_data_words(record)
+
+
+def fresh_data_words(record: Mapping[str, Any]) -> str:
+    """What data that neither fit nor design has seen need of the proof, in words."""
+    needed = record.get("coverage_needed")
+    if needed is None:
+        return ""
+    needed = float(needed)  # an infinite one is stored as a word
+    if not math.isfinite(needed):
+        return "; fresh data lie outside every such disc"
+    times = f"{math.ceil(100 * needed) / 100:.2f} times"
+    sets = record.get("fresh_sets")
+    if not sets:
+        return f"; the test record needs {times}"
+    if sets == 1:
+        return f"; a fresh data set needs {times}"
+    return f"; {sets} fresh data sets need at most {times}"
 
 
 def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
@@ -224,15 +251,23 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     mean = printed(record, "settling_time_mean_s", ".3f", " s")
     times = f"{mean}, uncontrolled {open_loop_s or 0:.3f} s{ratio}"
     yield "settling_time_open_loop_s", "Mean settling time", times
+    yield "noise_gain_model", "Sensor noise", noise_words(record)
+
+
+def noise_words(record: Mapping[str, Any]) -> str:
+    """How far the sensor's noise reaches the output; a doubt where that is far more than the model
+    says: the loop then moves by itself, or is closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
-    noise = f"reaches the output {printed(record, 'noise_gain_measured')}-fold"
     if measured is None:
-        noise = f"reaches the model's output {printed(record, 'noise_gain_model')}-fold"
-    elif model is not None:
-        noise += f", the model's {model:.3g}-fold"
-        noise += ": more than noise moves it" if measured > model else ""
-    yield "noise_gain_model", "Sensor noise", noise
+        return f"reaches the model's output {printed(record, 'noise_gain_model')}-fold"
+    words = f"reaches the output {printed(record, 'noise_gain_measured')}-fold"
+    if model is None:
+        return words
+    words += f", the model's {model:.3g}-fold"
+    if measured > DOUBTFUL_NOISE_GAIN * model:
+        return f"{words}: doubt, more than twice what the model predicts"
+    return f"{words}: more than noise moves it" if measured > model else words
 
 
 def certified_word(record: Mapping[str, Any], side: str) -> str:

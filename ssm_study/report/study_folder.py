@@ -13,12 +13,16 @@ from typing import Any
 import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
+from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
 from ssm_study.engine.settings import stored_yaml
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, StructuredSSM, model_from_json
 from ssm_study.refusal import BadRequest, require
-from ssm_study.study.recordings import RecordedCases
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.signals import Trajectories
+from ssm_study.study.recordings import RecordedCases, read_trials
+from ssm_study.systems import Gains
 from ssm_study.table.columns import text
 from ssm_study.table.rank import best_first
 
@@ -75,6 +79,41 @@ class RunFolder:
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM | StructuredSSM) else None
+
+    @cached_property
+    def design(self) -> Design | None:
+        """Controller and observer with their certificates; None where the run stored none."""
+        return None if self.certificate is None else Design.from_json(self.certificate)
+
+    @property
+    def gains(self) -> Gains | None:
+        """Gains of controller and observer; None where one of them is missing."""
+        return self.design.pair if self.design is not None and self.design.feasible else None
+
+    @property
+    def start_up_samples(self) -> int:
+        """Samples of each record that estimate the initial state."""
+        return int(self.record.get("start_up_samples") or 0)
+
+    @cached_property
+    def trials(self) -> Trajectories:
+        """Records for the mismatch alone."""
+        return read_trials(self.path)
+
+    @cached_property
+    def validation_records(self) -> Trajectories:
+        """All validation records; none where the run left no recording."""
+        path = self.path / "validation.mcap"
+        return RecordedCases.of(path).records if path.is_file() else ()
+
+    @cached_property
+    def mismatch(self) -> Mismatch | None:
+        """Model error by frequency and amplitude, measured from the recordings again."""
+        if self.any_model is None or not self.validation_records:
+            return None
+        return measure_mismatch(
+            self.any_model, self.validation_records, self.start_up_samples, self.trials
+        )
 
     @property
     def comparison(self) -> pd.DataFrame | None:

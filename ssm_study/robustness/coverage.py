@@ -6,38 +6,36 @@ A disc with two references bounds the mismatch `e = y - m` of the model's output
     sum |e - c m|^2  <=  kappa^2 sum ( floor^2 |m|^2 + |W m|^2 + |V u|^2 )
 
 m bounds e where the model speaks, u where it is silent. An `Item` is one piece of one record's
-spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands, the mean,
-the total. Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of
-`e - c m` the product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest
-amplitude only what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing
-repeats, noise counts as mismatch. Source: docs/theory.md, "Measured discs".
+spectrum for which this must hold at `kappa = 1`: a band, a group of neighbouring bands, the total.
+Where an input repeats, what does not repeat is noise: of two periods `D_1, D_2` of `e - c m` the
+product `Re(D_1 conj D_2)` is the power that repeats, without bias. Below the largest amplitude only
+what exceeds `SURE` standard errors counts, in totals whatever repeats. Where nothing repeats, noise
+counts as mismatch. Source: docs/theory.md, "Measured discs".
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 
-from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
-from ssm_study.robustness.mismatch import (
-    ANGLES,
-    EXCITED,
-    MOVING,
-    QUIET,
-    Mismatch,
-    bands_of,
-    unscored,
+from ssm_study.robustness.coverage_items import Item, averaged_items, repeating_items
+from ssm_study.robustness.coverage_spectra import (
+    AveragedSpectrum,
+    MismatchSpectrum,
+    Powers,
+    ScoredRun,
+    averaged_spectrum,
+    averaged_spectrum_in_loop,
+    line_spectrum,
+    noise_power_of,
 )
-from ssm_study.robustness.return_to_rest import SURE, is_return, swing
-from ssm_study.signals import Trajectories, Trajectory, repetition
+from ssm_study.robustness.mismatch import MOVING, Mismatch, unscored
+from ssm_study.robustness.return_to_rest import is_return, swing
+from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 
-GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together
-TOTAL = "in total"
-MEAN = "in the mean"
 INTEGRATES = (
     "the model integrates, so inputs of finite energy give outputs that have none, and no disc "
     "around them bounds a mismatch"
@@ -47,84 +45,6 @@ NOT_AT_REST = (
 )
 EMPTY = "no record moves the model's output, so nothing is known of the mismatch"
 NO_MISMATCH = "the records show no mismatch at all, so there is nothing to compare the proof with"
-Powers = Float[np.ndarray, "L"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class MismatchSpectrum:
-    """Line spectra of one record: angles (rad/sample), model output, input, and e in one or two
-    periods.
-
-    `sides` is 2 for a line that stands for a conjugate pair, 1 for the mean and for pi. Of a record
-    whose input does not repeat there is one period, and its "lines" are the bins of Welch's
-    estimate, in which powers stand in place of transforms.
-    """
-
-    name: str
-    amplitude: float
-    angles: Powers
-    sides: Powers
-    model: Complex[np.ndarray, "2 L p"]
-    error: Complex[np.ndarray, "2 L p"]
-    input_power: Powers
-    noise: Powers
-
-    def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
-        """Both periods of `e - c m`."""
-        return self.error - centre * self.model
-
-    @property
-    def model_power(self) -> Powers:
-        return _power(self.model[1])
-
-
-@dataclass(frozen=True, kw_only=True)
-class AveragedSpectrum:
-    """Welch's powers of a record that does not repeat; `cross` is that of e with the model's
-    output, real part.
-
-    `drawn` is the noise's share of e's power, and `sure` the factor by which an average may be off:
-    zero and one in open loop, where noise counts as mismatch.
-    """
-
-    name: str
-    amplitude: float
-    angles: Powers
-    model_power: Powers
-    error_power: Powers
-    cross: Powers
-    input_power: Powers
-    drawn: Powers
-    sure: Powers
-
-    def deviation_power(self, centre: float) -> Powers:
-        """Power of `e - c m` in each bin beyond its noise."""
-        power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
-        return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Item:
-    """One requirement on the weights: `seen <= sum over lines of (X model + Y input)` at its
-    angles.
-
-    X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
-    part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
-    """
-
-    record: str
-    place: str
-    is_band: bool
-    angles: Powers
-    model_power: Powers
-    input_power: Powers
-    seen: float
-    dark: bool
-
-    @property
-    def where(self) -> str:
-        """Record and place in its spectrum, in words."""
-        return f"{self.record}, {self.place}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,103 +141,43 @@ def measure_premise(
         reason = NOT_AT_REST
     elif model.linear.spectral_radius >= 1:
         reason = INTEGRATES
-    opened = [*validation, *(r for r in trials if not r.closed_loop and not is_return(r))]
-    runs = [_Run.of(model, record, start_up_samples) for record in opened]
-    driven = [run for run in runs if run.u.any()]
+    driven = _driven_runs(model, validation, trials, start_up_samples)
     periodic = [run for run in driven if run.period is not None]
-    noise = _noise_of(periodic) if periodic else None
-    closed = [record for record in trials if record.closed_loop]
-    loops = [_Run.of(model, record, unscored(record, start_up_samples)) for record in closed]
-    moving = [run for run in loops if run.u.any() and swing(run.e + run.m) > MOVING]
-    averaged = [_averaged(run, None) for run in driven] if noise is None else []
-    return Premise(
-        repeating=tuple(_spectrum(run, noise) for run in periodic) if noise is not None else (),
-        averaged=tuple(averaged + [_averaged(run, (noise,)) for run in moving]),
-        reason=reason,
-    )
+    noise = noise_power_of(periodic) if periodic else None
+    repeating = list[MismatchSpectrum]()
+    averaged = list[AveragedSpectrum]()
+    if noise is None:
+        averaged += [averaged_spectrum(run) for run in driven]
+    else:
+        repeating += [line_spectrum(run, noise) for run in periodic]
+    for run in _moving_loops(model, trials, start_up_samples):
+        averaged.append(averaged_spectrum_in_loop(run, noise))
+    return Premise(repeating=tuple(repeating), averaged=tuple(averaged), reason=reason)
 
 
-def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Bands, groups of bands, the mean and the total of a record with two periods."""
-    first, second = record.deviation(centre)
-    repeats = record.sides * (first * second.conj()).real.sum(axis=1)
-    measured = record.sides * (_power(first) + _power(second)) / 2
-    noise = record.sides * record.noise
-    variance = record.sides * (noise * record.noise / 2 + record.noise * np.maximum(repeats, 0.0))
-    bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
-    powers = [record.input_power[bands == b] for b in range(len(ANGLES))]
-    has_lines = np.array([len(power) > 0 for power in powers])  # a short period has few lines
-    drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
-    dark = drive < EXCITED * drive[has_lines].mean()
-
-    def item(
-        lines: np.ndarray,
-        place: str,
-        *,
-        doubtful: bool,
-        unexcited: bool = False,
-        is_band: bool = False,
-    ) -> Item:
-        error = SURE * np.sqrt(variance[lines].sum()) if doubtful else 0.0
-        seen = measured[lines].sum() if unexcited else repeats[lines].sum() - error
-        return Item(
-            record=record.name,
-            place=place,
-            is_band=is_band,
-            angles=record.angles[lines],
-            model_power=(record.sides * record.model_power)[lines],
-            input_power=(record.sides * record.input_power)[lines],
-            seen=max(float(seen), 0.0),
-            dark=unexcited,
-        )
-
-    items = [item(bands == -1, MEAN, doubtful=not sure)]
-    for b in np.flatnonzero(has_lines):
-        place = f"around {ANGLES[b]:.2f} rad/sample"
-        unexcited = bool(dark[b])
-        lines = bands == b
-        items.append(item(lines, place, doubtful=not sure, unexcited=unexcited, is_band=True))
-    for size in GROUPS:
-        for start in range(0, len(ANGLES), size):
-            ends = ANGLES[[start, min(start + size, len(ANGLES)) - 1]]
-            place = f"{ends[0]:.2f} to {ends[1]:.2f} rad/sample"
-            lines = (bands >= start) & (bands < start + size)
-            if not lines.any():
-                continue
-            unexcited = bool(dark[start : start + size].all())
-            items.append(item(lines, place, doubtful=not sure, unexcited=unexcited))
-    return [*items, item(bands >= -1, TOTAL, doubtful=False)]
+def _driven_runs(
+    model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
+) -> list[ScoredRun]:
+    """The records in open loop whose input moves; returns to rest are not among them."""
+    runs = []
+    open_trials = [trial for trial in trials if not trial.closed_loop and not is_return(trial)]
+    for record in (*validation, *open_trials):
+        run = ScoredRun.of(model, record, start_up_samples)
+        if run.u.any():
+            runs.append(run)
+    return runs
 
 
-def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Bins and the total of a record that does not repeat."""
-    seen = record.deviation_power(centre)
-    dark = record.input_power < EXCITED * record.input_power.mean()
-    items = list[Item]()
-    for k, angle in enumerate(record.angles):
-        items.append(
-            Item(
-                record=record.name,
-                place=f"around {angle:.2f} rad/sample",
-                is_band=True,
-                angles=record.angles[k : k + 1],
-                model_power=record.model_power[k : k + 1],
-                input_power=record.input_power[k : k + 1],
-                seen=float(seen[k]),
-                dark=bool(dark[k]),
-            )
-        )
-    total = Item(
-        record=record.name,
-        place=TOTAL,
-        is_band=False,
-        angles=record.angles,
-        model_power=record.model_power,
-        input_power=record.input_power,
-        seen=float(seen.sum()),
-        dark=False,
-    )
-    return [*items, total]
+def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> list[ScoredRun]:
+    """The trials in closed loop that do not come to rest, without the samples that tell their
+    initial state."""
+    loops = []
+    for record in trials:
+        if record.closed_loop:
+            run = ScoredRun.of(model, record, unscored(record, start_up_samples))
+            if run.u.any() and swing(run.e + run.m) > MOVING:
+                loops.append(run)
+    return loops
 
 
 def running_sum(
@@ -350,101 +210,3 @@ def filtered(
     )
     columns = [system.simulate(signal[:, [i]])[0] for i in range(signal.shape[1])]
     return np.concatenate(columns, axis=1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Run:
-    """One record: scaled input, the model's output m, what it misses; `period` samples repeat from
-    `start`, twice."""
-
-    name: str
-    u: Float[np.ndarray, "T m"]
-    m: Float[np.ndarray, "T p"]
-    e: Float[np.ndarray, "T p"]
-    start: int
-    period: int | None
-
-    @classmethod
-    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "_Run":
-        simulated = free_run(model, record, start_up_samples)
-        scored = slice(start_up_samples, None)
-        repeated = repetition(record.u[scored])
-        return cls(
-            name=f"input of rms {np.sqrt((model.scale.scaled_input(record.u) ** 2).mean()):.2g}",
-            u=model.scale.scaled_input(record.u)[scored],
-            m=model.scale.scaled_output(simulated)[scored],
-            e=((record.y - simulated) / model.scale.output_scale)[scored],
-            start=repeated[0] if repeated else 0,
-            period=repeated[1] if repeated else None,
-        )
-
-    def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
-        """The transforms of both periods."""
-        assert self.period is not None
-        pieces = signal[self.start : self.start + 2 * self.period]
-        return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
-
-
-def _power(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
-    return np.asarray((np.abs(spectrum) ** 2).sum(axis=1))
-
-
-def _noise_of(records: Sequence[_Run]) -> Float[np.ndarray, "F"]:
-    """Noise power of a sample in each band, from what does not repeat: the median over the
-    records."""
-    powers = []
-    for run in records:
-        first, second = run.periods(run.e)
-        half = _power(first - second) / 2
-        bands, lines = bands_of(len(half))
-        sums = np.bincount(bands, weights=half[1:], minlength=len(ANGLES))
-        powers.append(sums / lines / float(run.period or 1))
-    return np.asarray(np.median(powers, axis=0))
-
-
-def _spectrum(run: _Run, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
-    assert run.period is not None
-    angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
-    alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
-    return MismatchSpectrum(
-        name=run.name,
-        amplitude=float(np.sqrt((run.u**2).mean())),
-        angles=angles,
-        sides=np.where(alone, 1.0, 2.0),
-        model=run.periods(run.m),
-        error=run.periods(run.e),
-        input_power=_power(run.periods(run.u)[1]),
-        noise=run.period * np.interp(angles, ANGLES, noise),
-    )
-
-
-def _averaged(run: _Run, in_loop: tuple[Float[np.ndarray, "F"] | None] | None) -> AveragedSpectrum:
-    """Welch's powers; `in_loop` holds the noise that records in open loop show, None without
-    any."""
-    segment = 2 * (len(ANGLES) - 1)
-    even = max(min(segment, len(run.u)) // 2 * 2, 2)
-    powers = [
-        scipy.signal.csd(a, b, nperseg=even, detrend=False, axis=0)[1].real.sum(axis=1)
-        for a, b in ((run.m, run.m), (run.e, run.e), (run.e, run.m), (run.u, run.u))
-    ]
-    model_power, error_power, cross, input_power = (len(run.u) * power for power in powers)
-    angles = np.linspace(0, np.pi, len(model_power))
-    drawn = np.zeros(len(angles))
-    sure = 1.0
-    if in_loop is not None:
-        sides = np.where((angles > 0) & (angles < np.pi), 2.0, 1.0)
-        white = np.quantile(error_power[1:-1], QUIET) / 2
-        known = in_loop[0]
-        drawn = sides * (white if known is None else len(run.u) * np.interp(angles, ANGLES, known))
-        sure = 1 + SURE * float(np.sqrt(1.06 * len(angles) / len(run.u)))
-    return AveragedSpectrum(
-        name=run.name,
-        amplitude=float(np.sqrt((run.u**2).mean())),
-        angles=angles,
-        model_power=model_power,
-        error_power=error_power,
-        cross=cross,
-        input_power=input_power,
-        drawn=drawn,
-        sure=np.full(len(angles), sure),
-    )

@@ -1,4 +1,4 @@
-"""Coverage by frequency, as numbers to draw: what each band of the records needs and what is proved.
+"""Coverage by frequency, as numbers to draw: what each band of the records needs, what is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `measured_premise` (`study/stages/synthesis.py`) gives the premise and the certificate the
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.robustness.coverage import Premise, Weights
+from ssm_study.robustness.coverage_items import Item
 
 
 @dataclass(frozen=True, kw_only=True)

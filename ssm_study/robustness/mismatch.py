@@ -18,12 +18,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
-from jaxtyping import Complex, Float, Inexact, Int
+from jaxtyping import Complex, Float
 
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
+from ssm_study.robustness.bands import ANGLES, banded, bands_of, divided, power, welch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
@@ -36,10 +36,6 @@ from ssm_study.robustness.return_to_rest import (
 )
 from ssm_study.signals import Trajectories, Trajectory, repetition
 
-# Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in
-# 4,000 samples.
-SEGMENT = 64
-ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 # A band with less than this share of the input's mean power is not excited: g is measured there,
 # and uncertain.
 EXCITED = 0.01
@@ -247,13 +243,15 @@ class _Errors:
     @classmethod
     def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "_Errors":
         simulated = free_run(model, record, start_up_samples)
-        found = repetition(record.u[start_up_samples:])
+        scored = slice(start_up_samples, None)
+        start, period = repetition(record.u[scored]) or (0, None)
+        error = (record.y - simulated) / model.scale.output_scale
         return cls(
-            u=model.scale.scaled_input(record.u)[start_up_samples:],
-            model=model.scale.scaled_output(simulated)[start_up_samples:],
-            e=((record.y - simulated) / model.scale.output_scale)[start_up_samples:],
-            start=found[0] if found else 0,
-            period=found[1] if found else None,
+            u=model.scale.scaled_input(record.u)[scored],
+            model=model.scale.scaled_output(simulated)[scored],
+            e=error[scored],
+            start=start,
+            period=period,
         )
 
     @property
@@ -268,35 +266,43 @@ class _Errors:
     def spread(self) -> float:
         """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS`
         pieces."""
-        pieces = zip(np.array_split(self.e, BLOCKS), np.array_split(self.u, BLOCKS), strict=True)
-        ratios = [float((e**2).sum() / (u**2).sum()) for e, u in pieces if np.any(u) and np.any(e)]
-        known = np.std(np.log(ratios)) / np.sqrt(len(ratios)) if len(ratios) > 1 else 0.0
-        return 0.5 * float(known)  # half: of g, not of g^2
+        errors = np.array_split(self.e, BLOCKS)
+        inputs = np.array_split(self.u, BLOCKS)
+        ratios = []
+        for e, u in zip(errors, inputs, strict=True):
+            if np.any(u) and np.any(e):
+                ratios.append(float((e**2).sum() / (u**2).sum()))
+        if len(ratios) < 2:
+            return 0.0
+        standard_error = np.std(np.log(ratios)) / np.sqrt(len(ratios))
+        return 0.5 * float(standard_error)  # half: of g, not of g^2
 
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of e, and of input and model over the second."""
         assert self.period is not None
-        first, second = (
-            slice(self.start + k * self.period, self.start + (k + 1) * self.period) for k in (0, 1)
-        )
+        middle = self.start + self.period
+        first = slice(self.start, middle)
+        second = slice(middle, middle + self.period)
         both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
-        return both, np.fft.rfft(self.u[second], axis=0), np.fft.rfft(self.model[second], axis=0)
+        drive = np.fft.rfft(self.u[second], axis=0)
+        model = np.fft.rfft(self.model[second], axis=0)
+        return both, drive, model
 
 
 def _once(records: list[_Errors]) -> View:
     """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is
     split off."""
-    error, drive = (
-        float(sum((part**2).sum() for part in parts))
-        for parts in zip(*[(r.e, r.u) for r in records])  # noqa: B905
-    )
-    power_u = welch([r.u for r in records])
-    power_e = welch([r.e for r in records])
+    inputs = [record.u for record in records]
+    errors = [record.e for record in records]
+    input_energy = float(sum((u**2).sum() for u in inputs))
+    error_energy = float(sum((e**2).sum() for e in errors))
+    power_u = welch(inputs)
+    power_e = welch(errors)
     bands = np.linspace(0, np.pi, len(power_u))
-    ratio = np.sqrt(
-        np.divide(power_e, power_u, out=np.where(power_e > 0, np.inf, 0.0), where=power_u > 0)
-    )
-    return _sizes(records, np.interp(ANGLES, bands, ratio), float(np.sqrt(error / drive)))
+    without_input = np.where(power_e > 0, np.inf, 0.0)
+    ratio = np.divide(power_e, power_u, out=without_input, where=power_u > 0)
+    by_frequency = np.interp(ANGLES, bands, np.sqrt(ratio))
+    return _sizes(records, by_frequency, float(np.sqrt(error_energy / input_energy)))
 
 
 def _sizes(records: list[_Errors], resolved: Float[np.ndarray, "F"], gain: float) -> View:
@@ -315,13 +321,13 @@ def unscored(trial: Trajectory, start_up_samples: int) -> int:
 def _in_loop(records: list[_Errors], noise: Float[np.ndarray, "F"] | None) -> View:
     """Mismatch seen in trials in closed loop: the largest of any, since a large swing would hide a
     small one in their mean."""
-    shown = [_swung(record, noise) for record in records]
-    return _sizes(
-        records, np.max([resolved for resolved, _ in shown], axis=0), max(gain for _, gain in shown)
-    )
+    gains = [_gains_in_loop(record, noise) for record in records]
+    by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
+    total = max(gain for _, gain in gains)
+    return _sizes(records, by_frequency, total)
 
 
-def _swung(
+def _gains_in_loop(
     record: _Errors, noise: Float[np.ndarray, "F"] | None
 ) -> tuple[Float[np.ndarray, "F"], float]:
     """Gain of the error over the input, by frequency and in total, counting what exceeds the noise
@@ -337,21 +343,26 @@ def _swung(
     bands = np.linspace(0, np.pi, len(power_u))
     samples = len(record.u)
     sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
-    white = np.quantile(power_e[1:-1], QUIET) / 2
-    drawn = sides * (white if noise is None else samples * np.interp(bands, ANGLES, noise))
-    sure = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
-    counted = np.maximum(power_e - sure * drawn, 0.0)
-    resolved = np.interp(ANGLES, bands, np.sqrt(divided(sure * counted, power_u)))
-    return resolved, float(np.sqrt(counted.sum() / power_u.sum()))
+    if noise is None:
+        one_sided = np.quantile(power_e[1:-1], QUIET) / 2
+    else:
+        one_sided = samples * np.interp(bands, ANGLES, noise)
+    noise_power = sides * one_sided
+    largest_share = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
+    counted = np.maximum(power_e - largest_share * noise_power, 0.0)
+    gains = np.sqrt(divided(largest_share * counted, power_u))
+    total_gain = float(np.sqrt(counted.sum() / power_u.sum()))
+    return np.interp(ANGLES, bands, gains), total_gain
 
 
 def _noise(records: list[_Errors]) -> Float[np.ndarray, "F"]:
     """Noise power of a sample in each band, from what does not repeat: the same at all amplitudes,
     so the median of the records serves all."""
-    spectra = [(record.spectra()[0], record.period) for record in records]
-    return np.asarray(
-        np.median([banded(power(a - b) / 2) / period for (a, b), period in spectra], axis=0)
-    )
+    powers = []
+    for record in records:
+        first, second = record.spectra()[0]
+        powers.append(banded(power(first - second) / 2) / record.period)
+    return np.asarray(np.median(powers, axis=0))
 
 
 def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
@@ -362,77 +373,47 @@ def _view(record: _Errors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
     Below the largest amplitude only what exceeds `SURE` of its standard deviations counts.
     """
-    both, drive, said = record.spectra()
-    drawn = noise * record.period
+    both, drive, model = record.spectra()
+    first, second = both
+    noise_power = noise * record.period
     _, lines = bands_of(len(drive))
     power_u = banded(power(drive))
-    power_said = banded(power(said))
-    repeats = banded((both[0] * both[1].conj()).real.sum(axis=1))  # noise averages out, see above
+    power_model = banded(power(model))
+    repeats = banded((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
     doubt: Any = 0.0
     if not sure:
-        variance = (drawn**2 / 2 + drawn * np.maximum(repeats, 0.0)) / lines
+        variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
         doubt = SURE * np.sqrt(variance)
-    # Both periods: half the noise's variance.
-    cross = ((both[0] + both[1]) / 2 * said.conj()).sum(axis=1)
-    linear = divided(banded(cross.real) + 1j * banded(cross.imag), power_said)
-    least = (1 + (0.0 if sure else SURE**2)) * drawn / 2 / lines
-    is_known = power_said * np.abs(linear) ** 2 > least
+    linear = _linear_part((first + second) / 2, model)
+    least = (1 + (0.0 if sure else SURE**2)) * noise_power / 2 / lines
+    is_known = power_model * np.abs(linear) ** 2 > least
     is_scalar = (record.e.shape[1] == 1) & (record.u.shape[1] == 1)
     linear = np.where(is_known & is_scalar, linear, 0.0)
-    explained = power_said * np.abs(linear) ** 2
+    explained = power_model * np.abs(linear) ** 2
     whole = np.maximum(repeats - doubt, 0.0)
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
     unexcited = power_u < EXCITED * power_u.mean()
-    measured = banded((power(both[0]) + power(both[1])) / 2)
+    measured = banded((power(first) + power(second)) / 2)
     whole = np.where(unexcited, measured, whole)
     rest = np.where(unexcited, measured, rest)
     linear = np.where(unexcited, 0.0, linear)
-    answered = (power_said * np.abs(1 + linear) ** 2 + rest).sum()
+    answered = (power_model * np.abs(1 + linear) ** 2 + rest).sum()
     return View(
         amplitude=float(np.sqrt((record.u**2).mean())),
         gain=float(np.sqrt(whole.sum() / power_u.sum())),
         by_frequency=np.sqrt(divided(whole, power_u)),
         linear=linear,
         rest=np.sqrt(divided(rest, power_u)),
-        response=float(answered / max(power_said.sum(), np.finfo(float).tiny)),
+        response=float(answered / max(power_model.sum(), np.finfo(float).tiny)),
     )
 
 
-def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
-    """Summed over the channels."""
-    return (np.abs(spectrum) ** 2).sum(axis=1)
-
-
-def divided(
-    values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
-) -> Inexact[np.ndarray, "F"]:
-    """Quotient of values and a power that may vanish."""
-    return values / np.maximum(by, np.finfo(float).tiny)
-
-
-def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
-    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band
-    has."""
-    bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
-    return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
-
-
-def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
-    """The mean over each band of `ANGLES`."""
-    bands, counts = bands_of(len(lines))
-    return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
-
-
-def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
-    """Welch's power density (1967), over channels and records (each by its length), at equal steps
-    from 0 to pi."""
-    segment = min(SEGMENT, *(len(signal) for signal in signals))
-    even = max(segment - segment % 2, 2)  # so that the last band is at pi
-    powers = [
-        scipy.signal.welch(one, nperseg=even, detrend=False, axis=0)[1].sum(axis=1)
-        for one in signals
-    ]
-    return np.sum(
-        [len(one) * density for one, density in zip(signals, powers, strict=True)], axis=0
-    )
+def _linear_part(
+    error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
+) -> Complex[np.ndarray, "F"]:
+    """`S_(e, y_model) / S_(y_model)` in each band; e is the mean of both periods, which halves the
+    noise's variance."""
+    cross = (error * model.conj()).sum(axis=1)
+    banded_cross = banded(cross.real) + 1j * banded(cross.imag)
+    return divided(banded_cross, banded(power(model)))

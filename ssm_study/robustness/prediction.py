@@ -32,7 +32,8 @@ from jaxtyping import Complex, Float
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.structured import Model, StructuredSSM, phi
-from ssm_study.robustness.mismatch import ANGLES, Mismatch, View
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch, View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
@@ -100,7 +101,7 @@ def robustness_measure(
     if not mismatch.rests:
         return float("inf")
     largest = 0.0
-    for linear, own_gains, slopes, records in _tested_loops(model, pair, balls, mismatch):
+    for linear, own_gains, slopes, records in tested_loops(model, pair, balls, mismatch):
         loop = LoopResponse.of(linear, own_gains, slopes, shared)
         if loop is None:
             return float("inf")
@@ -111,7 +112,7 @@ def robustness_measure(
     return largest
 
 
-def _tested_loops(
+def tested_loops(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
     """Every loop of constant slopes, with the records that speak of it."""
@@ -199,6 +200,13 @@ class LoopResponse:
         """`max_w g(w) |T_ue(w)|`."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
+    def returned(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
+        """`1 - M Q`: the return difference of the linear part, closed into the loop."""
+        real = np.interp(self.angles, ANGLES, linear_part.real)
+        imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
+        assert self.through is not None
+        return np.asarray(1 - self.through * (real + 1j * imaginary))
+
     def gain_with_phase(
         self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
     ) -> float:
@@ -206,9 +214,7 @@ class LoopResponse:
         if `1 - M Q` winds around zero, so that its phase at pi is not the one at 0."""
         if self.through is None:
             return float("inf")
-        real = np.interp(self.angles, ANGLES, linear_part.real)
-        imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
-        returned = 1 - self.through * (real + 1j * imaginary)
+        returned = self.returned(linear_part)
         phase = np.unwrap(np.angle(returned))
         if abs(phase[-1] - phase[0]) > np.pi / 2 or returned[0].real <= 0:
             return float("inf")

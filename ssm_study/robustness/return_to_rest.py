@@ -29,11 +29,11 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 def is_return(record: Trajectory) -> bool:
     """Whether the input moves once, at the beginning, and is held from then on
     (`data.splits.rest_segments`)."""
-    return (
-        len(record) > FEWEST
-        and bool((record.u[0] != record.u[1]).any())
-        and not np.ptp(record.u[1:], axis=0).any()
-    )
+    if len(record) <= FEWEST:
+        return False
+    moves_once = bool((record.u[0] != record.u[1]).any())
+    is_held = not np.ptp(record.u[1:], axis=0).any()
+    return moves_once and is_held
 
 
 def after_returns(
@@ -45,28 +45,30 @@ def after_returns(
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
     a single return, at an input other than the equilibrium's, came to rest.
     """
-    still = list[float]()
+    motions = list[float]()
     offsets = list[float]()
+    shortest = max(RESPONSES * response, FEWEST)
     for level, outputs in _by_input(scale, records).items():
-        centred = not np.frombuffer(level).any()
-        long = [y for y in outputs if len(y) >= max(RESPONSES * response, FEWEST)]
-        moves = [swing(y) for y in long or outputs]
-        apart = _apart(long or outputs, centred=centred)
-        if long or (max((*moves, *apart)) < AT_REST and _far(outputs)):
-            still += [one for one in moves if one >= AT_REST or apart]
-            offsets += [off for off in apart if off > AT_REST]
-    return still, offsets
+        is_equilibrium = not np.frombuffer(level).any()
+        long = [y for y in outputs if len(y) >= shortest]
+        counted = long or outputs
+        swings = [swing(y) for y in counted]
+        apart = _apart(counted, centred=is_equilibrium)
+        came_to_rest = bool(long) or (max((*swings, *apart)) < AT_REST and _far(outputs))
+        if came_to_rest:
+            motions += [size for size in swings if size >= AT_REST or apart]
+            offsets += [offset for offset in apart if offset > AT_REST]
+    return motions, offsets
 
 
 def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
     """How far a return ends from the mean of the others at its input, output scales, if none still
     moves there."""
-    still = (
-        outputs
-        for outputs in _by_input(scale, records).values()
-        if max(map(swing, outputs)) < AT_REST
-    )
-    return max((off for outputs in still for off in _apart(outputs, centred=False)), default=0.0)
+    offsets = list[float]()
+    for outputs in _by_input(scale, records).values():
+        if max(map(swing, outputs)) < AT_REST:
+            offsets += _apart(outputs, centred=False)
+    return max(offsets, default=0.0)
 
 
 def _by_input(
@@ -75,14 +77,17 @@ def _by_input(
     """The scaled outputs of the returns, by the scaled input at which each ends."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
-        at = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
-        groups.setdefault(at.tobytes(), []).append(scale.scaled_output(record.y[1:]))
+        level = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
+        output = scale.scaled_output(record.y[1:])
+        groups.setdefault(level.tobytes(), []).append(output)
     return groups
 
 
 def _far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
     """Whether one of them started `FAR` from where it ended."""
-    return any(np.abs(y[0] - _tail(y)[0].mean(axis=0)).max() >= FAR for y in outputs)
+    ends = [_tail(y)[0].mean(axis=0) for y in outputs]
+    distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
+    return any(distance >= FAR for distance in distances)
 
 
 def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
@@ -94,9 +99,11 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
     if not centred and not others:
         return []
     if not centred:
-        means = means - (means.sum(axis=0) - means) / others
+        mean_of_others = (means.sum(axis=0) - means) / others
+        means = means - mean_of_others
         spread = spread * (1 + 1 / others)
-    return [float(off) for off in (np.abs(means) - SURE * np.sqrt(spread)).max(axis=1)]
+    offsets = np.abs(means) - SURE * np.sqrt(spread)
+    return [float(offset) for offset in offsets.max(axis=1)]
 
 
 def after_motion(
@@ -104,26 +111,31 @@ def after_motion(
 ) -> Float[np.ndarray, "K p"]:
     """The output from where the input has come to rest; nothing unless that outlasts the
     response."""
-    still = y[int(np.flatnonzero(u.any(axis=1))[-1]) + 1 :] if u.any() else y[:0]
-    return still if len(still) >= max(RESPONSES * response, FEWEST) else y[:0]
+    nothing = y[:0]
+    if not u.any():
+        return nothing
+    last_motion = int(np.flatnonzero(u.any(axis=1))[-1])
+    rest = y[last_motion + 1 :]
+    is_long = len(rest) >= max(RESPONSES * response, FEWEST)
+    return rest if is_long else nothing
 
 
 def left(y: Float[np.ndarray, "T p"]) -> float:
     """Offset or swing, the larger, of an output in the last quarter of its record at rest input,
     noise removed."""
     tail, noise = _tail(y)
-    offset = np.maximum(np.abs(tail.mean(axis=0)) - SURE * np.sqrt(noise / len(tail)), 0.0)
+    standard_error = np.sqrt(noise / len(tail))
+    offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
+    offset = np.maximum(offset, 0.0)
     return max(float(offset.max()), swing(y))
 
 
 def swing(y: Float[np.ndarray, "T p"]) -> float:
     """The amplitude of the output's motion there."""
     tail, noise = _tail(y)
-    return float(
-        np.sqrt(
-            2 * np.maximum(tail.var(axis=0) - (1 + SURE * np.sqrt(8 / len(tail))) * noise, 0.0)
-        ).max()
-    )
+    most_noise = (1 + SURE * np.sqrt(8 / len(tail))) * noise
+    variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
+    return float(np.sqrt(2 * variance).max())
 
 
 def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
@@ -135,9 +147,7 @@ def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[
     the output's own 2/T.
     """
     tail = y[-max(len(y) // 4, FEWEST) :]
-    lines = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)[1][
-        1:-1
-    ]
-    return tail, scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect").mean(
-        axis=0
-    ) / 2 / np.log(2)
+    _, density = scipy.signal.periodogram(tail, window="hann", detrend=scipy.signal.detrend, axis=0)
+    lines = density[1:-1]
+    medians = scipy.ndimage.median_filter(lines, (NEIGHBOURS, 1), mode="reflect")
+    return tail, medians.mean(axis=0) / 2 / np.log(2)

@@ -26,14 +26,15 @@ MOST_CORNERS = 4  # neurons up to which every corner of their slopes is tried, b
 # Frequencies (rad/sample) of the weighted peak, beside those of the loop's own modes.
 FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 
-End = tuple[
-    StateSpace, Gains, float, float
-]  # system and gains at frozen slopes of the neurons, slopes of `S_u`, `S_y`
+# System and gains at frozen slopes of the neurons, slopes of `S_u` and `S_y`.
+End = tuple[StateSpace, Gains, float, float]
 
 
 def slopes(ball: JacobianBall) -> tuple[float, ...]:
     """The slopes the peak is taken over: both ends of the ball and its centre."""
-    return (ball.lower, ball.alpha, ball.upper) if ball.beta > 0 else (ball.alpha,)
+    if ball.beta > 0:
+        return ball.lower, ball.alpha, ball.upper
+    return (ball.alpha,)
 
 
 def ends(
@@ -41,39 +42,50 @@ def ends(
 ) -> Iterator[End]:
     """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is
     `L + E S L_z`."""
-    frozen: list[tuple[StateSpace, Gains]] = (
-        [(system, pair)] if isinstance(system, StateSpace) else []
-    )
-    if not isinstance(system, StateSpace):
-        for row in system.corners(MOST_CORNERS) if at is None else at:
-            injected = 0.0 if pair.l_z is None else (system.e * row) @ pair.l_z
-            frozen.append((system.at_slopes(row), replace(pair, l=pair.l + injected)))
-    for (linear, own), slope_in, slope_out in product(
-        frozen, slopes(balls.input), slopes(balls.output)
-    ):
-        yield linear, own, slope_in, slope_out
+    slopes_in = slopes(balls.input)
+    slopes_out = slopes(balls.output)
+    for linear, own_gains in _at_frozen_neurons(system, pair, at):
+        for slope_in, slope_out in product(slopes_in, slopes_out):
+            yield linear, own_gains, slope_in, slope_out
+
+
+def _at_frozen_neurons(
+    system: System, pair: Gains, at: Float[np.ndarray, "k q"] | None
+) -> Iterator[tuple[StateSpace, Gains]]:
+    """The system and the gains at each row of frozen slopes of the neurons."""
+    if isinstance(system, StateSpace):
+        yield system, pair
+        return
+    rows = system.corners(MOST_CORNERS) if at is None else at
+    for row in rows:
+        own_gains = pair
+        if pair.l_z is not None:
+            injected = (system.e * row) @ pair.l_z
+            own_gains = replace(pair, l=pair.l + injected)
+        yield system.at_slopes(row), own_gains
 
 
 def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
     """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal
     model."""
-    k, (n, p) = pair.k, pair.l.shape
-    on_state = k[:, :n]
-    on_internal = k[:, n:]
+    order, outputs = pair.l.shape
     modes = pair.modes
+    on_state = pair.k[:, :order]
+    on_internal = pair.k[:, order:]
     drive = slope_in * linear.b @ on_state
     internal = slope_in * linear.b @ on_internal
-    fed = error_input_matrix(modes, p)
-    none = np.zeros((len(modes), n))
-    rows = [[linear.a + drive, drive, internal]]  # x, for `u` reads the estimate `x + eps`
-    rows += [
-        [np.zeros((n, n)), linear.a + slope_out * pair.l @ linear.c, none.T]
-    ]  # eps, driven by e
-    rows += [[slope_out * fed @ linear.c[:p], none, modes]]  # z is driven by what is measured
-    entry = [np.zeros((n, p)), -pair.l, fed]
-    read = [on_state, on_state, on_internal]
+    error_input = error_input_matrix(modes, outputs)
+    measured = slope_out * error_input @ linear.c[:outputs]
+    estimation = linear.a + slope_out * pair.l @ linear.c
+    none = np.zeros((len(modes), order))
+    state_row = [linear.a + drive, drive, internal]  # u reads the estimate `x + eps`
+    error_row = [np.zeros((order, order)), estimation, none.T]
+    internal_row = [measured, none, modes]
     return StateSpace(
-        a=np.block(rows), b=np.vstack(entry), c=np.hstack(read), d=np.zeros((len(k), p))
+        a=np.block([state_row, error_row, internal_row]),
+        b=np.vstack([np.zeros((order, outputs)), -pair.l, error_input]),
+        c=np.hstack([on_state, on_state, on_internal]),
+        d=np.zeros((len(pair.k), outputs)),
     )
 
 
@@ -82,10 +94,12 @@ def noise_response(
 ) -> StateSpace:
     """Transfer function at constant slopes from a sensor's noise to the model's true output."""
     loop = sensitivity(linear, pair, slope_in, slope_out)
-    by_state = np.hstack([linear.c, np.zeros((len(linear.c), loop.order - linear.order))])
+    outputs = len(linear.c)
+    of_errors = np.zeros((outputs, loop.order - linear.order))
+    by_state = np.hstack([linear.c, of_errors])
     by_input = slope_in * linear.d @ loop.c
-    none = np.zeros((len(linear.c), loop.b.shape[1]))
-    return StateSpace(a=loop.a, b=loop.b, c=slope_out * (by_state + by_input), d=none)
+    no_feedthrough = np.zeros((outputs, loop.b.shape[1]))
+    return StateSpace(a=loop.a, b=loop.b, c=slope_out * (by_state + by_input), d=no_feedthrough)
 
 
 def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
@@ -115,10 +129,12 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
     """
     on_state = pair.k[..., : system.order]
     largest = np.zeros(pair.k.shape[:-2])
-    for linear, own, slope_in, slope_out in ends(system, pair, balls):
-        driven = slope_in * on_state
-        alone = linear.a + linear.b @ driven + slope_out * own.l @ (linear.c + linear.d @ driven)
-        largest = np.maximum(largest, np.abs(np.linalg.eigvals(alone)).max(axis=-1))
+    for linear, own_gains, slope_in, slope_out in ends(system, pair, balls):
+        input_gain = slope_in * on_state
+        output = linear.c + linear.d @ input_gain
+        controller = linear.a + linear.b @ input_gain + slope_out * own_gains.l @ output
+        radius = np.abs(np.linalg.eigvals(controller)).max(axis=-1)
+        largest = np.maximum(largest, radius)
     return np.asarray(largest)
 
 
@@ -155,14 +171,20 @@ class Responses:
     ) -> Complex[np.ndarray, "O F m p"]:
         """Response of one controller with its internal model and each of these observers, at slopes
         of `S_u` and `S_y`."""
-        (slope_in, slope_out), n, p = slope, linear.order, ls[0].shape[1]
-        summed = k[:, n:] @ self.to_state(modes, error_input_matrix(modes, p))
-        loop = (k[:, :n] + slope_out * summed @ linear.c[:p]) @ self.to_state(linear.a, linear.b)
-        observed = np.stack([self.to_state(linear.a + slope_out * l @ linear.c, l) for l in ls])  # noqa: E741
-        through = -np.einsum("mn,ofnp->ofmp", k[:, :n], observed)
-        if k.shape[1] > n:
+        slope_in, slope_out = slope
+        order = linear.order
+        outputs = ls[0].shape[1]
+        on_state = k[:, :order]
+        summed = k[:, order:] @ self.to_state(modes, error_input_matrix(modes, outputs))
+        state_gain = on_state + slope_out * summed @ linear.c[:outputs]
+        loop = state_gain @ self.to_state(linear.a, linear.b)
+        observers = [(linear.a + slope_out * l @ linear.c, l) for l in ls]  # noqa: E741
+        observed = np.stack([self.to_state(*observer) for observer in observers])
+        through = -np.einsum("mn,ofnp->ofmp", on_state, observed)
+        if k.shape[1] > order:
             through = through + summed
-        return np.linalg.inv(np.eye(len(k)) - slope_in * loop) @ through
+        return_difference = np.eye(len(k)) - slope_in * loop
+        return np.linalg.inv(return_difference) @ through
 
 
 def peaks_on_grid(
@@ -180,22 +202,19 @@ def peaks_on_grid(
 
     From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """
-    some = (
-        None
-        if isinstance(system, StateSpace)
-        else np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
-    )
+    neuron_slopes = None
+    if not isinstance(system, StateSpace):
+        neuron_slopes = np.outer((0.0, 0.5, 1.0), np.ones(system.neurons))
     responses = Responses(angles=angles)
     peaks = np.zeros((len(ks), len(ls)))
-    observers = Gains(
-        k=np.zeros((len(ls), *ks.shape[1:])), l=ls, l_z=l_zs, internal=internal
-    )  # of no controller
-    for linear, frozen, *slope in ends(system, observers, balls, some):
+    no_controllers = np.zeros((len(ls), *ks.shape[1:]))
+    observers = Gains(k=no_controllers, l=ls, l_z=l_zs, internal=internal)
+    for linear, frozen, *slope in ends(system, observers, balls, neuron_slopes):
+        frozen_ls = list(frozen.l)
         for k, peak in zip(ks, peaks, strict=True):
-            size = largest_singular_values(
-                responses.of(linear, k, observers.modes, list(frozen.l), *slope)
-            )
-            np.maximum(peak, (weights * size).max(axis=1), out=peak)
+            response = responses.of(linear, k, observers.modes, frozen_ls, *slope)
+            weighted = weights * largest_singular_values(response)
+            np.maximum(peak, weighted.max(axis=1), out=peak)
     return peaks
 
 

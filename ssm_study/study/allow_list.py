@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.engine.settings import nodes, plain
 from ssm_study.extensions import packages
 from ssm_study.refusal import require
+from ssm_study.renamed import withdrawn_target
 
 # The rooms whose classes are specifications; the others (cli, study, report) act on the world.
 ROOMS = (
@@ -71,6 +72,8 @@ def refuse_foreign_targets(config: DictConfig) -> None:
 def _refuse_in_task(tree: Any) -> None:
     problem = "this interpolation reads the environment or builds configuration from text"
     for path, key, value in nodes(tree):
+        if key == "_target_" and (gone := withdrawn_target(value)):
+            require(False, path, value, gone.sentence, gone.remedy)
         require(
             key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY
         )

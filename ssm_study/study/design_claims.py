@@ -19,15 +19,18 @@ from ssm_study.certificates.theorems.integral_action import (
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
+from ssm_study.data.simulated import SimulatedData
 from ssm_study.evidence.metrics import withheld
-from ssm_study.robustness.coverage import measure_premise
-from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.models.identified import SSM
+from ssm_study.robustness.coverage import Premise, measure_premise
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import input_limits
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
 from ssm_study.study.run_files import RunFiles
+from ssm_study.synthesis.deployed import starts_at_rest
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.input_inversion import shown_behind
-from ssm_study.synthesis.measured_discs_run import coverage_facts
+from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.systems import System
 
@@ -48,6 +51,7 @@ def certificate(run: RunFiles) -> Claims:
         yield verdict_on_part(run, label, part, sentences)
     yield from internal_model_claim(run)
     yield from limits_claim(run)
+    yield from starts_claim(run)
     facts = design_facts(design, run.model, balls, mismatch_again(run))
     facts |= coverage_again(run)
     yield Derived(withheld(facts, run.record.get("evidence")))
@@ -97,6 +101,30 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
         yield agreement("certificate limits", pairs, ONE_FORMULA, said)
 
 
+def starts_claim(run: RunFiles) -> Iterator[Checked]:
+    """That the stored starts are states at rest at the corners of a box of outputs, and that no
+    limit acts from such states as they are derived here."""
+    model = run.model
+    for part in run.design.extra_certificates.values():
+        if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
+            yield stored_starts(part, starts_at_rest(model, part.starts))
+
+
+def stored_starts(part: UnlimitedStart, starts: np.ndarray | None) -> Checked:
+    """The claim about one part's starts, beside those derived of the model."""
+    claim = "certificate starts"
+    if starts is None or starts.shape != part.starts.shape:
+        found = "the outputs at rest do not tell the states of this model"
+        return Checked(claim=claim, holds=False, found=found)
+    said = "states at rest at the corners of a box of outputs"
+    compared = agreement(claim, {"starts": (part.starts, starts)}, ITERATED, said)
+    if compared.holds and not part.holds(**(part.variables | {"starts": starts})):
+        return Checked(
+            claim=claim, holds=False, found="beyond the level set where they are at rest"
+        )
+    return compared
+
+
 def mismatch_again(run: RunFiles) -> Any:
     """The mismatch that the run's own recordings show to its design."""
     validation = run.simulated.validation
@@ -118,7 +146,20 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     fresh = None
     if run.specification.plant is None:
         fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
-    return coverage_facts(run.design, run.model, premise, fresh)
+    facts = coverage_facts(run.design, run.model, premise, fresh)
+    return facts | fresh_data_again(run, premise, shown)
+
+
+def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
+    """The column of the fresh data sets, which are simulated again."""
+    specification = run.specification
+    if not specification.has_fresh_sets:
+        return {}
+    assert isinstance(specification.data, SimulatedData)
+    assert specification.plant is not None
+    start_up = run.simulated.validation.start_up_samples
+    fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
+    return fresh_facts(fresh_needs(run.design, run.model, premise, mismatch, fresh, start_up))
 
 
 def requested_system(run: RunFiles) -> System:

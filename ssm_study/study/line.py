@@ -1,4 +1,4 @@
-"""One run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop -> record.
+"""Stages of one run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop.
 
 Each stage is a pure function of its part of the configuration and of the stages before it. It is
 computed into a folder of the store, so that what is computed and what is reused are the same bits.
@@ -50,14 +50,10 @@ class Study(Task["Specification"]):
     def refuse(self, config: DictConfig) -> None:
         bring_up_to_date(config)
         refuse_foreign_targets(config)
+        known_keys = {*KEYS, *PARTS}
+        remedy = "leave it out, or name its part"
         for key in map(str, config):
-            require(
-                key in {*KEYS, *PARTS},
-                key,
-                config[key],
-                "is no part of a study",
-                "leave it out, or name its part",
-            )
+            require(key in known_keys, key, config[key], "is no part of a study", remedy)
 
     def inputs(self, settings: Settings) -> list[Path]:
         # By its name: building the data to ask them would import what a finished run does without.
@@ -69,30 +65,30 @@ class Study(Task["Specification"]):
         return files_of(settings)
 
     def check(self, settings: Settings) -> "Specification":
-        """Raises `BadRequest` for whatever can be known beforehand; recorded data are read for
-        it."""
+        """Build the request; raises `BadRequest` for whatever can be known beforehand.
+
+        Recorded data are read for it.
+        """
         from ssm_study.data.simulated import SimulatedData, TrainingAlone
-        from ssm_study.study.specification import (
-            Specification,
-        )  # what finds itself finished needs no parts
+
+        # Imported here: a run that finds itself finished needs no parts.
+        from ssm_study.study.specification import Specification
 
         specification = Specification.from_config(settings)
         if not isinstance(specification.data, SimulatedData):
-            found = specification.data.build(
-                specification.seed
-            )  # wrong columns are known only by reading
-            specification.refuse_limits(found.scale.input_equilibrium)
+            from ssm_study.study.read_once import read_data_set
+
+            # Wrong columns are known only by reading.
+            records = read_data_set(specification.data, specification.seed)
+            specification.refuse_limits(records.scale.input_equilibrium)
             if isinstance(specification.refine, list):
                 from ssm_study.study.trials import read_logs
 
-                read_logs(specification.refine, specification.data, found.step_s)
+                read_logs(specification.refine, specification.data, records.step_s)
         elif specification.plant and specification.excitation.amplitude is not None:
             others = "validation, test and trials are at the plant's own amplitude"
-            warnings.warn(
-                f"excitation.amplitude moves the training records alone; {others}.",
-                TrainingAlone,
-                2,
-            )
+            message = f"excitation.amplitude moves the training records alone; {others}."
+            warnings.warn(message, TrainingAlone, 2)
         if self.trains_here(specification, settings):
             from ssm_study.training.saving import trainer_of
 
@@ -100,36 +96,43 @@ class Study(Task["Specification"]):
         return specification
 
     def trains_here(self, request: "Specification", settings: Settings) -> bool:
-        """False for a plan, for jobs that a cluster gets, and where the model is in the store."""
-        launcher = (
-            str(HydraConfig.get().launcher._target_) if HydraConfig.initialized() else LOCAL[0]
-        )
-        if (
-            request.training.accelerator == "cpu"
-            or settings.get("dry_run")
-            or not launcher.endswith(LOCAL)
-        ):
+        """Whether this machine will train the model on an accelerator.
+
+        False for a plan, for jobs that a cluster gets, and where the model is in the store.
+        """
+        launcher = LOCAL[0]
+        if HydraConfig.initialized():
+            launcher = str(HydraConfig.get().launcher._target_)
+        is_on_processor = request.training.accelerator == "cpu"
+        if is_on_processor or settings.get("dry_run") or not launcher.endswith(LOCAL):
             return False
-        self.stages(request, planned := PlannedStages(store_of(settings)))
+        planned = PlannedStages(store_of(settings))
+        self.stages(request, planned)
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
-        """A baseline is scored, and there it ends. With `refine` the design is tried before it is
-        chosen again."""
+        """Take all stages of a run.
+
+        A baseline is scored, and there it ends. With `refine` the design is tried before it is
+        chosen again.
+        """
         from ssm_study.study.trials import LOGS, TRIALS  # a refusal does without
 
         data, _, bounded = self.identified(request, stages)
         if not request.model.gives_ssm:
             return
-        known = data
-        tried = list[StageOutput[Any]]()
+        records = data
+        tried: list[StageOutput[Any]] = []
         unrecorded = stages.unrecorded()
-        for left in reversed(range(request.refine if isinstance(request.refine, int) else 0)):
-            tried += self.designed(request, unrecorded, known, bounded)
-            known = (unrecorded if left else stages).run_stage(TRIALS, {}, {}, data, *tried)
+        iterations = request.refine if isinstance(request.refine, int) else 0
+        for iteration in range(1, iterations + 1):
+            tried += self.designed(request, unrecorded, records, bounded)
+            is_last = iteration == iterations
+            records = (stages if is_last else unrecorded).run_stage(TRIALS, {}, {}, data, *tried)
         if isinstance(request.refine, list):
-            known = stages.run_stage(LOGS, *request.select("refine", "data"), data)
-        self.designed(request, stages, known, bounded)
+            records = stages.run_stage(LOGS, *request.select("refine", "data"), data)
+        with_fresh_data = request.has_fresh_sets
+        self.designed(request, stages, records, bounded, with_fresh_data=with_fresh_data)
 
     def designed(
         self,
@@ -137,81 +140,87 @@ class Study(Task["Specification"]):
         stages: Stages,
         data: StageOutput["DataSet"],
         bounded: StageOutput["ModelRun"],
+        *,
+        with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
-        """Controller and observer by what these records show, and the loop that they close."""
+        """Controller and observer that these records lead to, and the loop that they close."""
         from ssm_study.study.stages.evidence import EVIDENCE
+        from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
         from ssm_study.study.stages.mismatch import MISMATCH
         from ssm_study.study.stages.synthesis import SYNTHESIS
 
-        plant = ("plant",) if request.plant else ()
-        shown = stages.run_stage(MISMATCH, {}, {}, data, bounded)
-        judged = stages.run_stage(EVIDENCE, {}, {}, data, bounded, shown)
-        limits = {name: getattr(request.loop, name) for name in ("input_lower", "input_upper")}
-        bounded_law = (
-            request.plant is None or request.synthesis.invert_input
-        )  # to what the records visited
-        limits["applied"] = bounded_law or any(end is not None for end in limits.values())
+        loop = request.loop
+        mismatch = stages.run_stage(MISMATCH, {}, {}, data, bounded)
+        judgement = stages.run_stage(EVIDENCE, {}, {}, data, bounded, mismatch)
+        has_limits = loop.input_lower is not None or loop.input_upper is not None
+        stays_within_records = request.plant is None or request.synthesis.invert_input
+        limits = {
+            "input_lower": loop.input_lower,
+            "input_upper": loop.input_upper,
+            "applied": stays_within_records or has_limits,
+        }
         inputs = request.select("synthesis", computed={"limits": limits})
-        design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, shown, judged)
+        design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
+        plant = ("plant",) if request.plant else ()
+        if with_fresh_data:
+            inputs = request.select("data", "seed", *plant)
+            stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)
         inputs = request.select("loop", "loop_seed", *plant)
-        return design, stages.run_stage(LOOP, *inputs, data, bounded, design)
+        closed = stages.run_stage(LOOP, *inputs, data, bounded, design)
+        return design, closed
 
     def identified(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
-        """The data, the model as trained, and as it goes on: what is proved of it, or how well a
-        baseline simulates."""
+        """Data, trained model, and the model with its free runs, in the coordinates that go on."""
         from ssm_study.study.stages.bounds import BOUNDS
         from ssm_study.study.stages.dataset import DATASET
         from ssm_study.study.stages.free_run import SCORE
         from ssm_study.study.stages.model import MODEL
 
-        plant = ("plant", "excitation") if request.plant else ()
-        data = stages.run_stage(DATASET, *request.select("data", "seed", *plant))
+        data = stages.run_stage(DATASET, *request.dataset_inputs())
         # In no key: a bar on the screen changes no number.
         unkeyed = {"progress": request.progress}
         inputs = request.select("model", "training", "seed", unkeyed=unkeyed)
         model = stages.run_stage(MODEL, *inputs, data)
-        if not request.model.gives_ssm:
-            return data, model, stages.run_stage(SCORE, {}, {}, data, model)
-        return data, model, stages.run_stage(BOUNDS, *request.select("reduction"), data, model)
+        if request.model.gives_ssm:
+            bounded = stages.run_stage(BOUNDS, *request.select("reduction"), data, model)
+        else:
+            bounded = stages.run_stage(SCORE, {}, {}, data, model)
+        return data, model, bounded
 
     def run(self, request: "Specification", run: Run) -> Facts:
-        """Infeasible where controller or observer is missing."""
+        """Facts at the end of a run: infeasible where controller or observer is missing."""
         del request
-        missing = (
-            run.facts.get("controller_feasible") is False
-            or run.facts.get("observer_feasible") is False
-        )
+        sides = ("controller_feasible", "observer_feasible")
+        is_infeasible = any(run.facts.get(name) is False for name in sides)
         seconds = run.facts.get("stage_synthesis_seconds")
-        facts = {} if seconds is None else {"synthesis_seconds": seconds}
-        return facts | {"status": INFEASIBLE if missing else OK}
+        facts: Facts = {} if seconds is None else {"synthesis_seconds": seconds}
+        return facts | {"status": INFEASIBLE if is_infeasible else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """The settings that a study is read by: a number where the configuration has it
-        (`Column.setting`), a part by its kind."""
+        """Settings that a study is read by: numbers of the configuration, and the kinds of parts.
+
+        A number stands where the configuration has it (`Column.setting`).
+        """
         from ssm_study.study.trials import lineage
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
-        model = request.configuration["model"]
-        asked = {column.name: entry(request.configuration, column.setting) for column in SETTINGS}
-        auto = asked["rates_chosen"] == "auto"
-        chosen = [
-            side for side in ("controller", "observer") if auto and asked[f"rate_{side}"] == "auto"
-        ]
-        return {
-            name: value for name, value in asked.items() if isinstance(value, int | float | None)
-        } | {
-            "model": model.get("cell")
-            or (kind_of(model) or "").removesuffix("spec"),  # gru and lstm share a class
+        configuration = request.configuration
+        model = configuration["model"]
+        values = {column.name: entry(configuration, column.setting) for column in SETTINGS}
+        numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
+        model_kind = model.get("cell")  # gru and lstm share a class
+        return numbers | {
+            "model": model_kind or (kind_of(model) or "").removesuffix("spec"),
             "scaffold_in": kind_of(model.get("scaffold_in")),
             "scaffold_out": kind_of(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
-            **lineage(request.configuration),
-            "rates_chosen": ", ".join(chosen) or "neither",
+            **lineage(configuration),
+            "rates_chosen": chosen_rates(values),
         }
 
     def asked(self, request: "Specification", overrides: Sequence[str]) -> Facts:
@@ -227,42 +236,56 @@ STUDY = Study()
 
 
 def study_folder(config: DictConfig) -> Path:
-    """`results_dir/study`; raises `BadRequest` for a name that leaves the results folder."""
-    return folder_of(
-        {"results_dir": config.results_dir, "study": config.study, "run": "any"}
-    ).parent
+    """Folder of a study, `results_dir/study`.
+
+    Raises `BadRequest` for a name that leaves the results folder.
+    """
+    names = {"results_dir": config.results_dir, "study": config.study, "run": "any"}
+    return folder_of(names).parent
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:
     """Raise `BadRequest` where failed runs are to be run again and there is no run yet."""
     study = study_folder(config)
-    there = any(study.glob(f"{run}/{RECORD}"))
+    has_runs = any(study.glob(f"{run}/{RECORD}"))
     problem = f"there is nothing in {study} to run again"
     remedy = "leave it out the first time"
-    require(there or not config.retry_failed, "retry_failed", True, problem, remedy)
+    # What is neither true nor false is refused with the other flags.
+    require(has_runs or config.retry_failed is not True, "retry_failed", True, problem, remedy)
 
 
 def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for the keys that have none declared: the value at `plant.step_s` becomes
-    `plant__step_s`.
+    """Columns for settings that have none declared: `plant__step_s` for `plant.step_s`.
 
-    Of a part, `training/optimiser` or `peer@loop.peer`, its kind.
+    A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
     from ssm_study.table.columns import SETTINGS
 
     paths = {key.lstrip("+~").rpartition("@")[-1].replace("/", ".") for key in keys}
+    paths -= {column.setting for column in SETTINGS}
     facts: Facts = {}
-    for path in sorted(
-        path for path in paths - {column.setting for column in SETTINGS} if "." in path
-    ):
+    for path in sorted(path for path in paths if "." in path):
         value = entry(configuration, path)
-        facts[path.replace(".", "__")] = (
-            value if isinstance(value, int | float | None) else kind_of(value) or str(value)
-        )
+        if not is_number_or_none(value):
+            value = kind_of(value) or str(value)
+        facts[path.replace(".", "__")] = value
     return facts
 
 
-def kind_of(scaffold: Any) -> str | None:
-    """`ssm_study.models.scaffolds.monotone.Monotone` -> `monotone`."""
-    target = str(scaffold.get("_target_", "")) if isinstance(scaffold, dict) else ""
+def is_number_or_none(value: Any) -> bool:
+    """Whether a value of the configuration is a number, a truth value or null."""
+    return isinstance(value, int | float | None)
+
+
+def chosen_rates(values: Mapping[str, Any]) -> str:
+    """Sides whose rate is chosen by `auto`, in words."""
+    if values["rates_chosen"] != "auto":
+        return "neither"
+    sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]
+    return ", ".join(sides) or "neither"
+
+
+def kind_of(part: Any) -> str | None:
+    """Kind of a part in the configuration: `monotone` for `...scaffolds.monotone.Monotone`."""
+    target = str(part.get("_target_", "")) if isinstance(part, dict) else ""
     return target.rsplit(".", 1)[-1].lower() or None

@@ -1,4 +1,4 @@
-"""The recordings of closed loops in a run folder, written and read back."""
+"""Recordings of closed loops in a run folder, written and read back."""
 
 import json
 from dataclasses import replace
@@ -14,9 +14,11 @@ from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel
 from ssm_study.study.recordings import RecordedCases, groups
 
+ON_PLANT = "closed_loop.mcap"
+ON_MODEL = "closed_loop_model.mcap"
 # In runs where measurement noise alone crosses the settling band.
 NOISE_FREE = "closed_loop_noise_free.mcap"
-# What is recorded of each closed loop, topic by field of `Rollouts`.
+# Recorded signals of each closed loop: topic by field of `Rollouts`.
 TOPICS = {
     "u": "input",
     "y": "output",
@@ -29,18 +31,23 @@ TOPICS = {
 def write_rollouts(
     path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]
 ) -> None:
-    """`/case_<i>/` reference, input, true and measured output, estimate (scaled), states; the
-    output left alone."""
-    estimates = tuple(Channel(name=f"x{i + 1}", unit="1") for i in range(run.estimate.shape[2]))
+    """Write the closed loops `run` into a recording, beside the outputs without control.
+
+    Topics `/case_<i>/` reference, input, output (true), measured, estimate (scaled), states and
+    uncontrolled.
+    """
+    numbers = range(1, run.estimate.shape[2] + 1)
+    estimates = tuple(Channel(name=f"x{i}", unit="1") for i in numbers)
     channels = {"u": plant.inputs, "estimate": estimates, "states": plant.states}
     written: list[SignalGroup] = []
     for case in range(len(run.y)):
-        shown = {"reference": (plant.outputs, run.reference)}
-        for name, topic in TOPICS.items():
-            shown[topic] = channels.get(name, plant.outputs), getattr(run, name)[case]
+        signals = {"reference": (plant.outputs, run.reference)}
+        for field, topic in TOPICS.items():
+            values = getattr(run, field)[case]
+            signals[topic] = (channels.get(field, plant.outputs), values)
         if alone is not None:
-            shown["uncontrolled"] = (plant.outputs, alone.y[case])
-        written += groups(f"/case_{case}", run.time_s, shown)
+            signals["uncontrolled"] = (plant.outputs, alone.y[case])
+        written += groups(f"/case_{case}", run.time_s, signals)
     facts = {
         "step_s": repr(run.step_s),
         "settling_band": repr(plant.settling_band),
@@ -52,62 +59,75 @@ def write_rollouts(
 
 
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
-    """The loops, and the recording that they were read from. Raises `BadRequest` if the file lacks
-    a topic."""
-    kept = RecordedCases.of(path)
-    signals: dict[str, Any] = {name: kept[topic] for name, topic in TOPICS.items()}
+    """Closed loops of a recording, and the recording itself.
+
+    Raises `BadRequest` if the file lacks a topic.
+    """
+    recording = RecordedCases.of(path)
+    about = recording.about
+    signals: dict[str, Any] = {field: recording[topic] for field, topic in TOPICS.items()}
     run = Rollouts(
-        step_s=float(kept.about["step_s"]),
-        reference=kept["reference"][0],
-        bound=np.array(json.loads(kept.about["bound"]), dtype=float),
-        left_at_sample=np.array(json.loads(kept.about["left_at_sample"]), dtype=int),
+        step_s=float(about["step_s"]),
+        reference=recording["reference"][0],
+        bound=np.array(json.loads(about["bound"]), dtype=float),
+        left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
         **signals,
     )
-    return run, kept
+    return run, recording
 
 
 def closed_on(plant: Plant | None) -> str:
-    """The word of a recording for what its loop was closed on; without a plant on the identified
-    model."""
-    return "identified model" if plant is None else "device" if plant.real else "plant"
+    """Word of a recording for what its loop was closed on; without a plant the identified model."""
+    if plant is None:
+        return "identified model"
+    return "device" if plant.real else "plant"
 
 
 def write_experiment(
     folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]
 ) -> None:
-    """Every closed loop of a run into its file; `on` is the plant, `twin` the identified model."""
+    """Write every closed loop of a run into its file.
+
+    `on` is the plant, `twin` the identified model.
+    """
     about = about | {"plant": type(on).__name__}
-    write_rollouts(folder / "closed_loop.mcap", closed.controlled, closed.uncontrolled, on, about)
+    write_rollouts(folder / ON_PLANT, closed.controlled, closed.uncontrolled, on, about)
     if closed.noise_free is not None:
         write_rollouts(folder / NOISE_FREE, closed.noise_free, None, on, about)
     if closed.on_model is not None:
-        write_rollouts(folder / "closed_loop_model.mcap", closed.on_model, None, twin, about)
+        write_rollouts(folder / ON_MODEL, closed.on_model, None, twin, about)
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """The recordings that `write_experiment` stored, and the name of what the loop was closed on.
-    Raises `BadRequest` if a file lacks a topic."""
-    path, on_model, noise_free = (
-        folder / name for name in ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE)
-    )
-    run, kept = read_rollouts(path)
-    alone = kept["uncontrolled"]
+    """Closed loops that `write_experiment` stored, and the word for what they were closed on.
+
+    Raises `BadRequest` if a file lacks a topic.
+    """
+    run, recording = read_rollouts(folder / ON_PLANT)
+    outputs = recording["uncontrolled"]
+    never_stopped = np.full(len(outputs), STAYED)
+    input_equilibrium = json.loads(recording.about["input_equilibrium"])
     closed = LoopRuns(
         controlled=run,
-        uncontrolled=replace(
-            run, y=alone, left_at_sample=np.full(len(alone), STAYED)
-        ),  # left alone, none is stopped
-        on_model=read_rollouts(on_model)[0] if on_model.is_file() else None,
-        settling_band=kept.settling_band,
-        input_equilibrium=np.array(json.loads(kept.about["input_equilibrium"]), dtype=float),
-        noise_free=read_rollouts(noise_free)[0] if noise_free.is_file() else None,
+        uncontrolled=replace(run, y=outputs, left_at_sample=never_stopped),
+        on_model=_read_if_there(folder / ON_MODEL),
+        settling_band=recording.settling_band,
+        input_equilibrium=np.array(input_equilibrium, dtype=float),
+        noise_free=_read_if_there(folder / NOISE_FREE),
     )
-    return closed, kept.about["loop_on"]
+    return closed, recording.about["loop_on"]
 
 
-def of_rollouts(kept: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """The signals of two sets of closed loops side by side; those that left their bound count up to
-    there."""
-    if kept is None or made is None:
-        return {"recording": (kept is not None, made is not None)}
-    return {name: (stored, getattr(made, name)) for name, stored in vars(kept).items()}
+def _read_if_there(path: Path) -> Rollouts | None:
+    """Closed loops of a recording; None where there is no such file."""
+    return read_rollouts(path)[0] if path.is_file() else None
+
+
+def of_rollouts(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
+    """Signals of two sets of closed loops side by side, by name.
+
+    Those that left their bound count up to there.
+    """
+    if stored is None or made is None:
+        return {"recording": (stored is not None, made is not None)}
+    return {name: (values, getattr(made, name)) for name, values in vars(stored).items()}

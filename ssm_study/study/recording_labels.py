@@ -1,18 +1,18 @@
-"""Labels beside the numbers of a recording: times, names, units and words that a reader of it alone
-goes by."""
+"""Labels beside the numbers of a recording: times, names, units and words."""
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import Channel, DataSet
-from ssm_study.study.loop_recordings import NOISE_FREE, closed_on
+from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, closed_on
 from ssm_study.study.recordings import LOOPS, TRIALS, RecordedCases
 from ssm_study.study.run_files import RunFiles
 
-# Of the words of a recording those that are numbers: the signals are compared with them.
+# Words of a recording that are numbers: the signals are compared with them.
 NUMBERS = frozenset(
     {"step_s", "start_up_samples", "settling_band", "input_equilibrium", "left_at_sample", "bound"}
 )
@@ -21,51 +21,70 @@ NANOSECOND = 1e-9  # to which a recording keeps its times
 Channels = Mapping[str, tuple[Channel, ...]]
 
 
-def recordings_of(
-    run: RunFiles, data: DataSet
-) -> Iterator[tuple[str, Channels, Mapping[str, str]]]:
-    """Each recording of the run's folder, its channels by signal, and its words."""
-    measured = {"input": data.inputs} | dict.fromkeys(("measured", "simulated"), data.outputs)
-    files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
-    expected: list[tuple[str, Channels, Mapping[str, str]]] = [
-        (file, measured, data.metadata) for file in files
-    ]
+@dataclass(frozen=True, kw_only=True)
+class Labels:
+    """Labels that a recording of a run should have: channels by signal, and words."""
+
+    file: str
+    channels: Channels
+    words: Mapping[str, str]
+
+
+def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
+    """Labels that each recording in the run's folder should have."""
+    expected = record_labels(data)
     if run.closes_loop:
-        twin = IdentifiedPlant.of(run.model, data.inputs, data.outputs)
-        on = run.specification.plant or twin
-        spec = run.specification
-        words = {
-            "loop_on": closed_on(spec.plant),
-            "loop_seed": str(spec.loop_seed),
-            "plant": type(on).__name__,
-        }
-        loops = (("closed_loop.mcap", on), (NOISE_FREE, on), ("closed_loop_model.mcap", twin))
-        expected += [(file, in_loop(plant), words) for file, plant in loops]
-    yield from (one for one in expected if (run.path / one[0]).is_file())
+        expected += loop_labels(run, data)
+    for labels in expected:
+        if (run.path / labels.file).is_file():
+            yield labels
 
 
-def in_loop(plant: Plant) -> Channels:
-    """The channels of a loop's signals; those of the estimate are numbered."""
-    outputs = ("reference", "output", "measured", "uncontrolled")
-    return {"input": plant.inputs, "states": plant.states} | dict.fromkeys(outputs, plant.outputs)
+def record_labels(data: DataSet) -> list[Labels]:
+    """Labels of the recordings of the data set, and of the simulations beside them."""
+    files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
+    channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
+    return [Labels(file=file, channels=channels, words=data.metadata) for file in files]
+
+
+def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
+    """Labels of the recordings of closed loops."""
+    spec = run.specification
+    twin = IdentifiedPlant.of(run.model, data.inputs, data.outputs)
+    plant = spec.plant or twin
+    words = {
+        "loop_on": closed_on(spec.plant),
+        "loop_seed": str(spec.loop_seed),
+        "plant": type(plant).__name__,
+    }
+    plants = {ON_PLANT: plant, NOISE_FREE: plant, ON_MODEL: twin}
+    return [
+        Labels(file=file, channels=loop_channels(on), words=words) for file, on in plants.items()
+    ]
+
+
+def loop_channels(plant: Plant) -> Channels:
+    """Channels of a loop's signals; those of the estimate are numbered and stand nowhere."""
+    channels = {"input": plant.inputs, "states": plant.states}
+    for signal in ("reference", "output", "measured", "uncontrolled"):
+        channels[signal] = plant.outputs
+    return channels
 
 
 def mislabelled(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
-    """Each recording, and what of it is called otherwise than the run's `data` and plants call
-    it."""
-    for file, channels, words in recordings_of(run, data):
-        kept = RecordedCases.of(run.path / file)
-        said = kept.about
-        wrong = {word for word in {*said, *words} - NUMBERS if said.get(word) != words.get(word)}
-        for name, group in (
-            (name, group) for case in kept.cases.values() for name, group in case.items()
-        ):
-            clock = float(said["step_s"]) * np.arange(len(group.time_s))
-            on_time = np.abs(group.time_s - clock).max(initial=0.0) <= NANOSECOND
-            wrong |= set() if on_time else {f"times of {name}"}
-            wrong |= (
-                {f"channels of {name}"}
-                if group.channels != channels.get(name, group.channels)
-                else set()
-            )
-        yield file, sorted(wrong)
+    """Each recording with those of its labels that the run's data and plants contradict."""
+    for labels in expected_labels(run, data):
+        recording = RecordedCases.of(run.path / labels.file)
+        about = recording.about
+        words = {*about, *labels.words} - NUMBERS
+        wrong = {word for word in words if about.get(word) != labels.words.get(word)}
+        step_s = float(about["step_s"])
+        for case in recording.cases.values():
+            for name, group in case.items():
+                clock = step_s * np.arange(len(group.time_s))
+                deviation_s = np.abs(group.time_s - clock).max(initial=0.0)
+                if not deviation_s <= NANOSECOND:
+                    wrong.add(f"times of {name}")
+                if group.channels != labels.channels.get(name, group.channels):
+                    wrong.add(f"channels of {name}")
+        yield labels.file, sorted(wrong)

@@ -1,5 +1,5 @@
-"""`refine`: measure the mismatch again in the loop itself, and choose again, until what is proved
-covers what is seen.
+"""Refinement of a run: measure the mismatch again in the loop itself and choose again, until what
+is proved covers what is seen.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).
@@ -29,136 +29,136 @@ TIMES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One iteration, or the end: the sentence, and the configuration of the run that it speaks of,
-    if a new one."""
+    """One iteration, or the end: a sentence, and the configuration of the run if it is new."""
 
     said: str
     config: DictConfig | None = None
 
 
 def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[Step]:
-    """The runs that come of `run`, one after the other, and last why there are no more.
+    """Run one refinement of `run` after the other, and say last why there are no more.
 
     `log` is the record of a trial of the run's controller: one iteration. Without it the trials are
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
     controller or no plant, or for its log.
     """
-    files = _tried(run, log)
+    files = _refinable_run(run, log)
     for _ in range(1 if log else times):
         proved = files.record.get("certified_tolerance") or 0.0
-        shown = _seen(files, log)
-        if shown <= proved:
-            covered = f"what is proved ({proved:.3g}) covers what the loop shows ({shown:.3g})."
-            still = (
-                "the loop comes to rest, so it shows nothing that makes it swing; the choice "
-                "stays as it is."
-            )
-            yield Step(said=f"Stopped: {covered if shown else still}")
+        mismatch_gain = _mismatch_in_trial(files, log)
+        if mismatch_gain <= proved:
+            yield Step(said=_covered_sentence(proved, mismatch_gain))
             return
-        config = _next(files, log)
+        config = _next_configuration(files, log)
         outcome: Outcome = STUDY.job(config)
         child = RunFiles(path=outcome.folder, record=read_record(outcome.folder) or {})
-        yield Step(said=_told(child, proved, shown, outcome), config=config)
+        sentence = _outcome_sentence(child, proved, mismatch_gain, outcome)
+        yield Step(said=sentence, config=config)
         if outcome.status == FAILED:
             return
-        before = files.design.gains
-        after = child.design.gains
-        if before.keys() == after.keys() and all(
-            np.array_equal(before[name], after[name]) for name in before
-        ):
-            yield Step(
-                said=f"Stopped: the choice no longer changes, although only {proved:.3g} is proved."
-            )
+        if _has_same_gains(files, child):
+            reason = f"the choice no longer changes, although only {proved:.3g} is proved"
+            yield Step(said=f"Stopped: {reason}.")
             return
         files = child
-    yield Step(
-        said="Try the new design and refine with its log."
-        if log
-        else f"Stopped after {times} iterations."
-    )
+    if log:
+        yield Step(said="Try the new design and refine with its log.")
+    else:
+        yield Step(said=f"Stopped after {times} iterations.")
 
 
-def _tried(run: Path, log: Path | None) -> RunFiles:
-    """The run's files; refuses what cannot be refined."""
+def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
+    """Whether two runs have the same gains, to the last bit."""
+    before = files.design.gains
+    after = child.design.gains
+    if before.keys() != after.keys():
+        return False
+    return all(np.array_equal(before[name], after[name]) for name in before)
+
+
+def _refinable_run(run: Path, log: Path | None) -> RunFiles:
+    """Files of the run; raises `BadRequest` for what cannot be refined."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"
-    require(
-        (run / CONFIGURATION).is_file() and bool(status), "run", run, "is no run folder", remedy
-    )
-    require(
-        status != INFEASIBLE,
-        "run",
-        run,
-        "is infeasible, so there is no loop",
-        "change the request first",
-    )
+    is_run = (run / CONFIGURATION).is_file() and bool(status)
+    require(is_run, "run", run, "is no run folder", remedy)
+    problem = "is infeasible, so there is no loop"
+    require(status != INFEASIBLE, "run", run, problem, "change the request first")
     require(status == OK, "run", run, f"its status is {status}", "give a run that is ok")
-    require(
-        files.record.get("run") == run.name,
-        "run",
-        run,
-        f"was made as {files.record.get('run')}",
-        remedy,
-    )
-    require(
-        files.claims_certificate,
-        "run",
-        run,
-        "is a baseline's, which has no controller",
-        "use model=ssm",
-    )
+    name = files.record.get("run")
+    require(name == run.name, "run", run, f"was made as {name}", remedy)
+    problem = "is a baseline's, which has no controller"
+    require(files.claims_certificate, "run", run, problem, "use model=ssm")
     if log is None:
-        known = files.record.get("loop_on") == "plant"
+        has_plant = files.record.get("loop_on") == "plant"
         remedy = "give the log of a trial: --record log.csv"
-        require(known, "run", run, "its data are recorded, so no plant is known", remedy)
+        require(has_plant, "run", run, "its data are recorded, so no plant is known", remedy)
     else:
-        own = "the run has a plant of its own, on which the loop is closed"
-        require(files.specification.plant is None, "--record", log, own, "leave it out")
+        has_no_plant = files.specification.plant is None
+        problem = "the run has a plant of its own, on which the loop is closed"
+        require(has_no_plant, "--record", log, problem, "leave it out")
         require(log.is_file(), "--record", log, "no such file", "check the spelling")
     return files
 
 
-def _seen(files: RunFiles, log: Path | None) -> float:
-    """The largest mismatch gain that the trial shows, beside the noise that the run's records
-    measured."""
+def _mismatch_in_trial(files: RunFiles, log: Path | None) -> float:
+    """Largest mismatch gain that the trial shows, given the noise that the run's records show."""
     if log is None:
-        trial = of_loops(read_experiment(files.path)[0].controlled)
+        closed, _ = read_experiment(files.path)
+        trial = of_loops(closed.controlled)
     else:
-        trial = read_logs([str(log)], files.specification.data, files.model.step_s)  # type: ignore[arg-type]
-    known = files.simulated.validation
-    kept = tuple(one for one in files.trials if not one.closed_loop)
-    shown = measure_mismatch(files.model, known.records, known.start_up_samples, kept + trial)
-    return 0.0 if shown.loop is None else shown.loop.gain
+        data: Any = files.specification.data
+        trial = read_logs([str(log)], data, files.model.step_s)
+    validation = files.simulated.validation
+    open_loop = tuple(record for record in files.trials if not record.closed_loop)
+    mismatch = measure_mismatch(
+        files.model, validation.records, validation.start_up_samples, open_loop + trial
+    )
+    return 0.0 if mismatch.loop is None else mismatch.loop.gain
 
 
-def _next(files: RunFiles, log: Path | None) -> DictConfig:
-    """The configuration with one trial more, in the study where the run lies."""
+def _covered_sentence(proved: float, mismatch_gain: float) -> str:
+    """Why the refinement stops where what is proved covers what the loop shows."""
+    if mismatch_gain:
+        gains = f"what is proved ({proved:.3g}) covers what the loop shows ({mismatch_gain:.3g})"
+        return f"Stopped: {gains}."
+    reason = "the loop comes to rest, so it shows nothing that makes it swing"
+    return f"Stopped: {reason}; the choice stays as it is."
+
+
+def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
+    """Configuration with one trial more, in the study where the run lies."""
     config = files.config.copy()
     before = files.specification.refine
-    logs, count = (before, 0) if isinstance(before, list) else ([], before or 0)
-    more: Any = count + 1 if log is None else [*logs, str(log)]
-    config.update(
-        results_dir=str(files.path.parent.parent), study=files.path.parent.name, retry_failed=False
-    )
-    config["run"] = named(STUDY.settings(config), more)
-    config["refine"] = more
+    logs = before if isinstance(before, list) else []
+    count = before if isinstance(before, int) else 0
+    refine: Any = count + 1 if log is None else [*logs, str(log)]
+    study = files.path.parent
+    config.update(results_dir=str(study.parent), study=study.name, retry_failed=False)
+    config["run"] = named(STUDY.settings(config), refine)
+    config["refine"] = refine
     return config
 
 
-def _told(child: RunFiles, proved: float, shown: float, outcome: Outcome) -> str:
+def _outcome_sentence(
+    child: RunFiles, proved: float, mismatch_gain: float, outcome: Outcome
+) -> str:
+    """Sentence on one iteration: why it was made, and what came of it."""
+    name = child.path.name
     if outcome.status == FAILED:
-        return f"{child.path.name}: failed: {outcome.message}"
+        return f"{name}: failed: {outcome.message}"
     record = child.record
-    judged = {
+    predictions = {
         True: "predicted to be stable",
         False: "not predicted to be stable",
         None: "not judged",
     }
-    counts = (record.get(name) for name in ("stable_count", "initial_conditions"))
-    settled = ", {:.0f} of {:.0f} settle".format(*counts) if "stable_count" in record else ""
-    chosen = f"chosen again: {judged[record['predicted_stable']]}{settled}"
-    return (
-        f"{child.path.name}: the loop showed a mismatch of {shown:.3g}, {proved:.3g} was proved; "
-        f"{chosen}"
-    )
+    settled = ""
+    if "stable_count" in record:
+        stable = record.get("stable_count")
+        cases = record.get("initial_conditions")
+        settled = f", {stable:.0f} of {cases:.0f} settle"
+    prediction = predictions[record["predicted_stable"]]
+    cause = f"the loop showed a mismatch of {mismatch_gain:.3g}, {proved:.3g} was proved"
+    return f"{name}: {cause}; chosen again: {prediction}{settled}"

@@ -1,5 +1,4 @@
-"""Run it again and compare: the same configuration, an empty store, every number of the record
-beside the new one."""
+"""Repetition of a run: same configuration, empty store, every number of the record compared."""
 
 import math
 import tempfile
@@ -15,65 +14,62 @@ from ssm_study.refusal import require
 from ssm_study.study.run_files import RunFiles
 from ssm_study.table.columns import OF_THE_LINE, declared
 
-TIMES = "_seconds"  # what a second run may well do differently
-TOLERANCE = (
-    1e-6  # relative; the same machine and versions give equal bits, another BLAS rounds differently
-)
-AROUND = ("version_", "git_", "machine", "threads")  # what could explain a difference
+TIMES = "_seconds"  # columns in which a second run may well differ
+# relative; the same machine and versions give equal bits, another BLAS rounds differently
+TOLERANCE = 1e-6
+AROUND = ("version_", "git_", "machine", "threads")  # columns that could explain a difference
 
 
 def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str], bool]:
-    """Do the run's configuration again with `job`, nothing reused; what `compared` says.
+    """Run the configuration of a finished run again with `job`, nothing reused.
 
-    Raises `BadRequest` for a folder that holds no finished run or no configuration.
+    Returns what `compared` says. Raises `BadRequest` for a folder that holds no finished run or no
+    configuration.
     """
     then = read_record(run) or {}
     remedy = "give the folder of a run that is ok or infeasible"
     require(then.get("status") in FINISHED, "run", run, "holds no finished run", remedy)
     config = RunFiles(path=run, record=then).config
-    with (
-        tempfile.TemporaryDirectory() as scratch
-    ):  # an empty results folder has an empty store: nothing is reused
+    # An empty results folder has an empty store: nothing is reused.
+    with tempfile.TemporaryDirectory() as scratch:
         config.update(results_dir=scratch, retry_failed=False, dry_run=False)
         job(config)
         made = [read_record(path.parent) for path in Path(scratch).glob("*/*/record.json")]
-        require(
-            len(made) == 1,
-            "run",
-            run,
-            f"made {len(made)} records when run again",
-            "report this configuration",
-        )
+        problem = f"made {len(made)} records when run again"
+        require(len(made) == 1, "run", run, problem, "report this configuration")
         return compared(then, made[0] or {})
 
 
 def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
-    """Two records of one configuration: every column of the line that differs, what was different
-    around them, and whether all columns agree."""
-    told = {name: declared(name) for name in (*then, *now)}
-    names = [
-        "status",
-        *(
-            name
-            for name, column in told.items()
-            if column in OF_THE_LINE and not name.endswith(TIMES)
-        ),
-    ]
-    sides = {name: (then.get(name), now.get(name)) for name in names}
-    pairs = {name: pair for name, pair in sides.items() if pair != (None, None)}
+    """Compare two records of one configuration.
+
+    Returns lines with every column of the line that differs and what was different around them,
+    and whether all columns agree.
+    """
+    all_names = dict.fromkeys((*then, *now))
+    of_the_line = [name for name in all_names if declared(name) in OF_THE_LINE]
+    names = ["status", *(name for name in of_the_line if not name.endswith(TIMES))]
+    pairs = {}
+    for name in names:
+        pair = (then.get(name), now.get(name))
+        if pair != (None, None):
+            pairs[name] = pair
     differing = [name for name, pair in pairs.items() if not _agree(*pair)]
-    equal = sum(one == other for one, other in pairs.values())
-    around = sorted(
-        name for name in told if name.startswith(AROUND) and then.get(name) != now.get(name)
-    )
-    lines = [
-        f"{len(pairs)} columns compared: {equal} equal to the last bit, {len(differing)} differ",
-        *(f"  {name}: {pairs[name][0]} then, {pairs[name][1]} now" for name in differing),
-        *(f"  changed since: {name} {then.get(name)} -> {now.get(name)}" for name in around),
-    ]
+    equal = sum(before == after for before, after in pairs.values())
+    counts = f"{equal} equal to the last bit, {len(differing)} differ"
+    lines = [f"{len(pairs)} columns compared: {counts}"]
+    for name in differing:
+        before, after = pairs[name]
+        lines.append(f"  {name}: {before} then, {after} now")
+    for name in sorted(name for name in all_names if name.startswith(AROUND)):
+        if then.get(name) != now.get(name):
+            lines.append(f"  changed since: {name} {then.get(name)} -> {now.get(name)}")
     return lines, not differing
 
 
 def _agree(then: Any, now: Any) -> bool:
-    numbers = {type(then), type(now)} <= {int, float}
-    return bool(then == now or (numbers and math.isclose(then, now, rel_tol=TOLERANCE)))
+    """Whether two values are equal, or numbers as near as two machines' roundings."""
+    if then == now:
+        return True
+    are_numbers = {type(then), type(now)} <= {int, float}
+    return are_numbers and math.isclose(then, now, rel_tol=TOLERANCE)

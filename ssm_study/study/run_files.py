@@ -1,4 +1,4 @@
-"""The files of a run folder that `verify` reads, each once, and the parts that its configuration
+"""Files of a run folder that `verify` reads, each once, and the parts that its configuration
 describes."""
 
 import json
@@ -23,22 +23,24 @@ from ssm_study.renamed import bring_up_to_date
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.study.allow_list import refuse_foreign_targets
+from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.trials import repeated
 
-LEFT_AT_REST = (
-    0.02  # share of the summed impulse response that is left when a plant counts as at rest
-)
+# share of the summed impulse response that is left when a plant counts as at rest
+LEFT_AT_REST = 0.02
 CONFIGURATION = ".hydra/config.yaml"
 OVERRIDES = ".hydra/overrides.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFiles:
-    """A run folder. A damaged or absent file raises when it is first read, whatever its reader
-    raises."""
+    """Run folder whose files are read when they are first needed.
+
+    A damaged or absent file raises then, whatever its reader raises.
+    """
 
     path: Path
     record: dict[str, Any]
@@ -50,13 +52,9 @@ class RunFiles:
         remedy = "give a run folder that the study made"
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
         config = OmegaConf.create(stored_yaml(self.path / CONFIGURATION))
-        require(
-            isinstance(config, DictConfig),
-            CONFIGURATION,
-            "a list",
-            "is no configuration",
-            "run the study again",
-        )
+        is_mapping = isinstance(config, DictConfig)
+        remedy = "run the study again"
+        require(is_mapping, CONFIGURATION, "a list", "is no configuration", remedy)
         assert isinstance(config, DictConfig)
         return config
 
@@ -89,22 +87,15 @@ class RunFiles:
     def _data(self) -> DataSet:
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
-        require(
-            not real,
-            "plant",
-            type(spec.plant).__name__,
-            "is a device, which is not run again",
-            "keep its records",
-        )
-        build: Any = spec.data.build
-        records: DataSet = (
-            build(spec.seed)
-            if spec.plant is None
-            else build(spec.plant, spec.excitation, spec.seed)
-        )
-        return replace(
-            records, mismatch_records=(*records.mismatch_records, *repeated(spec, self.path))
-        )
+        problem = "is a device, which is not run again"
+        require(not real, "plant", type(spec.plant).__name__, problem, "keep its records")
+        source: Any = spec.data
+        if spec.plant is None:
+            records = read_data_set(source, spec.seed)
+        else:
+            records = source.build(spec.plant, spec.excitation, spec.seed)
+        mismatch_records = (*records.mismatch_records, *repeated(spec, self.path))
+        return replace(records, mismatch_records=mismatch_records)
 
     @cached_property
     def simulated(self) -> ModelRun:
@@ -123,21 +114,20 @@ class RunFiles:
     @cached_property
     def judgement(self) -> Judgement:
         """The judgement of the plant that data and model allow."""
-        shown = measure_mismatch(
-            self.model, self.data.validation, self.data.start_up_samples, self.data.mismatch_records
+        data = self.data
+        runs = self.simulated
+        mismatch = measure_mismatch(
+            self.model, data.validation, data.start_up_samples, data.mismatch_records
         )
-        return judge(self.data, self.model, self.simulated.validation, self.simulated.test, shown)
+        return judge(data, self.model, runs.validation, runs.test, mismatch)
 
     def stored(self, name: str) -> dict[str, Any]:
         """The object in a file of the run, each of its keys said once."""
-        content = json.loads(contents(self.path / name), object_pairs_hook=partial(said_once, name))
-        require(
-            isinstance(content, dict),
-            name,
-            type(content).__name__,
-            "is no object",
-            "run the study again",
-        )
+        as_object = partial(said_once, name)
+        content = json.loads(contents(self.path / name), object_pairs_hook=as_object)
+        is_object = isinstance(content, dict)
+        kind = type(content).__name__
+        require(is_object, name, kind, "is no object", "run the study again")
         return dict(content)
 
     @cached_property
@@ -150,11 +140,9 @@ class RunFiles:
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """The inputs that the training records applied, as `excitation.mcap` has them."""
-        return [
-            signal.values
-            for signal in RecordedCases.of(self.path / "excitation.mcap").signals("input")
-        ]
+        """Inputs that the training records applied, as `excitation.mcap` has them."""
+        recording = RecordedCases.of(self.path / "excitation.mcap")
+        return [signal.values for signal in recording.signals("input")]
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
@@ -169,26 +157,23 @@ class RunFiles:
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
         (lower,), (upper,) = input_limits(None, None, self.applied)
-        lasts = self.model.linear.response_samples(remainder=LEFT_AT_REST) * self.model.step_s
-        rest = float(self.model.scale.input_equilibrium[0])
-        found = {
-            "lower": lower,
-            "upper": upper,
-            "rest": rest,
-            "step_s": self.model.step_s,
-            "settle_s": lasts,
+        model = self.model
+        response_samples = model.linear.response_samples(remainder=LEFT_AT_REST)
+        return {
+            "lower": float(lower),
+            "upper": float(upper),
+            "rest": float(model.scale.input_equilibrium[0]),
+            "step_s": float(model.step_s),
+            "settle_s": float(response_samples * model.step_s),
         }
-        return {name: float(value) for name, value in found.items()}
 
     @property
     def loop(self) -> Loop:
-        """The experiment; without a plant within the limits of the log."""
+        """Closed-loop experiment of the run; without a plant within the limits of the log."""
         loop = self.specification.loop
-        return (
-            loop
-            if self.specification.plant and not self.design.inverts
-            else loop.within(self.applied)
-        )
+        if self.specification.plant and not self.design.inverts:
+            return loop
+        return loop.within(self.applied)
 
     @property
     def plant(self) -> Plant:
@@ -201,15 +186,19 @@ class RunFiles:
 
     @property
     def closes_loop(self) -> bool:
-        """Whether a controller and an observer are there, certified or not, and what they can be
-        closed on."""
-        can = self.claims_certificate and self.design.feasible
-        return can and (self.specification.plant is not None or not answers_at_once(self.model))
+        """Whether there are controller and observer, certified or not, and something to close
+        on."""
+        if not self.claims_certificate or not self.design.feasible:
+            return False
+        return self.specification.plant is not None or not answers_at_once(self.model)
 
 
 def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object; `BadRequest` where a key stands twice, for one reader takes the first and another
-    the last."""
+    """Object of a JSON file whose keys stand once each.
+
+    Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
+    last.
+    """
     keys = [key for key, _ in pairs]
     twice = next((key for key in keys if keys.count(key) > 1), None)
     require(twice is None, file, twice, "stands twice in one object", "run the study again")
@@ -217,17 +206,25 @@ def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Entries of a stored object that its reader does not write, by their dotted paths: nobody
-    checks them."""
+    """Entries of a stored object that its reader does not write, by their dotted paths.
+
+    Nobody checks them.
+    """
+    paths: list[str] = []
     if isinstance(stored, list) and isinstance(written, list):
-        return [path for pair in zip(stored, written, strict=False) for path in unknown(*pair, at)]
-    found = []
-    for name, value in stored.items() if isinstance(stored, dict) else ():
-        known = isinstance(written, dict) and name in written
-        found += unknown(value, written[name], f"{at}{name}.") if known else [f"{at}{name}"]
-    return found
+        for pair in zip(stored, written, strict=False):
+            paths += unknown(*pair, at)
+    elif isinstance(stored, dict):
+        for name, value in stored.items():
+            path = f"{at}{name}"
+            if isinstance(written, dict) and name in written:
+                paths += unknown(value, written[name], f"{path}.")
+            else:
+                paths.append(path)
+    return paths
 
 
 def one_line(error: BaseException) -> str:
-    """The error as one line of at most 300 characters."""
-    return (" ".join(str(error).split()) or type(error).__name__)[:300]
+    """Text of an error in one line of at most 300 characters."""
+    text = " ".join(str(error).split())
+    return (text or type(error).__name__)[:300]

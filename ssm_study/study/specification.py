@@ -1,8 +1,8 @@
-"""From a composed configuration to the frozen parts of one run; whatever is wrong is said here,
+"""Frozen parts of one run, made from a composed configuration; whatever is wrong is refused here,
 before any work."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -34,8 +34,10 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """Everything one run depends on. `plant` is None when the data are recorded: the loop then runs
-    on the model."""
+    """Everything that one run depends on.
+
+    `plant` is None when the data are recorded: the loop then runs on the model.
+    """
 
     plant: "Plant | None"
     excitation: "Excitation"
@@ -59,41 +61,46 @@ class Specification:
         missing = next((path for path, _, value in nodes(settings) if value == "???"), "")
         require(not missing, missing, "???", "is missing", "give it a value on the command line")
         for name in ("seed", "loop_seed"):
-            whole = type(settings[name]) is int and 0 <= settings[name] < 2**32
-            require(whole, name, settings[name], "not a whole number from 0 to 2^32 - 1", "use 0")
+            value = settings[name]
+            is_seed = type(value) is int and 0 <= value < 2**32
+            require(is_seed, name, value, "not a whole number from 0 to 2^32 - 1", "use 0")
         parts = {name: construct_part(name, settings[name]) for name in PARTS if name != "plant"}
-        recorded = not isinstance(parts["data"], SimulatedData)
-        found = cls(
-            plant=None if recorded else construct_part("plant", settings["plant"]),
+        is_recorded = not isinstance(parts["data"], SimulatedData)
+        plant = None if is_recorded else construct_part("plant", settings["plant"])
+        specification = cls(
+            plant=plant,
             **parts,
             seed=settings.seed,
             loop_seed=settings.loop_seed,
-            refine=_refine(settings.get("refine"), recorded),
+            refine=_refine(settings.get("refine"), is_recorded),
             progress=bool(settings.progress),
             configuration=settings,
         )
-        found.refuse_sizes()
-        if found.plant is not None:
-            found.refuse_limits(found.plant.equilibrium().u)
-        found.refuse_feedthrough()
-        found.refuse_fast_modes()
-        return found
+        specification.refuse_sizes()
+        if plant is not None:
+            specification.refuse_limits(plant.equilibrium().u)
+        specification.refuse_feedthrough()
+        specification.refuse_fast_modes()
+        return specification
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model that no loop on the plant can be closed with, before it is
-        trained.
+        """Raise `BadRequest` for a model with feedthrough, which no loop on a plant can use.
 
-        Without a plant it is scored and certified, and no loop is closed.
+        This is said before the model is trained. Without a plant it is scored and certified, and no
+        loop is closed.
         """
-        loops = self.model.gives_ssm and self.plant is not None
+        closes_loop = self.model.gives_ssm and self.plant is not None
         problem = "the loop samples the output before the input acts"
         remedy = "identify with model.feedthrough=false"
-        asked = self.configuration["model"].get("feedthrough")
-        require(not (loops and asked), "model.feedthrough", asked, problem, remedy)
+        feedthrough = self.configuration["model"].get("feedthrough")
+        is_refused = closes_loop and feedthrough
+        require(not is_refused, "model.feedthrough", feedthrough, problem, remedy)
 
     def refuse_fast_modes(self) -> None:
-        """Raise `BadRequest` for an internal model beyond half the sampling rate, where that is
-        known beforehand."""
+        """Raise `BadRequest` for an internal model beyond half the sampling rate.
+
+        Only where the sampling rate is known beforehand.
+        """
         words = getattr(self.synthesis, "modes", ())
         step_s = getattr(self.plant or self.data, "step_s", None)
         if words and step_s:
@@ -102,60 +109,53 @@ class Specification:
             internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
-        """Raise `BadRequest` for what no memory holds, and for more states than there are, before
-        any is allocated."""
+        """Raise `BadRequest` for more states than there are, and for more than memory holds."""
         order = self.configuration["model"].get("order")
-        kept = self.reduction.truncate_to
-        fits = kept is None or not isinstance(order, int) or kept <= order
-        require(
-            fits,
-            "reduction.truncate_to",
-            kept,
-            f"the model has {order} states",
-            "give fewer, or null for all",
-        )
+        states = self.reduction.truncate_to
+        fits = states is None or not isinstance(order, int) or states <= order
+        problem = f"the model has {order} states"
+        remedy = "give fewer, or null for all"
+        require(fits, "reduction.truncate_to", states, problem, remedy)
         if self.plant is None:
             return
         assert isinstance(self.data, SimulatedData)
-        one = not self.plant.real or (self.loop.initial_conditions == 1 and not self.data.trials)
+        loop = self.loop
+        has_one_case = loop.initial_conditions == 1 and not self.data.trials
         problem = "a device runs one case, from where it is"
         remedy = "use loop.initial_conditions=1 +data.trials=false"
-        require(one, "plant", type(self.plant).__name__, problem, remedy)
-        samples = self.loop.initial_conditions * self.loop.samples(self.plant.step_s)
-        counts = {"data.trajectories * samples": self.data.trajectories * self.data.samples}
-        for field, count in (
-            counts | {"loop.initial_conditions * horizon_s / step_s": samples}
-        ).items():
-            require(
-                count <= LARGEST_NUMBER,
-                field,
-                count,
-                f"more than {LARGEST_NUMBER} samples",
-                "use fewer",
-            )
+        fits = not self.plant.real or has_one_case
+        require(fits, "plant", type(self.plant).__name__, problem, remedy)
+        counts = {
+            "data.trajectories * samples": self.data.trajectories * self.data.samples,
+            "loop.initial_conditions * horizon_s / step_s": (
+                loop.initial_conditions * loop.samples(self.plant.step_s)
+            ),
+        }
+        problem = f"more than {LARGEST_NUMBER} samples"
+        for field, count in counts.items():
+            require(count <= LARGEST_NUMBER, field, count, problem, "use fewer")
 
     def refuse_limits(self, rest: Float[np.ndarray, "m"]) -> None:
-        """Raise `BadRequest` for limits that do not fit the inputs, or that this rest of plant or
-        log lies beyond.
+        """Raise `BadRequest` for input limits that do not fit plant or log.
 
-        The loop of a log whose reference begins elsewhere need not hold its rest.
+        They have to number as many as the inputs, and to enclose the equilibrium `rest`; the loop
+        of a log whose reference begins elsewhere need not hold its equilibrium.
         """
-        ends = [np.asarray(end) for end in self.loop.limits]
+        lower, upper = (np.asarray(end) for end in self.loop.limits)
         names = "loop.input_lower, loop.input_upper"
-        shown = tuple(end.tolist() for end in ends)
-        fits = all(end.shape in ((), rest.shape) for end in ends)
-        whose = "plant" if self.plant else "log"
-        require(
-            fits,
-            names,
-            shown,
-            f"the {whose}'s inputs number {len(rest)}",
-            "give one number, or one for each",
-        )
-        inside = bool(np.all((ends[0] <= rest) & (rest <= ends[1])))
-        elsewhere = self.plant is None and bool(self.loop.reference.signal(np.zeros(1)).any())
-        problem = f"the {whose} rests at the input {', '.join(f'{u:g}' for u in rest)}"
-        require(inside or elsewhere, names, shown, problem, "choose limits around it")
+        values = (lower.tolist(), upper.tolist())
+        shapes = ((), rest.shape)
+        fits = lower.shape in shapes and upper.shape in shapes
+        owner = "plant" if self.plant else "log"
+        problem = f"the {owner}'s inputs number {len(rest)}"
+        require(fits, names, values, problem, "give one number, or one for each")
+        is_inside = bool(np.all((lower <= rest) & (rest <= upper)))
+        first_reference = self.loop.reference.signal(np.zeros(1)) if self.plant is None else None
+        begins_elsewhere = first_reference is not None and bool(first_reference.any())
+        inputs = ", ".join(f"{u:g}" for u in rest)
+        problem = f"the {owner} rests at the input {inputs}"
+        fits = is_inside or begins_elsewhere
+        require(fits, names, values, problem, "choose limits around it")
 
     def select(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
@@ -166,53 +166,60 @@ class Specification:
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
         """
         settings = Settings({name: self.configuration[name] for name in names})
-        sums = (
-            {"files": [sha256_of_file(path) for path in found]}
-            if (found := files_of(settings))
-            else {}
-        )
-        arguments = {name: getattr(self, name) for name in names}
-        return Settings({**settings, **sums, **computed}), {**arguments, **computed, **unkeyed}
+        files = files_of(settings)
+        checksums = {"files": [sha256_of_file(path) for path in files]} if files else {}
+        parts = {name: getattr(self, name) for name in names}
+        arguments = {**parts, **computed, **unkeyed}
+        return Settings({**settings, **checksums, **computed}), arguments
+
+    def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Settings and arguments of the run's records: without `data.fresh_sets`, which changes
+        none of them."""
+        plant = ("plant", "excitation") if self.plant else ()
+        settings, arguments = self.select("data", "seed", *plant)
+        if isinstance(self.data, SimulatedData):
+            own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
+            settings = Settings({**settings, "data": own})
+            arguments["data"] = replace(self.data, fresh_sets=0)
+        return settings, arguments
+
+    @property
+    def has_fresh_sets(self) -> bool:
+        """Whether fresh data sets of the plant are simulated."""
+        simulated = isinstance(self.data, SimulatedData) and self.data.fresh_sets > 0
+        return simulated and self.plant is not None and not self.plant.real
 
 
 def files_of(settings: Mapping[str, Any]) -> list[Path]:
-    """The files that the settings name: their content is part of what results depend on.
+    """Files that the settings name: their content is part of what results depend on.
 
     Raises `BadRequest` for data that cannot be described.
     """
     data = settings.get("data", {})
-    recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
-    read = construct_part("data", data).files() if recorded else ()
-    given = [
-        value
-        for _, key, value in nodes(settings)
-        if key == "path" or (key == "refine" and isinstance(value, list))
-    ]
-    paths = [
-        Path(one)
-        for value in given
-        for one in (value if isinstance(value, list) else [value])
-        if one is not None
-    ]
-    return sorted({*read, *(path for path in paths if path.is_file())})
+    is_recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
+    files = set(construct_part("data", data).files() if is_recorded else ())
+    for _, key, value in nodes(settings):
+        is_list = isinstance(value, list)
+        if key != "path" and not (key == "refine" and is_list):
+            continue
+        names = value if is_list else [value]
+        paths = [Path(name) for name in names if name is not None]
+        files |= {path for path in paths if path.is_file()}
+    return sorted(files)
 
 
-def _refine(asked: Any, recorded: bool) -> int | list[str] | None:
-    """How often the choice is made again by the closed loop on the plant, or logs of trials, where
-    there is none."""
-    if recorded and asked is not None:
-        logs = [asked] if isinstance(asked, str) else asked
-        named = isinstance(logs, list) and bool(logs) and all(isinstance(log, str) for log in logs)
-        require(
-            named,
-            "refine",
-            asked,
-            "there is no plant to try the controller on",
-            "name the log of a trial",
-        )
+def _refine(requested: Any, is_recorded: bool) -> int | list[str] | None:
+    """Checked value of `refine`: logs of trials for recorded data, else a number of iterations."""
+    if is_recorded and requested is not None:
+        logs = [requested] if isinstance(requested, str) else requested
+        is_list = isinstance(logs, list) and bool(logs)
+        names_logs = is_list and all(isinstance(log, str) for log in logs)
+        problem = "there is no plant to try the controller on"
+        require(names_logs, "refine", requested, problem, "name the log of a trial")
         missing = next((log for log in logs if not Path(log).is_file()), None)
         require(missing is None, "refine", missing, "no such file", "check the spelling")
         return list(logs)
-    count = asked is None or (isinstance(asked, int) and not isinstance(asked, bool) and asked > 0)
-    require(count, "refine", asked, "is no number of iterations", "use 1, or null for none")
-    return asked
+    is_whole = isinstance(requested, int) and not isinstance(requested, bool)
+    is_count = requested is None or (is_whole and requested > 0)
+    require(is_count, "refine", requested, "is no number of iterations", "use 1, or null for none")
+    return requested

@@ -1,4 +1,4 @@
-"""Trials in closed loop: records of the loop itself, by which the mismatch is measured again.
+"""Trials in closed loop, whose records let the mismatch be measured again.
 
 With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
 made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
@@ -36,108 +36,124 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
 def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | None") -> None:
-    """The records with those of every loop in `tried`: design, its loops, the next design, its
-    loops, ..."""
-    write_json(
-        folder / TRIED, [design.to_json() for design in tried[::2] if isinstance(design, Design)]
-    )
-    loops = [
-        trial
-        for found in tried[1::2]
-        if isinstance(found, tuple)
-        for trial in of_loops(found[0].controlled)
-    ]
-    _write(folder, data, tuple(loops))
+    """Write the records with those of every loop that was tried.
+
+    `tried` is a design, its loops, the next design, its loops, ...
+    """
+    designs = [design.to_json() for design in tried[::2] if isinstance(design, Design)]
+    write_json(folder / TRIED, designs)
+    trials: list[Trajectory] = []
+    for experiment in tried[1::2]:
+        if isinstance(experiment, tuple):
+            closed, _ = experiment
+            trials += of_loops(closed.controlled)
+    _write_with_trials(folder, data, tuple(trials))
 
 
 def compute_logged(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """The records with the user's logs of trials."""
-    _write(folder, records, read_logs(refine, data, records.step_s))
+    """Write the records with the user's logs of trials."""
+    trials = read_logs(refine, data, records.step_s)
+    _write_with_trials(folder, records, trials)
 
 
-def _write(folder: Path, data: DataSet, loops: Trajectories) -> None:
-    write_dataset(folder, replace(data, mismatch_records=(*data.mismatch_records, *loops)))
-    write_records(folder / LOOPS, data, loops)
+def _write_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
+    """Write the data set with trials among the records for the mismatch, and their recording."""
+    mismatch_records = (*data.mismatch_records, *trials)
+    write_dataset(folder, replace(data, mismatch_records=mismatch_records))
+    write_records(folder / LOOPS, data, trials)
 
 
 def of_loops(run: Rollouts) -> Trajectories:
-    """Input and measured output of every case, up to where it left its bound; none of cases below
-    `FEWEST` samples."""
+    """Input and measured output of every case, up to where it left its bound.
+
+    Cases with fewer than `FEWEST` samples are left out.
+    """
     ends = np.where(run.stayed, run.y.shape[1], run.left_at_sample)
-    return tuple(
-        Trajectory(u=u[:end], y=y[:end], step_s=run.step_s, name=f"case_{i}", closed_loop=True)
-        for i, (u, y, end) in enumerate(zip(run.u, run.measured, ends, strict=True))
-        if end >= FEWEST
-    )
+    records = []
+    for i, end in enumerate(ends):
+        if end >= FEWEST:
+            u = run.u[i, :end]
+            y = run.measured[i, :end]
+            name = f"case_{i}"
+            records.append(Trajectory(u=u, y=y, step_s=run.step_s, name=name, closed_loop=True))
+    return tuple(records)
 
 
 def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
-    """Logs of trials, read as the run's data are. Raises `BadRequest` as they do, and for another
-    sampling time."""
-    columns: Columns = data if isinstance(data, Columns) else data.training[0]  # type: ignore[attr-defined]
-    found: list[Trajectory] = []
-    both = set(listed(columns.input)) & set(listed(columns.output))
+    """Read logs of trials as the run's data are read.
+
+    Raises `BadRequest` as they do, and for another sampling time.
+    """
+    source: Any = data
+    columns: Columns = source if isinstance(source, Columns) else source.training[0]
+    in_both = set(listed(columns.input)) & set(listed(columns.output))
     problem = "names an input and an output, in files of their own"
     remedy = "give the two columns different names"
-    require(not both, "data.output", sorted(both), problem, remedy)
+    require(not in_both, "data.output", sorted(in_both), problem, remedy)
+    trials: list[Trajectory] = []
     for path in paths:
         record = columns.read_from(Path(path))
-        problem = f"the model's sampling time is {step_s:g} s"
-        remedy = "log the trial at that sampling time"
-        require(
-            abs(record.step_s - step_s) <= AGREEMENT * step_s,
-            f"{path} (step_s)",
-            record.step_s,
-            problem,
-            remedy,
-        )
-        at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
-        problem = "the input never moves, so nothing was tried"
-        remedy = "log the controller's own input"
-        require(
-            bool(np.ptp(record.u, axis=0).any()),
-            f"{path} (input)",
-            float(record.u[0, 0]),
-            problem,
-            remedy,
-        )
-        found.append(replace(record, step_s=step_s, closed_loop=True))
-    return tuple(found)
+        _check_trial(record, path, step_s)
+        trials.append(replace(record, step_s=step_s, closed_loop=True))
+    return tuple(trials)
+
+
+def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
+    """Refuse a trial at another sampling time, a short one, and one whose input never moves."""
+    is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s
+    problem = f"the model's sampling time is {step_s:g} s"
+    remedy = "log the trial at that sampling time"
+    require(is_in_step, f"{path} (step_s)", record.step_s, problem, remedy)
+    at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
+    moves = bool(np.ptp(record.u, axis=0).any())
+    problem = "the input never moves, so nothing was tried"
+    remedy = "log the controller's own input"
+    require(moves, f"{path} (input)", float(record.u[0, 0]), problem, remedy)
 
 
 def repeated(request: "Specification", run: Path) -> Trajectories:
-    """The trials of a finished run, made again: its logs read, or the designs that were tried
-    simulated."""
+    """Make the trials of a finished run again: read its logs, or simulate the designs it tried."""
     if request.refine is None:
         return ()
     model = read_model(run)
     plant = request.plant
     if isinstance(request.refine, list) or plant is None:
-        return read_logs(request.refine, request.data, model.step_s)  # type: ignore[arg-type]  # recorded, as checked
-    designs = [Design.from_json(content) for content in read_json(run / TRIED)]
-    loops = [
-        request.loop.fitted(model).run(plant, model, one, request.loop_seed) for one in designs
-    ]
-    return tuple(trial for closed in loops for trial in of_loops(closed.controlled))
+        logs: Any = request.refine
+        data: Any = request.data
+        return read_logs(logs, data, model.step_s)
+    experiment = request.loop.fitted(model)
+    trials: list[Trajectory] = []
+    for content in read_json(run / TRIED):
+        design = Design.from_json(content)
+        closed = experiment.run(plant, model, design, request.loop_seed)
+        trials += of_loops(closed.controlled)
+    return tuple(trials)
 
 
 def lineage(settings: Any) -> Facts:
-    """How often a run refines, and the run that it refines: the same with one iteration, or one
-    log, less."""
+    """Number of refinements of a run, and the run that it refines.
+
+    That is the same run with one iteration, or one log, less.
+    """
     refine = settings.get("refine")
     if refine is None:
         return {}
-    count, before = (len(refine), refine[:-1]) if isinstance(refine, list) else (refine, refine - 1)
+    if isinstance(refine, list):
+        count = len(refine)
+        before = refine[:-1]
+    else:
+        count = refine
+        before = refine - 1
     return {"refinements": count, "parent_run": named(settings, before or None)}
 
 
 def named(settings: Any, refine: int | list[str] | None) -> str:
-    """The name of the run of these settings with another `refine`; what stands before its hash
-    stays."""
-    shown = str(settings["run"]).removesuffix(run_name(settings))
-    return shown + run_name(type(settings)({**settings, "refine": refine}))
+    """Name of the run of these settings with another `refine`; what precedes its hash stays."""
+    prefix = str(settings["run"]).removesuffix(run_name(settings))
+    changed = type(settings)({**settings, "refine": refine})
+    return prefix + run_name(changed)
 
 
 TRIALS = Stage("trials", compute_tried, read_dataset, files=(LOOPS, TRIED))

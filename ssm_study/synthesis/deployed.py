@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.bounds.network import inverse_of
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
     Design,
@@ -64,13 +65,13 @@ def with_gain_certificates(
     linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
     if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
         controlled = controlled_system(model, feedback)
-        known = VerificationContext(
+        context = VerificationContext(
             system=model.system, controlled=controlled, balls=balls, gains=design.gains
         )
         found["tolerance"] = within_reach(
             partial(
                 largest_tolerance,
-                known,
+                context,
                 np.eye(len(feedback.k)),
                 theorem=Tolerance if linear else StructuredTolerance,
             )
@@ -118,17 +119,46 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
         return {}
     found = {EVERYWHERE: within_reach(partial(from_everywhere, known[0]))}
     known += [part for part in found.values() if isinstance(part, StateFeedbackOfBall)]
-    rest, _, gain = model.linear.held()
-    signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=len(gain) - 1)])
-    corners = (
-        rest @ np.linalg.pinv(gain) @ signs.T
-    )  # states at rest where every scaled output is one or minus one
-    corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
-    if (
-        not model.linear.d.any()
-    ):  # else the law moves the output of a start at once: no range of outputs tells starts
+    corners = rest_corners(model)
+    if corners is not None:
+        corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
         found[SETS] = within_reach(partial(unlimited, known, corners, limits))
     return {label: part for label, part in found.items() if part is not None}
+
+
+def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
+    """States at rest at corners of a box of outputs, one of each pair of mirror images.
+
+    Their hull with the mirror images holds every rest point whose outputs lie in the box. With
+    outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
+    S_y couples there is no such box: None.
+    """
+    inverse = inverse_of(model.scaffold_out.portable())
+    rest, _, gain = model.linear.held()
+    outputs, dimension = gain.shape
+    tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
+    if model.linear.d.any() or inverse is None or not tells_state:
+        return None
+    signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=outputs - 1)]).T
+    couples = inverse.matrix is not None and np.count_nonzero(
+        inverse.matrix - np.diag(np.diagonal(inverse.matrix))
+    )
+    read = inverse.matrix @ signs if inverse.matrix is not None and couples else signs
+    corners: Float[np.ndarray, "n j"] = rest @ np.linalg.pinv(gain) @ read
+    return corners
+
+
+def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.ndarray, "s j"] | None:
+    """The states at rest that are nearest to stored starts: the same share of each corner; None
+    where there is none."""
+    corners = rest_corners(model)
+    if corners is None or not corners.any() or len(starts) < len(corners):
+        return None
+    share = np.abs(starts).max() / np.abs(corners).max()
+    padded: Float[np.ndarray, "s j"] = np.pad(
+        share * corners, ((0, len(starts) - len(corners)), (0, 0))
+    )
+    return padded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +176,10 @@ class WithinLimits:
         starts."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
-        low, high = outputs_of(model, parts[SETS].starts)
+        starts = starts_at_rest(model, parts[SETS].starts)
+        if starts is None:
+            return None
+        low, high = outputs_of(model, starts)
         return cls(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
 
 

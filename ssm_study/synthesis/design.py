@@ -166,7 +166,7 @@ def failed_checks(
         design.inverts and balls.input.relative_radius < 1
     ):  # S_u has an inverse, and the law applies it
         balls = replace(balls, input=JacobianBall(alpha=1.0, beta=0.0))
-    known = VerificationContext(
+    context = VerificationContext(
         system=linear, controlled=controlled or linear, balls=balls, gains=design.gains
     )
     broken = [
@@ -175,7 +175,7 @@ def failed_checks(
         if part in design.content and fields.get("digest") != digest(fields)
     ]
     for label, part in design.content.items():
-        broken += [f"{label}{claim}" for claim in _of_part(part, known)]
+        broken += [f"{label}{claim}" for claim in _of_part(part, context)]
     for (
         label,
         again,
@@ -193,10 +193,10 @@ def failed_checks(
     return broken
 
 
-def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str]:
+def _of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
     theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
-    ball = theorem.ball(known)
-    limit = theorem.rate_limit_of(known)
+    ball = theorem.ball(context)
+    limit = theorem.rate_limit_of(context)
     broken = []
     stated = getattr(part, "rate_limit", np.nan)
     if limit is not None and not abs(stated - limit) <= FRONTIER_ROUNDING:
@@ -215,7 +215,7 @@ def _of_part(part: Theorem | Infeasible, known: VerificationContext) -> list[str
             f".alpha, beta = {stated}: the model's Jacobians fill the ball {filled}, which "
             "is not inside"
         )
-    return broken + part.failed_checks(known)
+    return broken + part.failed_checks(context)
 
 
 REPAIRS = (

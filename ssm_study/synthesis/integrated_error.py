@@ -17,10 +17,8 @@ from ssm_study.systems import Gains, StateSpace, error_input_matrix, frozen_mode
 CASES = 12  # states the model is released from, evenly spaced along the validation record
 LEVELS = (-0.5, -0.25, 0.25, 0.5)  # constant loads, in those that hold one output scale
 TIME_CONSTANTS = 4.0  # horizon, in time constants of the model's slowest mode
-SAMPLES = (
-    50,
-    150,
-)  # shortest and longest horizon: a mode slower than that is not what a loop is judged by
+# Shortest and longest horizon: a mode slower than that is not what a loop is judged by.
+SAMPLES = (50, 150)
 SETTLED = 0.05  # output scales within which a response has settled
 # states whose uncontrolled response is below this share of the largest are not counted: they rest
 # already
@@ -52,7 +50,8 @@ def release(
     x0 = np.array(visited)[spaced[1:-1]]
     radius = min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)
     decay = -np.log(radius)  # per sample, of the slowest mode
-    horizon = int(np.clip(np.ceil(TIME_CONSTANTS / decay), *SAMPLES))
+    samples = np.ceil(TIME_CONSTANTS / decay)
+    horizon = int(np.clip(samples, *SAMPLES))
     channels = linear.b.shape[1]
     load = _loads(model, linear, horizon) if loaded else np.zeros((0, channels))
     at_origin = np.zeros((len(load), model.order))
@@ -67,13 +66,12 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
         held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
     else:
         held = linear.held()[0].T
-    reach = np.linalg.norm(
-        model.read_scaled(held, np.zeros((len(held), linear.b.shape[1]))), axis=1
-    )
+    no_input = np.zeros((len(held), linear.b.shape[1]))
+    reach = np.linalg.norm(model.read_scaled(held, no_input), axis=1)
     counts = reach > 1e-6 * reach.max()
-    return np.concatenate(
-        [level * np.eye(len(held))[counts] / reach[counts, None] for level in LEVELS]
-    )
+    channels = np.eye(len(held))[counts]
+    loads = [level * channels / reach[counts, None] for level in LEVELS]
+    return np.concatenate(loads)
 
 
 def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
@@ -106,7 +104,8 @@ def relative_areas(
     counts = alone > FAINT * alone.max()
     batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))
     areas = [_areas(model, gains.at(batch), x0, load, horizon, cut) for batch in batches]
-    return (np.concatenate(areas)[:, counts] / alone[counts]).mean(axis=1)
+    counted = np.concatenate(areas)[:, counts]
+    return (counted / alone[counts]).mean(axis=1)
 
 
 def _areas(
@@ -143,7 +142,8 @@ def _areas(
         settled = np.where(size > SETTLED, sample + 1.0, settled)
         is_free = (u == requested).all(axis=2, keepdims=True)
         moved = z @ modes.T + y @ into_modes.T
-        z = np.clip(np.where(is_free, moved, z @ frozen_modes(modes).T), -LARGEST, LARGEST)
+        frozen = z @ frozen_modes(modes).T
+        z = np.clip(np.where(is_free, moved, frozen), -LARGEST, LARGEST)
         x = model.advance(x, loaded)
         injected = () if l_z is None else (innovation @ l_z,)
         estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_

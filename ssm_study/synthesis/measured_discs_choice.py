@@ -83,13 +83,13 @@ def coverage_by_frequency(
 
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
-    known = VerificationContext(
+    context = VerificationContext(
         system=model.system,
         controlled=controlled_system(model, feedback),
         balls=balls,
         gains=design.gains,
     )
-    forms = LoopForms.of(theorem_of(known), known, CENTRES)
+    forms = LoopForms.of(theorem_of(context), context, CENTRES)
     grid = forms.at(forms.angles)
     largest = 0.0
     for centre in CENTRES:

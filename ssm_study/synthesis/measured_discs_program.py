@@ -52,10 +52,10 @@ class LoopForms:
 
     @classmethod
     def of(
-        cls, theorem: type[MeasuredDiscs], known: VerificationContext, centres: Sequence[float]
+        cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
         """Without filters: of the weights only their squared gains enter."""
-        of, counts = bare(theorem, known)
+        of, counts = bare(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
         names = [(name, i) for name, count in counts.items() for i in range(count)]
@@ -117,15 +117,15 @@ class FormsAtAngles:
         )
 
 
-def bare(theorem: type[MeasuredDiscs], known: VerificationContext) -> tuple[Any, dict[str, int]]:
+def bare(theorem: type[MeasuredDiscs], context: VerificationContext) -> tuple[Any, dict[str, int]]:
     """The loop's numbers with filters of order zero and multipliers zero, and how many multipliers
     there are of each name."""
-    loop = theorem.loop_of(known)
+    loop = theorem.loop_of(context)
     zero = np.zeros((1, 1))
     counts = {"lambda_p": 1, "lambda_out": 3 if loop["beta_out"] > 0 else 0}
     if "e" in loop:
         counts["lambda_"] = 3 * loop["g"].shape[0]
-    ball = known.balls.input
+    ball = context.balls.input
     numbers = {"alpha": ball.alpha, "beta": ball.beta, "weight_output": zero, "weight_input": zero}
     multipliers = {name: np.zeros((1, count)) for name, count in counts.items()}
     return SimpleNamespace(**loop, **numbers, **multipliers), counts

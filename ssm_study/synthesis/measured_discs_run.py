@@ -6,10 +6,10 @@ derived from recordings by `verify`: weights that are stored larger need less an
 stored number is trusted. Source: docs/trust.md, "Covered".
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -20,7 +20,10 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.robustness.coverage import Premise, Weights, measure_premise
+from ssm_study.robustness.coverage_items import Item
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls
 
 PART = MeasuredDiscs.part
@@ -47,13 +50,13 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
-    known = VerificationContext(
+    context = VerificationContext(
         system=model.system,
         controlled=controlled_system(model, feedback),
         balls=balls,
         gains=design.gains,
     )
-    find = partial(measured_discs_search.largest_coverage, known, premise)
+    find = partial(measured_discs_search.largest_coverage, context, premise)
     try:
         with within_floats():
             certificate = find().certificate
@@ -99,6 +102,45 @@ def coverage_facts(
     if fresh is not None and fresh.missing(part.centre) is None:
         facts["coverage_needed"] = weights.need(fresh.items(part.centre))[0] / need
     return facts
+
+
+class MismatchRecords(Protocol):
+    """A data set's records that show the mismatch."""
+
+    @property
+    def validation(self) -> Trajectories: ...
+
+    @property
+    def mismatch_records(self) -> Trajectories: ...
+
+
+def fresh_needs(
+    design: Design,
+    model: Model,
+    premise: Premise,
+    mismatch: Mismatch,
+    fresh_sets: Iterable[MismatchRecords],
+    start_up_samples: int,
+) -> list[float]:
+    """What each fresh data set needs of the design's disc, over the need of `premise`, the run's
+    own; none without a coverage certificate whose premise the run's records give."""
+    part = design.extra_certificates.get(PART)
+    if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
+        return []
+    weights = weights_of(part)
+    own_need, _ = weights.need(premise.items(part.centre))
+    needs = []
+    for records in fresh_sets:
+        trials = records.mismatch_records
+        fresh = measure_premise(model, records.validation, mismatch, start_up_samples, trials)
+        need, _ = weights.need(fresh.items(part.centre))
+        needs.append(need / own_need)
+    return needs
+
+
+def fresh_facts(needs: Sequence[float]) -> dict[str, Any]:
+    """The column of what fresh data sets need: the largest."""
+    return {"coverage_needed": max(needs)} if needs else {}
 
 
 def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[str, Any]:

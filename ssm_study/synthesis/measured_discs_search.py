@@ -21,7 +21,8 @@ from ssm_study.certificates.problem import NoSolution, symmetric
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
-from ssm_study.robustness.coverage import Item, Premise, Weights
+from ssm_study.robustness.coverage import Premise, Weights
+from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     AngleProgram,
@@ -58,29 +59,29 @@ class Coverage:
     reference: str = ""
 
 
-def theorem_of(known: VerificationContext) -> type[MeasuredDiscs]:
+def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
     """The theorem for a model with or without neurons."""
-    neurons = isinstance(known.system, StructuredSystem)
+    neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
 
 def largest_kappa(
-    known: VerificationContext, weights: Weights, centre: float
+    context: VerificationContext, weights: Weights, centre: float
 ) -> MeasuredDiscs | None:
     """The largest certified kappa for given weights; None where none is certified, and where no
     mismatch has an effect."""
     started = time.perf_counter()
-    theorem = theorem_of(known)
+    theorem = theorem_of(context)
     try:
-        nu, multipliers = fixed_optimum(theorem, known, weights, centre)
+        nu, multipliers = fixed_optimum(theorem, context, weights, centre)
         if nu >= LARGEST:
             return None
-        forms = LoopForms.of(theorem, known, (centre,))
+        forms = LoopForms.of(theorem, context, (centre,))
         for inside in INSIDE:
             scaled = nu * inside**2
             multipliers, margin = _with_margin(theorem, forms, weights, centre, scaled, multipliers)
             numbers = _numbers(forms, weights, centre, scaled**0.5, multipliers)
-            found = certified(theorem, known, numbers, margin, started)
+            found = certified(theorem, context, numbers, margin, started)
             if found is not None:
                 return found
     except NoSolution:
@@ -89,11 +90,11 @@ def largest_kappa(
 
 
 def fixed_optimum(
-    theorem: type[MeasuredDiscs], known: VerificationContext, weights: Weights, centre: float
+    theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Float[np.ndarray, "A"]]:
     """The largest `kappa^2` for given weights, by frequency, and its multipliers; raises
     `NoSolution`."""
-    forms = LoopForms.of(theorem, known, (centre,))
+    forms = LoopForms.of(theorem, context, (centre,))
     grid = forms.at(forms.angles)
     x = np.zeros(0)
     scale = np.zeros(0)
@@ -186,7 +187,7 @@ def _numbers(
 
 def certified(
     theorem: type[MeasuredDiscs],
-    known: VerificationContext,
+    context: VerificationContext,
     numbers: dict[str, Any],
     margin: float,
     started: float,
@@ -194,8 +195,8 @@ def certified(
     """The certificate with the first P that exact arithmetic accepts; None without any."""
     if margin <= 0:
         return None
-    ball = known.balls.input
-    whole = theorem.loop_of(known) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
+    ball = context.balls.input
+    whole = theorem.loop_of(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
     for p in metrics(theorem, whole, margin):
         found: MeasuredDiscs = theorem.proved(
             whole | {"p": p},
@@ -252,7 +253,7 @@ def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> flo
 
 
 def largest_coverage(
-    known: VerificationContext,
+    context: VerificationContext,
     premise: Premise,
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
@@ -267,21 +268,21 @@ def largest_coverage(
         return Coverage(certificate=None, coverage=None, reason=missing)
     items = {c: [item for item in premise.items(c) if item.seen > 0] for c in centres}
     basis = basis or WeightBasis()
-    whole = _largest_for(known, items, basis)
+    whole = _largest_for(context, items, basis)
     lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
     covers = whole.coverage is not None and whole.coverage >= 1
     if covers or not all(lit.values()) or lit == items:
         return whole
-    partial = _largest_for(known, lit, basis)
+    partial = _largest_for(context, lit, basis)
     return partial if partial.coverage is not None and partial.coverage >= 1 else whole
 
 
 def _largest_for(
-    known: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
+    context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
     started = time.perf_counter()
-    theorem = theorem_of(known)
-    forms = LoopForms.of(theorem, known, tuple(items))
+    theorem = theorem_of(context)
+    forms = LoopForms.of(theorem, context, tuple(items))
     grid = forms.at(forms.angles)
     found = list[tuple[float, Any, WeightProgram]]()
     for centre, some in items.items():
@@ -298,14 +299,14 @@ def _largest_for(
     for nu, unknowns, program in found:
         if nu >= LARGEST:
             return Coverage(certificate=None, coverage=None, reason="no mismatch has an effect")
-        made = _proved(known, theorem, program, nu, unknowns, started)
+        made = _proved(context, theorem, program, nu, unknowns, started)
         if made is not None:
             return made
     return Coverage(certificate=None, coverage=None, reason="nothing is proved at these gains")
 
 
 def _proved(
-    known: VerificationContext,
+    context: VerificationContext,
     theorem: type[MeasuredDiscs],
     program: WeightProgram,
     nu: float,
@@ -323,7 +324,7 @@ def _proved(
                 continue
             multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)
             numbers = _numbers(program.forms, weights, program.centre, scaled**0.5, multipliers)
-            proof = certified(theorem, known, numbers, room, started)
+            proof = certified(theorem, context, numbers, room, started)
             if proof is not None:
                 need, where = weights.need(program.items)
                 covered = proof.kappa / need

@@ -14,7 +14,8 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import NoSolution
-from ssm_study.robustness.coverage import Item, Weights
+from ssm_study.robustness.coverage import Weights
+from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
     AngleProgram,

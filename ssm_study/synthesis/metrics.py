@@ -6,6 +6,9 @@ Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
 from ssm_study.certificates.certificate import Design, Infeasible, Observer, StateFeedback
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -200,60 +203,87 @@ COLUMNS = (
 )
 
 
-def design_facts(design: Design, model: Model, balls: Balls, shown: Mismatch) -> dict[str, Any]:
+def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
     """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair
     on the plant.
 
-    `shown` is relative to what the law commands (`synthesis.commanded.shown_behind`).
+    `mismatch` is relative to what the law commands (`synthesis.commanded.shown_behind`).
     """
     model, balls = of_commands(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
     facts = part_facts("controller", feedback) | part_facts("observer", observer)
-    facts |= {"controller_certified_rate": design.certified_rate("state_feedback")}
-    facts |= {"observer_certified_rate": design.certified_rate("observer")}
-    sides = (("controller", feedback), ("observer", observer))
+    facts["controller_certified_rate"] = design.certified_rate("state_feedback")
+    facts["observer_certified_rate"] = design.certified_rate("observer")
     if not design.feasible:
-        reasons = (part.reason for _, part in sides if isinstance(part, Infeasible))
-        return facts | {"infeasible_reason": "; ".join(reasons)}
+        facts["infeasible_reason"] = infeasible_reason(design)
+        return facts
     if not design.certified:
-        missed = (f"{side}: {part.solver_status}" for side, part in sides if not part.certified)
-        facts["uncertified_reason"] = "; ".join(missed)
-    predicted = predict(model, design.pair, balls, shown)
+        facts["uncertified_reason"] = uncertified_reason(design)
     tolerance = design.extra_certificates.get("tolerance")
     facts["certified_tolerance"] = getattr(tolerance, "s", None)
     facts |= limit_facts(design, model)
     facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
-    seen = {
-        "mismatch_gain": shown.gain,
-        "mismatch_seen": shown.seen,
-        "mismatch_spread": shown.spread,
+    facts |= mismatch_facts(mismatch)
+    prediction = predict(model, design.pair, balls, mismatch)
+    facts |= vars(prediction)
+    facts["predicted_stable"] = prediction.predicts_stability()
+    return facts
+
+
+def infeasible_reason(design: Design) -> str:
+    """Reasons of the sides that have no certificate."""
+    parts = (design.state_feedback, design.observer)
+    return "; ".join(part.reason for part in parts if isinstance(part, Infeasible))
+
+
+def uncertified_reason(design: Design) -> str:
+    """Statuses of the sides that exact arithmetic does not find certified."""
+    sides = {"controller": design.state_feedback, "observer": design.observer}
+    missed = []
+    for side, part in sides.items():
+        if not part.certified:
+            missed.append(f"{side}: {part.solver_status}")
+    return "; ".join(missed)
+
+
+def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
+    """Columns on the mismatch that the records show."""
+    facts: dict[str, Any] = {
+        "mismatch_gain": mismatch.gain,
+        "mismatch_seen": mismatch.seen,
+        "mismatch_spread": mismatch.spread,
     }
-    seen |= {} if shown.loop is None else {"mismatch_in_loop": shown.loop.gain}
-    return facts | seen | vars(predicted) | {"predicted_stable": predicted.predicts_stability()}
+    if mismatch.loop is not None:
+        facts["mismatch_in_loop"] = mismatch.loop.gain
+    return facts
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
     """Columns on what is proved within input limits; of several inputs or outputs what all share.
     Empty where nothing is."""
-    if (found := WithinLimits.of(model, design.extra_certificates)) is None:
+    within_limits = WithinLimits.of(model, design.extra_certificates)
+    if within_limits is None:
         return {}
     limits: Any = design.extra_certificates[SETS]
     lower, upper = model.scale.physical_input(limits.limits.T)
-    ranges = (
-        ("limit_lower", "limit_upper", lower, upper),
-        ("unlimited_from", "unlimited_to", found.lower, found.upper),
-    )
-    facts: dict[str, Any] = {"limited_rate": found.everywhere and found.everywhere.rate}
-    for (
-        start,
-        end,
-        least,
-        most,
-    ) in ranges:  # channels that rest far apart share nothing; the exported header has each
-        shared = float(least.max()), float(most.min())
-        facts |= dict(zip((start, end), shared, strict=True)) if shared[0] < shared[1] else {}
-    return facts
+    everywhere = within_limits.everywhere
+    facts: dict[str, Any] = {"limited_rate": everywhere and everywhere.rate}
+    facts |= shared_range("limit_lower", "limit_upper", lower, upper)
+    outputs = within_limits.lower, within_limits.upper
+    return facts | shared_range("unlimited_from", "unlimited_to", *outputs)
+
+
+def shared_range(
+    start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
+) -> dict[str, float]:
+    """The range that all channels share, under these names; empty where they rest far apart and
+    share none (the exported header has each)."""
+    shared_lower = float(lower.max())
+    shared_upper = float(upper.min())
+    if shared_lower < shared_upper:
+        return {start: shared_lower, end: shared_upper}
+    return {}
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
@@ -264,22 +294,19 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
     model, balls = of_commands(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
-    neurons = isinstance(
-        getattr(model, "system", None), StructuredSystem
-    )  # of which [Z26] says nothing
-    if neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
+    # Of neurons [Z26] says nothing.
+    has_neurons = isinstance(getattr(model, "system", None), StructuredSystem)
+    if has_neurons or isinstance(feedback, Infeasible) or isinstance(observer, Infeasible):
         return {}
-    asked: Any = (
-        ("controller", feedback, StateFeedbackOfBall),
-        ("observer", observer, ObserverOfBall),
+    problems: Any = (
+        ("controller", feedback.rate, StateFeedbackOfBall, balls.input),
+        ("observer", observer.rate, ObserverOfBall, balls.output),
     )
     facts: dict[str, Any] = {}
-    for (side, part, theorem), ball in zip(asked, (balls.input, balls.output), strict=True):
-        opinion = paper_lmi(model.linear, ball, part.rate, theorem)
-        facts |= {
-            f"lmi_{side}_status": opinion.solver_status,
-            f"lmi_{side}_certified": opinion.certified,
-        }
+    for side, rate, theorem, ball in problems:
+        opinion = paper_lmi(model.linear, ball, rate, theorem)
+        facts[f"lmi_{side}_status"] = opinion.solver_status
+        facts[f"lmi_{side}_certified"] = opinion.certified
     return facts
 
 
@@ -292,5 +319,8 @@ def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[s
         f"{side}_rate_limit": part.rate_limit,
     }
     if isinstance(part, Infeasible):
-        return facts | {f"{side}_reason": part.reason}
-    return facts | {f"{side}_margin": part.margin, f"{side}_gain_norm": part.gain_norm}
+        facts[f"{side}_reason"] = part.reason
+    else:
+        facts[f"{side}_margin"] = part.margin
+        facts[f"{side}_gain_norm"] = part.gain_norm
+    return facts

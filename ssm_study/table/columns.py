@@ -1,5 +1,4 @@
-"""The columns of `runs.parquet`, collected from the rooms that declare them, in the order of the
-line.
+"""Columns of `runs.parquet`, collected from the rooms that declare them, in the order of the line.
 
 First which run it is, then what was requested, then the results, room by room, and last the
 circumstances.
@@ -21,9 +20,16 @@ from ssm_study.plants import metrics as plants
 from ssm_study.synthesis import metrics as synthesis
 from ssm_study.training import metrics as training
 
-PARTS = {"Plant": plants, "Data": data, "Model": models, "Training": training,
-         "Slopes and linear part": bounds,
-         "Evidence": evidence, "Design": synthesis, "Closed loop": loop}  # fmt: skip
+PARTS = {
+    "Plant": plants,
+    "Data": data,
+    "Model": models,
+    "Training": training,
+    "Slopes and linear part": bounds,
+    "Evidence": evidence,
+    "Design": synthesis,
+    "Closed loop": loop,
+}
 OF_THE_LINE = tuple(column for room in PARTS.values() for column in room.COLUMNS)
 SETTINGS = tuple(column for column in OF_THE_LINE if column.setting)
 RESULTS = tuple(column for column in OF_THE_LINE if not column.setting)
@@ -36,118 +42,115 @@ PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
 def declared(name: str) -> Column | None:
-    """The declaration of the column of this name, or None where nobody declares it."""
-    return BY_NAME.get(name) or next((column for column in PATTERNS if column.covers(name)), None)
+    """Declaration of the column of this name, or None where nobody declares it."""
+    if name in BY_NAME:
+        return BY_NAME[name]
+    return next((column for column in PATTERNS if column.covers(name)), None)
 
 
 def label(name: str) -> str:
-    """The printed name of a column with its unit, e.g. `settling_time_mean_s` -> `Mean settling
-    time (s)`."""
-    if column := BY_NAME.get(name):
-        return column.label
+    """Printed name of a column with its unit.
+
+    For instance `Mean settling time (s)` for `settling_time_mean_s`.
+    """
+    if name in BY_NAME:
+        return BY_NAME[name].label
     return setting_of(name) or name.replace("_", " ")
 
 
 def setting_of(name: str) -> str:
-    """The entry of the configuration that the column repeats, `plant.step_s`; empty where it is
+    """Entry of the configuration that a column repeats, as `plant.step_s`; empty where it is
     none."""
-    return (
-        name.replace("__", ".")
-        if FURTHER.covers(name)
-        else BY_NAME[name].setting
-        if name in BY_NAME
-        else ""
-    )
+    if FURTHER.covers(name):
+        return name.replace("__", ".")
+    return BY_NAME[name].setting if name in BY_NAME else ""
 
 
 def settings(table: pd.DataFrame) -> list[str]:
-    """The columns that repeat settings, those of the command last; not what says who chose a
-    rate."""
-    names = [
-        *(column.name for column in SETTINGS),
-        *sorted(filter(FURTHER.covers, map(str, table))),
-    ]
+    """Columns that repeat settings, those of the command last; `rates_chosen` is left out."""
+    declared_names = [column.name for column in SETTINGS]
+    further = sorted(name for name in map(str, table) if FURTHER.covers(name))
+    names = [*declared_names, *further]
     return [name for name in names if name in table and name != "rates_chosen"]
 
 
 def by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """The names by the part of the study that they describe: settings first, what no part declares
-    last."""
-    titles = {FURTHER.name: "Settings"} | {
-        c.name: "Settings" if c.setting else title
-        for title, room in PARTS.items()
-        for c in room.COLUMNS
-    }
-    found: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
+    """Names of columns by the part of the study that they describe.
+
+    Settings come first, what no part declares last.
+    """
+    titles = {FURTHER.name: "Settings"}
+    for title, room in PARTS.items():
+        for column in room.COLUMNS:
+            titles[column.name] = "Settings" if column.setting else title
+    parts: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
-        found[titles.get(getattr(declared(name), "name", name), "Circumstances")].append(name)
-    return found
+        declared_name = getattr(declared(name), "name", name)
+        parts[titles.get(declared_name, "Circumstances")].append(name)
+    return parts
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
     """Advice on a misspelt column: the nearest names, or how to list them."""
-    near = get_close_matches(
-        name, list(names), n=3, cutoff=0.5
-    )  # cutoff: half of the letters in order
-    return (
-        f"did you mean {' or '.join(near)}?"
-        if near
-        else "`ssm-study show STUDY --columns` lists them"
-    )
+    half_of_the_letters = 0.5
+    near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
+    if near:
+        return f"did you mean {' or '.join(near)}?"
+    return "`ssm-study show STUDY --columns` lists them"
 
 
 def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Name, printed word, better direction and what `verify` does with it: of all columns, or of
-    those with values."""
-    for column in DECLARED:
-        if table is None or any(
-            column.covers(str(name)) and table[name].notna().any() for name in table
-        ):
-            yield (
-                column.name,
-                column.label,
-                column.better,
-                column.unchecked and f"not checked: {column.unchecked}",
-            )
-    undeclared = (
-        [] if table is None else [str(name) for name in table if declared(str(name)) is None]
-    )
-    yield from ((name, "declared nowhere", "", "") for name in sorted(undeclared))
+    """Name, printed word, better direction and what `verify` does, for each column.
+
+    All columns, or those that have values in the table.
+    """
+    with_values = DECLARED
+    undeclared: list[str] = []
+    if table is not None:
+        filled = [str(name) for name in table if table[name].notna().any()]
+        with_values = tuple(column for column in DECLARED if any(map(column.covers, filled)))
+        undeclared = [str(name) for name in table if declared(str(name)) is None]
+    for column in with_values:
+        unchecked = column.unchecked and f"not checked: {column.unchecked}"
+        yield (column.name, column.label, column.better, unchecked)
+    for name in sorted(undeclared):
+        yield (name, "declared nowhere", "", "")
 
 
 def requested(table: pd.DataFrame, name: str) -> pd.Series:
-    """The value requested of a setting in each run: for a rate that `auto` chose, `auto`."""
+    """Requested value of a setting in each run: for a rate that `auto` chose, `auto`."""
     if not name.startswith("rate_"):
         return table[name]
-    chosen = text(table, "rates_chosen").str.contains(name.removeprefix("rate_"))
-    return table[name].astype(object).mask(chosen, "auto")
+    side = name.removeprefix("rate_")
+    is_chosen = text(table, "rates_chosen").str.contains(side)
+    return table[name].astype(object).mask(is_chosen, "auto")
 
 
 def swept(table: pd.DataFrame) -> list[str]:
-    """The settings in which the runs differ, most values first, the seed last."""
+    """Settings in which the runs differ, most values first, the seed last."""
     names = [name for name in ("study", *settings(table)) if name in table]
     counts = {name: requested(table, name).nunique() for name in names}
-    return sorted(
-        (name for name, count in counts.items() if count > 1),
-        key=lambda name: (name == "seed", -counts[name]),
-    )
+    varied = [name for name, count in counts.items() if count > 1]
+    return sorted(varied, key=lambda name: (name == "seed", -counts[name]))
 
 
 def column(table: pd.DataFrame, name: str) -> pd.Series:
-    """The column as numbers, NaN where the table has none: a table of failures can be ranked and
-    drawn too."""
+    """Column of a table as numbers, NaN where the table has none.
+
+    So that a table of failures can be ranked and drawn too.
+    """
     if name not in table:
         return pd.Series(float("nan"), index=table.index, name=name, dtype=float)
     return pd.to_numeric(table[name], errors="coerce").astype(float)
 
 
 def flag(table: pd.DataFrame, name: str) -> pd.Series:
-    """The column as truth values; missing counts as false (nothing is certified by silence)."""
+    """Column of a table as truth values; missing counts as false."""
     return column(table, name).fillna(0.0) > 0
 
 
 def text(table: pd.DataFrame, name: str) -> pd.Series:
-    """The column as words, empty where missing."""
+    """Column of a table as words, empty where missing."""
     if name not in table:
         return pd.Series("", index=table.index, name=name, dtype=str)
     return table[name].astype("string").fillna("").astype(str)

@@ -1,4 +1,4 @@
-"""`--where "order == 8 and fit_test_percent > 85"`: rows that an expression of columns selects.
+"""Rows that an expression selects, as in `--where "order == 8 and fit_test_percent > 85"`.
 
 `pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
 calls, attributes, subscripts and names that are no columns are refused before it sees them.
@@ -68,6 +68,7 @@ class _Prepared(ast.NodeTransformer):
         return super().generic_visit(node)
 
     def visit_Name(self, node: ast.Name) -> ast.expr:
+        """Replace the words for constants, and refuse names that are no columns."""
         if node.id.lower() in WORDS:
             return ast.Constant(WORDS[node.id.lower()])
         if node.id not in self.table.columns:
@@ -76,17 +77,17 @@ class _Prepared(ast.NodeTransformer):
         return node
 
     def visit_Compare(self, node: ast.Compare) -> ast.expr:
-        """One comparison of a chain after the other, each with what missing values ask for."""
-        sides = [node.left, *node.comparators]
-        compared = [
-            self._compare(left, operator, right)
-            for left, operator, right in zip(sides, node.ops, sides[1:], strict=False)
-        ]
-        return compared[0] if len(compared) == 1 else ast.BoolOp(ast.And(), compared)
+        """Rewrite the comparisons of a chain one after the other, for missing values."""
+        comparisons: list[ast.expr] = []
+        left = node.left
+        for operator, right in zip(node.ops, node.comparators, strict=True):
+            comparisons.append(self._compare(left, operator, right))
+            left = right
+        return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
 
     def _compare(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> ast.expr:
         if _is_null(left):
-            left, right = right, left
+            left, right = right, left  # so that null stands on the right
         if _is_null(right):
             return self._missing(left, operator)
         if isinstance(operator, ast.In | ast.NotIn) and not isinstance(right, LISTS):
@@ -105,23 +106,24 @@ class _Prepared(ast.NodeTransformer):
 
     def _missing(self, side: ast.expr, operator: ast.cmpop) -> ast.expr:
         """Expression that replaces `x == null` or `x != null`."""
-        equal = isinstance(operator, ast.Eq | ast.Is)
-        if not isinstance(side, ast.Name) or not (
-            equal or isinstance(operator, ast.NotEq | ast.IsNot)
-        ):
+        is_equality = isinstance(operator, ast.Eq | ast.Is)
+        is_comparison = is_equality or isinstance(operator, ast.NotEq | ast.IsNot)
+        if not isinstance(side, ast.Name) or not is_comparison:
             raise BadRequest("where", "null", "this comparison does not apply here", REMEDY)
         self.visit(side)
         missing = ast.Name(f"{side.id}{IS_MISSING}")
-        return missing if equal else ast.UnaryOp(ast.Not(), missing)
+        return missing if is_equality else ast.UnaryOp(ast.Not(), missing)
 
     def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
-        """A number is not compared with a text: no row would ever be selected."""
-        kinds = {kind for side in (left, right) if (kind := self._kind(side))}
-        if len(kinds) > 1:
-            problem = f"{ast.unparse(left)} is a {self._kind(left)}"
+        """Refuse to compare a number with a text: no row would ever be selected."""
+        left_kind = self._kind(left)
+        right_kind = self._kind(right)
+        if left_kind and right_kind and left_kind != right_kind:
+            problem = f"{ast.unparse(left)} is a {left_kind}"
             raise BadRequest("where", ast.unparse(right), problem, REMEDY)
 
     def _kind(self, side: ast.expr) -> str:
+        """Kind of one side of a comparison: text, number, or empty where it is not plain."""
         if isinstance(side, ast.Constant):
             return "text" if isinstance(side.value, str) else "number"
         if isinstance(side, ast.Name) and side.id in self.table.columns:
@@ -131,5 +133,6 @@ class _Prepared(ast.NodeTransformer):
 
 
 def _is_null(node: ast.expr) -> bool:
+    """Whether a side of a comparison is `null`, under any of its names."""
     constant = isinstance(node, ast.Constant) and node.value is None
     return constant or (isinstance(node, ast.Name) and node.id.lower() in NULL)

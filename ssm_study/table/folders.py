@@ -1,4 +1,4 @@
-"""Which folder is meant: a study by its path, a run by its path or by a part of its name."""
+"""Folders that a command means: a study by its path, a run by its path or a part of its name."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,29 +10,34 @@ MANY = 8  # names in a sentence
 
 
 def study_folder(path: Path) -> Path:
-    """`path` if runs may be in it; raises `BadRequest` that names the study nearby that may have
-    been meant."""
+    """Check that runs may be in the folder `path`, and return it.
+
+    Raises `BadRequest` that names the study nearby that may have been meant.
+    """
     if not path.is_dir():
-        names = [folder.name for folder in path.parent.glob("*/")]
-        near = [path.parent / name for name in get_close_matches(path.name, names, n=1)]
-        near = [Path("results") / path] if (Path("results") / path).is_dir() else near
-        remedy = (
-            f"did you mean {near[0]}?" if near else "give the folder that holds the run folders"
-        )
-        raise BadRequest("study", path, "no such study folder", remedy)
+        raise BadRequest("study", path, "no such study folder", _remedy_for_no_folder(path))
     studies = sorted({table.parent.name for table in path.glob("*/runs.parquet")})
-    if studies and not (path / "runs.parquet").exists() and not _runs_of(path):
-        raise BadRequest(
-            "study",
-            path,
-            "there is no run in it, but there are studies",
-            f"name one: {_some(studies)}",
-        )
+    is_study = (path / "runs.parquet").exists() or bool(_run_names(path))
+    if studies and not is_study:
+        problem = "there is no run in it, but there are studies"
+        raise BadRequest("study", path, problem, f"name one: {_listed(studies)}")
     return path
 
 
+def _remedy_for_no_folder(path: Path) -> str:
+    """Advice that names the study nearby, below `results` or with a similar name."""
+    in_results = Path("results") / path
+    if in_results.is_dir():
+        return f"did you mean {in_results}?"
+    names = [folder.name for folder in path.parent.glob("*/")]
+    similar = get_close_matches(path.name, names, n=1)
+    if similar:
+        return f"did you mean {path.parent / similar[0]}?"
+    return "give the folder that holds the run folders"
+
+
 def run_folder(path: Path) -> Path:
-    """`path` if it holds a record, else the one run of the study whose name ends or begins so.
+    """Folder of the one run that `path` means: itself, or by the end or begin of a run's name.
 
     `results/paper/1a2b3c4d5e`, or `results/paper/order8-width32-seed3`. The study itself stands for
     its only run. Raises `BadRequest` where no run or several are meant.
@@ -41,19 +46,27 @@ def run_folder(path: Path) -> Path:
         return path
     study = path if path.is_dir() else path.parent
     part = "" if path.is_dir() else path.name
-    names = _runs_of(study)
-    meant = [name for name in names if name.endswith(part)]
-    meant = meant or [name for name in names if name.startswith(part)]
-    if len(meant) == 1:
-        return study / meant[0]
-    remedy = f"name one{'' if meant else ' of its study'}: {_some(meant or names)}"
-    problem = f"{len(meant)} runs are there" if meant else f"there is no {RECORD}"
-    raise BadRequest("run", path, problem, remedy if names else "give the folder of one run")
+    names = _run_names(study)
+    matches = [name for name in names if name.endswith(part)]
+    if not matches:
+        matches = [name for name in names if name.startswith(part)]
+    if len(matches) == 1:
+        return study / matches[0]
+    problem = f"{len(matches)} runs are there" if matches else f"there is no {RECORD}"
+    remedy = "give the folder of one run"
+    if names:
+        which = "name one" if matches else "name one of its study"
+        remedy = f"{which}: {_listed(matches or names)}"
+    raise BadRequest("run", path, problem, remedy)
 
 
-def _runs_of(study: Path) -> list[str]:
+def _run_names(study: Path) -> list[str]:
+    """Names of the runs of a study that left a record."""
     return sorted(record.parent.name for record in study.glob(f"*/{RECORD}"))
 
 
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:MANY]) + (f" and {len(names) - MANY} more" if len(names) > MANY else "")
+def _listed(names: list[str]) -> str:
+    """The first names in words, and how many more there are."""
+    words = ", ".join(names[:MANY])
+    more = len(names) - MANY
+    return f"{words} and {more} more" if more > 0 else words

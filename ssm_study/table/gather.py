@@ -1,5 +1,5 @@
-"""A thousand run folders, one tidy table: `runs.parquet` and `runs.csv`, one row per run, missing
-is null."""
+"""Gathering of run folders into one tidy table: `runs.parquet` and `runs.csv`, one row per run,
+missing is null."""
 
 import io
 import os
@@ -27,87 +27,85 @@ from ssm_study.table.columns import BY_NAME, declared
 PARQUET = "runs.parquet"
 CSV = "runs.csv"
 MARKS = ".gathered.json"
-# Of a column that nobody declares, as pandas infers it; all else is text.
+Marks = dict[str, list[int]]
+# Kind of a column that nobody declares, by what pandas infers; all else is text.
 KINDS: dict[str, Kind] = {
-    "boolean": "boolean", "integer": "Int64", "floating": "Float64",
+    "boolean": "boolean",
+    "integer": "Int64",
+    "floating": "Float64",
     "mixed-integer-float": "Float64",
-}  # fmt: skip
+}
 INFINITE = {"inf": float("inf"), "-inf": float("-inf")}  # as records have them
-EXACT = {
-    "string": str,
-    "Int64": int,
-    "Float64": float,
-    "boolean": bool,
-}  # no conversion is needed of these
+# Types that need no conversion.
+EXACT = {"string": str, "Int64": int, "Float64": float, "boolean": bool}
 NO_RUNS = pd.DataFrame({"run": [], "status": []})
 FORMULA = r"^[=+\-@\t\r]"  # how a text begins that a spreadsheet would run instead of showing it
 
 
 def gather(study: Path, anew: bool = False) -> pd.DataFrame:
-    """Bring `runs.parquet` and `runs.csv` of the study folder up to date with its runs; returns the
-    table.
+    """Bring `runs.parquet` and `runs.csv` of a study up to date with its runs.
 
-    The declared columns come first, typed; whatever else the records hold follows by name. Runs are
-    sorted by name, so that equal studies give equal tables. Only records that have changed since
-    the last time are read again; all of them `anew`, whatever the last table says. Raises
-    `BadRequest` for a folder without runs.
+    Returns the table. The declared columns come first, typed; whatever else the records hold
+    follows by name. Runs are sorted by name, so that equal studies give equal tables. Only records
+    that have changed since the last time are read again; all of them `anew`, whatever the last
+    table says. Raises `BadRequest` for a folder without runs.
     """
     remedy = "give the folder that holds the run folders"
     require(study.is_dir(), "study", study, "no such study folder", remedy)
-    marks = marks_of(study)
+    marks = record_marks(study)
     require(bool(marks), "study", study, "there is no run in it", remedy)
-    last, known = (NO_RUNS, {}) if anew else _gathered(study)
-    ended = last["run"][~last["status"].isin([RUNNING, LOST])]
-    same = {name for name in ended if name in marks and marks[name] == known.get(name)}
-    if len(same) == len(last) == len(marks):  # nothing new, nothing gone, nothing changed
-        return last
-    kept = _records(last[last["run"].isin(same)])
-    found = {name: kept.get(name) or read_record(study / name) for name in sorted(marks)}
-    this = study.resolve().name
-    table = table_of(
-        record | {"study": this, "run": name}
-        for name, record in found.items()
-        if record is not None
-    )
-    parquet = io.BytesIO()
-    table.to_parquet(parquet, index=False)
-    write_atomically(study / PARQUET, parquet.getvalue())
-    write_atomically(study / CSV, _harmless(table).to_csv(index=False).encode())
-    sums = {name: sha256_of_file(study / name) for name in (PARQUET, CSV)}
-    write_json_atomically(
-        study / MARKS, sealed(sums | {"marks": marks})
-    )  # last: it vouches for both
+    last_table, last_marks = (NO_RUNS, {}) if anew else _last_gathered(study)
+    has_ended = ~last_table["status"].isin([RUNNING, LOST])
+    ended = [name for name in last_table["run"][has_ended] if name in marks]
+    unchanged = {name for name in ended if marks[name] == last_marks.get(name)}
+    if len(unchanged) == len(last_table) == len(marks):  # no run is new, gone or changed
+        return last_table
+    old_records = _records(last_table[last_table["run"].isin(unchanged)])
+    study_name = study.resolve().name
+    records = []
+    for name in sorted(marks):
+        record = old_records.get(name) or read_record(study / name)
+        if record is not None:
+            records.append(record | {"study": study_name, "run": name})
+    table = table_of(records)
+    _write_table(study, table, marks)
     return table
 
 
-def marks_of(study: Path) -> dict[str, list[int]]:
-    """Modification time, size and inode of every record below the study folder, by the name of its
-    run."""
-    marks = {}
+def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
+    """Write both files of the table, then the marks, which vouch for both."""
+    parquet = io.BytesIO()
+    table.to_parquet(parquet, index=False)
+    csv = _without_formulas(table).to_csv(index=False)
+    write_atomically(study / PARQUET, parquet.getvalue())
+    write_atomically(study / CSV, csv.encode())
+    checksums = {name: sha256_of_file(study / name) for name in (PARQUET, CSV)}
+    write_json_atomically(study / MARKS, sealed(checksums | {"marks": marks}))
+
+
+def record_marks(study: Path) -> Marks:
+    """Modification time, size and inode of every record of a study, by the name of its run."""
     with os.scandir(study) as entries:
-        names = [
-            entry.name for entry in entries if not entry.name.startswith(".") and entry.is_dir()
-        ]
+        visible = [entry for entry in entries if not entry.name.startswith(".")]
+        names = [entry.name for entry in visible if entry.is_dir()]
+    marks = {}
     for name in names:
         with suppress(OSError):  # a folder without a record, or one that another process deletes
             facts = (study / name / RECORD).stat()
-            marks[name] = [
-                facts.st_mtime_ns,
-                facts.st_size,
-                facts.st_ino,
-            ]  # a record is replaced, so its inode changes
+            # A record is replaced, so its inode changes.
+            marks[name] = [facts.st_mtime_ns, facts.st_size, facts.st_ino]
     return marks
 
 
-def _gathered(study: Path) -> tuple[pd.DataFrame, dict[str, list[int]]]:
-    """The last table and the marks it was made by; without rows where its files are not
-    unharmed."""
+def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
+    """The last table and the marks it was made by; no rows where its files were changed."""
     with suppress(OSError):
         index = unsealed(contents(study / MARKS))
-        if index is not None and all(
-            sha256_of_file(study / name) == index[name] for name in (PARQUET, CSV)
-        ):
-            return pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable"), index["marks"]
+        if index is not None:
+            files = (PARQUET, CSV)
+            if all(sha256_of_file(study / name) == index[name] for name in files):
+                table = pd.read_parquet(study / PARQUET, dtype_backend="numpy_nullable")
+                return table, index["marks"]
     return NO_RUNS, {}
 
 
@@ -115,64 +113,70 @@ def contradicted(study: Path, rows: pd.DataFrame) -> bool:
     """Whether a declared column of one of these rows is not what the record of its run says."""
     for run, row in _records(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
-        kinds = {
-            name: column.kind or cast(Kind, rows[name].dtype.name)
-            for name in row
-            if (column := declared(name))
-        }
-        if any(row[name] != _fitting(record.get(name), kind) for name, kind in kinds.items()):
-            return True
+        for name, shown_value in row.items():
+            column = declared(name)
+            if column is None:
+                continue
+            kind = column.kind or cast(Kind, rows[name].dtype.name)
+            if shown_value != _value_of_kind(record.get(name), kind):
+                return True
     return False
 
 
 def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """The rows by run, as JSON has them: no NA of pandas."""
+    """Rows by run, with None in the place of pandas' NA, as JSON has them."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
-    made = (dict(zip(map(str, rows), row, strict=True)) for row in zip(*columns, strict=True))
-    return {record["run"]: record for record in made}
+    names = [str(name) for name in rows]
+    records = {}
+    for row in zip(*columns, strict=True):
+        record = dict(zip(names, row, strict=True))
+        records[record["run"]] = record
+    return records
 
 
-def _harmless(table: pd.DataFrame) -> pd.DataFrame:
-    """A text that a spreadsheet would take for a formula is quoted by an apostrophe, as
-    spreadsheets do."""
+def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
+    """Table whose texts a spreadsheet takes for no formula: an apostrophe quotes those it would."""
     texts: pd.Index = table.select_dtypes("string").columns
-    risky = [name for name in texts if table[name].str.match(FORMULA, na=False).any()]
-    return table.assign(
-        **{name: table[name].str.replace(FORMULA, r"'\g<0>", regex=True) for name in risky}
-    )
+    quoted = {}
+    for name in texts:
+        values = table[name]
+        if values.str.match(FORMULA, na=False).any():
+            quoted[name] = values.str.replace(FORMULA, r"'\g<0>", regex=True)
+    return table.assign(**quoted)
 
 
 def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """The records as a table of typed, nullable columns; of the further ones those that hold a
-    value somewhere."""
+    """Records as a table of typed, nullable columns.
+
+    All declared columns, and the further ones that hold a value somewhere.
+    """
     records = list(records)
     names = {name for record in records for name, value in record.items() if value is not None}
-    extra = sorted(name for name in names if name not in BY_NAME)
-    return pd.DataFrame(
-        {
-            name: _typed([r.get(name) for r in records], declared(name))
-            for name in (*BY_NAME, *extra)
-        }
-    )
+    undeclared = sorted(name for name in names if name not in BY_NAME)
+    columns = {}
+    for name in (*BY_NAME, *undeclared):
+        values = [record.get(name) for record in records]
+        columns[name] = _typed_column(values, declared(name))
+    return pd.DataFrame(columns)
 
 
-def _typed(values: list[Any], column: Column | None) -> pd.Series:
+def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
+    """Values as a nullable column of the declared kind, else of the kind that they have."""
     kind = column.kind if column else None
-    kind = (
-        kind
-        or KINDS.get(infer_dtype([INFINITE.get(v, v) for v in values if v is not None]))
-        or "string"
-    )
-    if (
-        set(map(type, values)) <= {EXACT[kind], type(None)} and kind != "Int64"
-    ):  # as records have them
+    if kind is None:
+        present = [INFINITE.get(value, value) for value in values if value is not None]
+        kind = KINDS.get(infer_dtype(present), "string")
+    is_exact = set(map(type, values)) <= {EXACT[kind], type(None)}
+    if is_exact and kind != "Int64":  # as records have them
         return pd.Series(values, dtype=kind)
-    return pd.Series([_fitting(value, kind) for value in values], dtype=kind)
+    return pd.Series([_value_of_kind(value, kind) for value in values], dtype=kind)
 
 
-def _fitting(value: Any, kind: Kind) -> Any:
-    """`value` as the column's kind, or None if it is of another: a text in a column of numbers is
-    missing, not 0."""
+def _value_of_kind(value: Any, kind: Kind) -> Any:
+    """`value` as a column of this kind holds it, or None if it is of another kind.
+
+    A text in a column of numbers is missing, not 0.
+    """
     if kind == "string":
         return None if value is None else str(value)
     if isinstance(value, bool) or kind == "boolean":

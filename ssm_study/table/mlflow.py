@@ -1,4 +1,4 @@
-"""A finished study in MLflow (extra `mlflow`).
+"""Export of a finished study to MLflow (extra `mlflow`).
 
 Files come first, the tracker afterwards, as often as one likes.
 """
@@ -20,22 +20,21 @@ MOST = 50_000  # runs MLflow gives in one call
 
 
 def export_mlflow(study: Path, store: str | None = None) -> int:
-    """Write the finished runs of `study` that are not there yet into the MLflow store; returns how
-    many were written.
+    """Write the finished runs of `study` that are not there yet into the MLflow store.
 
-    `store` is a tracking address, by default `sqlite:///STUDY/mlflow.db`. Numbers with a better
-    direction become metrics, everything else parameters. Raises `BadRequest` where MLflow is not
-    installed.
+    Returns how many were written. `store` is a tracking address, by default
+    `sqlite:///STUDY/mlflow.db`. Numbers with a better direction become metrics, everything else
+    parameters. Raises `BadRequest` where MLflow is not installed.
     """
     try:
         from mlflow import MlflowClient
     except ImportError:
-        raise BadRequest(
-            "export-mlflow", study, "MLflow is not installed", "pip install 'ssm-study[mlflow]'"
-        ) from None
+        remedy = "pip install 'ssm-study[mlflow]'"
+        raise BadRequest("export-mlflow", study, "MLflow is not installed", remedy) from None
+    address = store or f"sqlite:///{study.absolute() / 'mlflow.db'}"
     table = gather(study)  # the files are the truth, the tracker a copy
     with locked(study / ".mlflow.lock"):  # two processes on a new database crash in its migration
-        client = MlflowClient(tracking_uri=store or f"sqlite:///{study.absolute() / 'mlflow.db'}")
+        client = MlflowClient(tracking_uri=address)
         experiment = _experiment_id(client, study)
         runs = client.search_runs([experiment], max_results=MOST)
         written = {run.data.tags.get(RUN_TAG) for run in runs if run.info.status != "RUNNING"}
@@ -48,15 +47,17 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
 
 
 def _experiment_id(client: Any, study: Path) -> str:
-    """The experiment of the study, made if it is not there."""
+    """Identifier of the study's experiment, which is made if it is not there."""
     name = study.resolve().name
     experiment = client.get_experiment_by_name(name)
     if experiment:
         return str(experiment.experiment_id)
-    return str(client.create_experiment(name, (study.absolute() / ".mlflow").as_uri()))
+    artefacts = (study.absolute() / ".mlflow").as_uri()
+    return str(client.create_experiment(name, artefacts))
 
 
 def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -> None:
+    """Write one run: its metrics, its parameters, its files."""
     from mlflow.entities import Metric, Param
 
     start = _milliseconds(row.get("started_utc"))
@@ -87,4 +88,7 @@ def _is_metric(name: str) -> bool:
 
 
 def _milliseconds(time: str | None) -> int | None:
-    return int(datetime.fromisoformat(time).timestamp() * 1000) if time else None
+    """Milliseconds since 1970 of an ISO time; None for none."""
+    if not time:
+        return None
+    return int(datetime.fromisoformat(time).timestamp() * 1000)

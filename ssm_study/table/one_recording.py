@@ -1,4 +1,4 @@
-"""All closed loops of a study in one MCAP file.
+"""Export of all closed loops of a study into one MCAP file.
 
 For players that open one file at a time, as Foxglove does.
 """
@@ -45,4 +45,5 @@ def export_mcap(study: Path) -> Path:
 
 
 def _belongs_to_run(recording: Path) -> bool:
+    """Whether a record lies beside the recording."""
     return (recording.parent / RECORD).is_file()

@@ -1,4 +1,4 @@
-"""Which run is best: the one notion that `show`, the page, the figures and the outcome share.
+"""Order of runs, the best first: the one notion that `show`, the page and the figures share.
 
 It asks for a certificate first, then for the plant (did every start settle, and was that predicted
 without the plant?), then for time, and among equals for the fit.
@@ -22,9 +22,8 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
     """
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     status = text(table, "status")
-    no_controller = (
-        column(table, "controller_feasible").isna() & column(table, "controller_certified").isna()
-    )
+    no_verdict = column(table, "controller_certified").isna()
+    no_controller = column(table, "controller_feasible").isna() & no_verdict
     settles = certified & (column(table, "stable_fraction") >= 1)
     cases = {
         6: ~status.isin(["ok", "infeasible"]),
@@ -44,38 +43,45 @@ def settling_ratio(table: pd.DataFrame) -> pd.Series:
 
 
 def predicted(table: pd.DataFrame) -> pd.Series:
-    """Whether the plant was predicted to stay stable, from model and records alone; false where
-    nothing is said."""
+    """Whether the plant was predicted to stay stable, from model and records alone.
+
+    False where nothing is said.
+    """
     return flag(table, "predicted_stable")
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """The table sorted by outcome class, then predicted to be stable, then settling time, then fit.
+    """Table sorted by outcome class, then predicted to be stable, then settling time, then fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
     would have chosen without the plant. Settling times are relative to the plant left alone where
     that is known, so plants compare.
     """
     time = column(table, "settling_time_mean_s")
-    alone = column(table, "settling_time_open_loop_s")
-    time = time / alone if alone[time.notna()].notna().all() else time
+    open_loop = column(table, "settling_time_open_loop_s")
+    if open_loop[time.notna()].notna().all():
+        time = time / open_loop
+    fit = column(table, "fit_test_percent").fillna(-np.inf)
     keys = {
         "class": outcome_class(table),
         "unforeseen": ~predicted(table),
         "time": time.fillna(np.inf),
+        "fit": -fit,
     }
-    keys["fit"] = -column(table, "fit_test_percent").fillna(-np.inf)
-    return table.loc[pd.DataFrame(keys).sort_values(list(keys), kind="stable").index]
+    order = pd.DataFrame(keys).sort_values(list(keys), kind="stable")
+    return table.loc[order.index]
 
 
 def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
-    """Best first, or by the column `by` in its better direction, missing last. Raises `BadRequest`
-    if it is unknown."""
+    """Table with the best first, or sorted by a column in its better direction, missing last.
+
+    Raises `BadRequest` if the column is unknown.
+    """
     if by is None:
         return best_first(table).reset_index(drop=True)
     if by not in table:
         raise BadRequest("by", by, "no such column", nearest(by, map(str, table)))
-    low = BY_NAME[by].better != "high" if by in BY_NAME else True
+    high_is_better = by in BY_NAME and BY_NAME[by].better == "high"
     return table.sort_values(
-        by, ascending=low, na_position="last", kind="stable", ignore_index=True
+        by, ascending=not high_is_better, na_position="last", kind="stable", ignore_index=True
     )

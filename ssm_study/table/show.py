@@ -1,5 +1,4 @@
-"""The table of a study as a person reads it: best first, failures counted and explained, 80 columns
-wide."""
+"""Printed table of a study: best first, failures counted and explained, 80 columns wide."""
 
 import re
 import textwrap
@@ -36,6 +35,10 @@ AGAIN = {
     "lost": "stopped before it ended; the same command runs it again",
     "corrupt": "record.json is damaged; the same command runs it again",
 }
+STATUSES = ("ok", "infeasible", "failed", "lost", "corrupt", "running")
+SUMMARY_LINES = textwrap.TextWrapper(
+    WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False
+)
 REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
 
@@ -46,146 +49,166 @@ def show(
     cost: bool = False,
     columns: bool = False,
 ) -> pd.DataFrame:
-    """Print the study's table, best first, brought up to date; `where` filters, `by` sorts. Returns
-    the whole table.
+    """Print the study's table, best first and brought up to date; returns the whole table.
 
-    With `cost`: instead of it what was computed and what reused, stage by stage. With `columns`:
-    which columns hold values, what they are called, which way is better and whether `verify` checks
-    them.
+    `where` filters, `by` sorts. With `cost`: instead of it what was computed and what reused, stage
+    by stage. With `columns`: which columns hold values, what they are called, which way is better
+    and whether `verify` checks them.
     """
     table, rows = gathered_rows(study, by, where)
     if columns or cost:
-        print("\n".join(column_lines(table) if columns else cost_lines(rows)))
+        lines = column_lines(table) if columns else cost_lines(rows)
+        print("\n".join(lines))
         return table
-    console = Console(force_jupyter=False)
-    lines = plain_table(
-        rows, by, max(WIDTH, console.width) if console.is_terminal else WIDTH
-    ).splitlines()
-    for line, status in zip(lines, ["", *rows["status"]], strict=True):
-        console.print(
-            Text(line, style=COLOURS.get(str(status), "")), soft_wrap=True
-        )  # no colour in a pipe
+    print_rows(rows, by)
     for line in summary(table, shown=len(rows)):
-        print(
-            textwrap.fill(
-                line,
-                WIDTH,
-                subsequent_indent="    ",
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
-        )
+        print(SUMMARY_LINES.fill(line))
     return table
+
+
+def print_rows(rows: pd.DataFrame, by: str | None) -> None:
+    """Print the rows as a table, coloured by status in a terminal."""
+    console = Console(force_jupyter=False)
+    width = max(WIDTH, console.width) if console.is_terminal else WIDTH
+    lines = plain_table(rows, by, width).splitlines()
+    statuses = ["", *map(str, rows["status"])]
+    for line, status in zip(lines, statuses, strict=True):
+        text_line = Text(line, style=COLOURS.get(status, ""))  # no colour in a pipe
+        console.print(text_line, soft_wrap=True)
 
 
 def gathered_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The study's table and its rows to show. A table whose first rows contradict the runs' records
-    is made anew: its seal vouches for its bytes, not for who wrote them."""
+    """Table of a study, and its rows to show.
+
+    A table whose first rows contradict the runs' records is made anew: its seal vouches for its
+    bytes, not for who wrote them.
+    """
     table = gather(study, anew)
-    rows = ranked(filtered(table, where) if where else table, by)
+    selected = filtered(table, where) if where else table
+    rows = ranked(selected, by)
     if not anew and contradicted(study, rows.head(COMPARED)):
         return gathered_rows(study, by, where, anew=True)
     return table, rows
 
 
 def column_lines(table: pd.DataFrame) -> list[str]:
-    """The columns of the table that hold values as text, one a line."""
-    rows = [
-        ("column", "what it is (unit)", "better", "checked by verify unless said"),
-        *listed(table),
-    ]
+    """Text lines that describe the columns of the table which hold values."""
+    head = ("column", "what it is (unit)", "better", "checked by verify unless said")
+    rows = [head, *listed(table)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    lines = ["".join(f"{row[i]:<{widths[i]}}  " for i in range(3)) + row[3] for row in rows]
-    return [line.rstrip() for line in lines]
+    lines = []
+    for row in rows:
+        padded = [f"{row[i]:<{widths[i]}}  " for i in range(3)]
+        lines.append("".join([*padded, row[3]]).rstrip())
+    return lines
 
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
-    """A row per stage that the records name, the costliest first: each distinct one counts once,
-    here or in an earlier study. How many runs needed it, how many distinct ones, what these took,
-    and what reuse saved."""
+    """Cost of each stage that the records name, the costliest first.
+
+    Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
+    distinct ones, what these took, and what reuse saved.
+    """
     rows: dict[str, tuple[float, ...]] = {}
-    for match in filter(None, (re.fullmatch(r"stage_(\w+)_key", str(column)) for column in table)):
-        key = match[0]
+    for name in map(str, table):
+        match = re.fullmatch(r"stage_(\w+)_key", name)
+        if match is None:
+            continue
         seconds = f"stage_{match[1]}_seconds"
-        uses = table[[key, seconds]].dropna()
-        once = uses.drop_duplicates(key)  # the store computes what has this key once
-        spent_s = float(once[seconds].sum())
-        rows[match[1]] = (len(uses), len(once), spent_s, float(uses[seconds].sum()) - spent_s)
-    costs = pd.DataFrame.from_dict(
-        rows, orient="index", columns=["runs", "distinct", "spent_s", "saved_s"]
-    )
+        uses = table[[name, seconds]].dropna()
+        distinct = uses.drop_duplicates(name)  # the store computes what has this key once
+        spent_s = float(distinct[seconds].sum())
+        saved_s = float(uses[seconds].sum()) - spent_s
+        rows[match[1]] = (len(uses), len(distinct), spent_s, saved_s)
+    names = ["runs", "distinct", "spent_s", "saved_s"]
+    costs = pd.DataFrame.from_dict(rows, orient="index", columns=names)
     return costs.sort_values("spent_s", ascending=False, kind="stable")
 
 
 def cost_lines(table: pd.DataFrame) -> list[str]:
-    """The costs as text: stage, runs, how many are distinct, how many reused, time of each, of all,
-    time saved."""
+    """Text lines with the cost of each stage.
+
+    Stage, runs, how many are distinct, how many reused, time of each, of all, time saved.
+    """
     costs = stage_costs(table)
-    lines = [
-        f"{'stage':<14}{'runs':>7}{'distinct':>10}{'reused':>8}{'each':>10}{'cost':>10}{'saved':>10}"
-    ]
+    counts_head = f"{'stage':<14}{'runs':>7}{'distinct':>10}{'reused':>8}"
+    lines = [f"{counts_head}{'each':>10}{'cost':>10}{'saved':>10}"]
     for name, runs, distinct, spent_s, saved_s in costs.itertuples(name=None):
-        each = f"{spent_s / max(distinct, 1):>8.2f} s{duration(spent_s):>10}{duration(saved_s):>10}"
-        lines.append(f"{name:<14}{runs:>7}{distinct:>10}{runs - distinct:>8}{each}")
-    spent_s, saved_s = (fsum(costs[name]) for name in ("spent_s", "saved_s"))
-    return [*lines, f"{'together':<14}{'':>35}{duration(spent_s):>10}{duration(saved_s):>10}"]
+        counts = f"{name:<14}{runs:>7}{distinct:>10}{runs - distinct:>8}"
+        each_s = spent_s / max(distinct, 1)
+        lines.append(f"{counts}{each_s:>8.2f} s{duration(spent_s):>10}{duration(saved_s):>10}")
+    spent = duration(fsum(costs["spent_s"]))
+    saved = duration(fsum(costs["saved_s"]))
+    return [*lines, f"{'together':<14}{'':>35}{spent:>10}{saved:>10}"]
 
 
 def short_names(names: pd.Series) -> pd.Series:
-    """The digits that end a run's name, which every command takes for it, where no two runs share
-    them."""
+    """Short name of each run: the digits that end its name, where no two runs share them.
+
+    Every command takes them for the run.
+    """
     digits = names.str.rsplit("-", n=1).str[-1]
     return digits if digits.is_unique else names
 
 
 def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) -> str:
-    """Fixed-width text with as many columns as fit: what pipes and files get.
+    """Fixed-width text of the table, with as many columns as fit.
 
     Run, status, `by`, the settings that vary (which row is which?), then the outcomes that are
     known; where the width is short, a setting that follows from those before it gives way to the
     outcomes. Of each run's name only its digits, both certificates in one word, and how many starts
     settled of how many.
     """
-    controller = table["controller_certified"]
-    observer = table["observer_certified"]
-    pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
-    certified = pd.Series(
-        [CERTIFIED[bool(one), bool(other)] for one, other in pairs], table.index, dtype="string"
-    )
-    certified = certified.where(controller.notna() | observer.notna())
-    settled = (
-        table["stable_count"].astype("string") + "/" + table["initial_conditions"].astype("string")
-    )
+    settled = table["stable_count"].astype("string")
+    settled = settled + "/" + table["initial_conditions"].astype("string")
     varied, telling = _varied_settings(table)
-    table = table.assign(run=short_names(table["run"]), certified=certified, settled=settled)
-    table = table.assign(predicted_stable=predictions(table))
-    first = ["run", *([by] if by else []), "status"]
-    outcomes = [n for n in OUTCOMES if table[n].notna().any()]
-    columns = dict[str, list[str]]()
+    table = table.assign(
+        run=short_names(table["run"]),
+        certified=certificate_words(table),
+        settled=settled,
+        predicted_stable=predictions(table),
+    )
+    first = ["run", "status"] if by is None else ["run", by, "status"]
+    outcomes = [name for name in OUTCOMES if table[name].notna().any()]
+    columns: dict[str, list[str]] = {}
     taken = 0
-    for name in dict.fromkeys(
-        [*first, *telling, *outcomes, *varied]
-    ):  # what the table is sorted by stands once
-        short = BY_NAME[name].head if name in BY_NAME else {"certified": "cert"}.get(name, "")
-        head = short or name.rpartition("__")[-1]  # of `plant__step_s` the last word
-        cells = [head, *map(cell, table[name])]
+    by_importance = dict.fromkeys([*first, *telling, *outcomes, *varied])  # each name once
+    for name in by_importance:
+        cells = [column_head(name), *map(cell, table[name])]
         room = max(map(len, cells))
         if taken + room + 2 > width and columns:  # a narrower one may still fit
             continue
-        columns[name] = [
-            text.ljust(room) if name in ("run", "status") else text.rjust(room) for text in cells
-        ]
+        is_left = name in ("run", "status")
+        columns[name] = [text.ljust(room) if is_left else text.rjust(room) for text in cells]
         taken += room + 2
-    shown = [
-        columns[name] for name in dict.fromkeys([*first, *varied, *outcomes]) if name in columns
-    ]
-    return "\n".join("  ".join(line).rstrip() for line in zip(*shown, strict=True))
+    order = dict.fromkeys([*first, *varied, *outcomes])
+    fitting_columns = [columns[name] for name in order if name in columns]
+    lines = ["  ".join(line).rstrip() for line in zip(*fitting_columns, strict=True)]
+    return "\n".join(lines)
+
+
+def certificate_words(table: pd.DataFrame) -> pd.Series:
+    """Both certificates of each run in one word; missing where there is neither verdict."""
+    controller = table["controller_certified"]
+    observer = table["observer_certified"]
+    pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
+    words = [CERTIFIED[bool(ours), bool(theirs)] for ours, theirs in pairs]
+    certified = pd.Series(words, table.index, dtype="string")
+    return certified.where(controller.notna() | observer.notna())
+
+
+def column_head(name: str) -> str:
+    """Short heading of a column; for `plant__step_s` the last word."""
+    short = "cert" if name == "certified" else ""
+    if name in BY_NAME:
+        short = BY_NAME[name].head
+    return short or name.rpartition("__")[-1]
 
 
 def predictions(table: pd.DataFrame) -> pd.Series:
-    """The prediction of each run as a word, never without the doubt of its evidence."""
+    """Prediction of each run as a word, never without the doubt of its evidence."""
     words = table["predicted_stable"].map({True: "yes", False: "no"}).astype("string")
     evidence = text(table, "evidence")
     words = words.mask((evidence == "doubt") & (words == "yes"), "yes, doubt")
@@ -193,14 +216,13 @@ def predictions(table: pd.DataFrame) -> pd.Series:
 
 
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
-    """The settings in which the runs differ, and those of them that tell runs apart which the ones
-    before do not."""
+    """Settings in which the runs differ, and those that tell more runs apart than the ones
+    before."""
     values = {name: requested(table, name) for name in settings(table)}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
-    alike = pd.Series(
-        0, index=table.index
-    )  # a number for each group of runs that are not told apart yet
+    # A number for each group of runs that are not told apart yet.
+    alike = pd.Series(0, index=table.index)
     for name in varied:
         finer = pd.DataFrame({"before": alike, "now": values[name].astype("string")})
         groups = finer.groupby(["before", "now"], dropna=False).ngroup()
@@ -211,7 +233,7 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def cell(value: object) -> str:
-    """Four digits, yes or no; `-` for what is missing."""
+    """Printed value: four digits, yes or no; `-` for what is missing."""
     if value is None or value is pd.NA:
         return "-"
     if isinstance(value, (bool, np.bool_)):
@@ -220,81 +242,78 @@ def cell(value: object) -> str:
 
 
 def summary(table: pd.DataFrame, shown: int) -> list[str]:
-    """Counts by status, then the runs that did not end `ok`, or without a certificate: each reason
+    """Text lines with counts by status and the reasons of runs without success, each reason
     once."""
     table = table.assign(run=short_names(table["run"]))
     counts = table["status"].value_counts()
-    order = [
-        status
-        for status in ("ok", "infeasible", "failed", "lost", "corrupt", "running")
-        if status in counts
-    ]
-    found = f"{len(table)} run{'s' if len(table) != 1 else ''}" + (
-        f" ({shown} shown)" if shown < len(table) else ""
-    )
-    uncertified = (
-        table[table["uncertified_reason"].notna()] if "uncertified_reason" in table else table[:0]
-    )
-    parts = [
-        (status, table[table["status"] == status])
+    words = [f"{counts[status]} {status}" for status in STATUSES if status in counts]
+    total = "1 run" if len(table) == 1 else f"{len(table)} runs"
+    if shown < len(table):
+        total = f"{total} ({shown} shown)"
+    uncertified = table[:0]
+    if "uncertified_reason" in table:
+        uncertified = table[table["uncertified_reason"].notna()]
+    parts = {
+        status: table[table["status"] == status]
         for status in ("failed", "infeasible", "lost", "corrupt")
-    ]
-    parts.insert(2, ("not certified", uncertified))
-    told = [
-        *over_folds(table),
-        *(line for status, rows in parts for line in _reasons(status, rows)),
-    ]
-    return ["", f"{found}: " + ", ".join(f"{counts[status]} {status}" for status in order), *told]
+    }
+    lines = ["", f"{total}: {', '.join(words)}", *over_folds(table)]
+    lines += _reasons("failed", parts["failed"])
+    lines += _reasons("infeasible", parts["infeasible"])
+    lines += _reasons("not certified", uncertified)
+    lines += _reasons("lost", parts["lost"])
+    return lines + _reasons("corrupt", parts["corrupt"])
 
 
 def over_folds(table: pd.DataFrame) -> list[str]:
-    """Lines with mean and standard deviation of the fit on the held-out folds, for each model's
+    """Text lines with mean and deviation of the fit on held-out folds, for each model's
     settings."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
-    others = [
-        name
-        for name in settings(table)
-        if not setting_of(name).startswith(("synthesis", "data.fold"))
-    ]
-    varied = [name for name in others if table[name].nunique(dropna=False) > 1]
+    varied = []
+    for name in settings(table):
+        is_of_the_model = not setting_of(name).startswith(("synthesis", "data.fold"))
+        if is_of_the_model and table[name].nunique(dropna=False) > 1:
+            varied.append(name)
+    groups = table.groupby(varied, dropna=False) if varied else [((), table)]
     lines = []
-    for values, runs in table.groupby(varied, dropna=False) if varied else [((), table)]:
+    for values, runs in groups:
         fits = runs.groupby("fold")["fit_test_percent"].mean().dropna()
-        which = "".join(
-            f", {name} {cell(value)}" for name, value in zip(varied, values, strict=True)
-        )
-        lines.append(
-            f"  {len(fits)} folds: mean test fit {cell(fits.mean())} %, deviation "
-            f"{cell(fits.std())} %{which}"
-        )
+        pairs = zip(varied, values, strict=True)
+        which = "".join(f", {name} {cell(value)}" for name, value in pairs)
+        mean = f"mean test fit {cell(fits.mean())} %"
+        lines.append(f"  {len(fits)} folds: {mean}, deviation {cell(fits.std())} %{which}")
     return lines
 
 
 def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """A line per reason; reasons that differ in numbers alone are one."""
+    """Text lines with the reasons of some runs; reasons that differ in numbers alone are one."""
+    columns = [name for name in ("run", *REASONS) if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
-    for row in rows[[name for name in ("run", *REASONS) if name in rows]].to_dict("records"):
-        known = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
-        why = printable(AGAIN.get(status) or next(known, "no reason was recorded"))
-        runs.setdefault(NUMBER.sub("#", why), []).append((str(row["run"]), why))
+    for row in rows[columns].to_dict("records"):
+        recorded = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
+        reason = AGAIN.get(status) or next(recorded, "no reason was recorded")
+        reason = printable(reason)
+        without_numbers = NUMBER.sub("#", reason)
+        runs.setdefault(without_numbers, []).append((str(row["run"]), reason))
     lines = []
     for alike in list(runs.values())[:limit]:
-        names = ", ".join(name for name, _ in alike[:5]) + (
-            f" and {len(alike) - 5} more" if len(alike) > 5 else ""
-        )
-        lines.append(f"  {status} {names}: {ranged([why for _, why in alike])}")
-    return lines + (
-        [f"  ... {status} for {len(runs) - limit} more reasons"] if len(runs) > limit else []
-    )
+        names = ", ".join(name for name, _ in alike[:5])
+        if len(alike) > 5:
+            names = f"{names} and {len(alike) - 5} more"
+        sentence = ranged([reason for _, reason in alike])
+        lines.append(f"  {status} {names}: {sentence}")
+    if len(runs) > limit:
+        lines.append(f"  ... {status} for {len(runs) - limit} more reasons")
+    return lines
 
 
 def ranged(sentences: list[str]) -> str:
-    """Sentences that differ in numbers alone as one, each number that varies as its range: `rate
-    0.4 to 0.9`."""
-    found = [NUMBER.findall(sentence) for sentence in sentences]
-    columns = [sorted(set(column), key=float) for column in zip(*found, strict=True)]
-    said = iter(
-        column[0] if len(column) == 1 else f"{column[0]} to {column[-1]}" for column in columns
-    )
-    return NUMBER.sub(lambda _: next(said), sentences[0])
+    """One sentence for several that differ in numbers alone, with ranges: `rate 0.4 to 0.9`."""
+    numbers = [NUMBER.findall(sentence) for sentence in sentences]
+    ranges = []
+    for column in zip(*numbers, strict=True):
+        values = sorted(set(column), key=float)
+        ranges.append(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}")
+    remaining = iter(ranges)
+    return NUMBER.sub(lambda _: next(remaining), sentences[0])

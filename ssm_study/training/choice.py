@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from ssm_study.data.look import first_answering_lag
+from ssm_study.data.log_dynamics import first_answer
 from ssm_study.models.baselines.regression import output_error
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet
@@ -232,7 +232,7 @@ def answering_lag(data: DataSet) -> int | None:
     """Samples until the output first answers any input; None where noise hides it."""
     record = max(with_joined_records(data).training, key=len)
     lags = [
-        first_answering_lag(u, y)
+        first_answer(u, y)
         for u, y in product(record.u.T, record.y.T)
         if np.ptp(u) > 0 and np.ptp(y) > 0 and len(record) > SHORTEST
     ]

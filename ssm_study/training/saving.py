@@ -10,6 +10,8 @@ import signal
 import threading
 import time
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
 SEAL_BYTES = hashlib.sha256().digest_size
 LAST = "last.ckpt"
 BEST = "best.ckpt"
+INTERRUPTED = "stopped by Ctrl-C"
 FITS = ("fit_training_percent", "fit_validation_percent")
 # One epoch without a change may be a line search that started over; two cannot leave a kink.
 STILL_EPOCHS = 2
@@ -88,10 +91,20 @@ class DurableCheckpointIO(CheckpointIO):
 
 
 def trained(
-    settings: Training, spec: ModelSpec, data: DataSet, seed: int, folder: Path, progress: bool
+    settings: Training,
+    spec: ModelSpec,
+    data: DataSet,
+    seed: int,
+    folder: Path,
+    progress: bool,
+    keep_on_interrupt: bool = False,
 ) -> Identification:
     """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs
-    none of it."""
+    none of it.
+
+    With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
+    ended; raises `KeyboardInterrupt` otherwise.
+    """
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
     belongs_to = fingerprint((spec, seed), replace(settings, max_epochs=1, patience=1), data)
     keeper = BestModelCheckpoint(
@@ -119,12 +132,12 @@ def trained(
         # Saved is what stopping has counted.
         trainer = trainer_of(settings, [stopping, keeper, *line, OriginalSignals()], folder)
         try:
-            trainer.fit(fit, one, one, ckpt_path=resume_from)
-        except SystemExit as stop:
-            # Lightning exits with status 1 on Ctrl-C, as if the training had failed.
-            if isinstance(stop.__context__, KeyboardInterrupt):
-                raise KeyboardInterrupt from None
-            raise
+            with raises_interrupts():
+                trainer.fit(fit, one, one, ckpt_path=resume_from)
+        except KeyboardInterrupt:
+            if not keep_on_interrupt or not keeper.curve:
+                raise
+            keeper.ended = f"{INTERRUPTED} after {len(keeper.curve)} epochs"
     early = (
         "validation fit no longer grows"
         if stopping.stopped_epoch > 0
@@ -137,6 +150,23 @@ def trained(
     model, told = fit.concluded()
     ended = (keeper.ended or early) + told
     return Identification.of(model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended)
+
+
+@contextmanager
+def raises_interrupts() -> Iterator[None]:
+    """Ctrl-C as Python has it: Lightning exits with status 1, as if the training had failed, and
+    ignores Ctrl-C from then on."""
+    is_main = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    except SystemExit as stop:
+        if isinstance(stop.__context__, KeyboardInterrupt):
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        if is_main and handler is not None:
+            signal.signal(signal.SIGINT, handler)
 
 
 class OriginalSignals(Callback):

@@ -65,10 +65,20 @@ class Training:
         one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
 
     def identify(
-        self, spec: "ModelSpec", data: DataSet, seed: int, folder: Path, progress: bool = False
+        self,
+        spec: "ModelSpec",
+        data: DataSet,
+        seed: int,
+        folder: Path,
+        progress: bool = False,
+        keep_on_interrupt: bool = False,
     ) -> "Identification":
         """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running,
-        `last.ckpt`."""
+        `last.ckpt`.
+
+        With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
+        there is one.
+        """
         from ssm_study.models.baselines.solved import SolvedSpec
         from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
@@ -80,48 +90,53 @@ class Training:
             return Identification.of(
                 model, data, seconds=seconds, curve=[], ended="solved without training"
             )
+        session = Session(
+            seed=seed, folder=folder, progress=progress, keep_on_interrupt=keep_on_interrupt
+        )
         if isinstance(spec, StructuredSpec) and spec.automatic:
-            return self._identify_chosen(spec, data, seed, folder, progress)
+            return self._identify_chosen(spec, data, session)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
         starts = [spec.at_start(k) for k in range(getattr(spec, "trainings", self.starts))]
-        return self._best_start(starts, data, seed, folder, progress)
+        return self._best_start(starts, data, session)
 
     def _identify_chosen(
-        self, spec: "StructuredSpec", data: DataSet, seed: int, folder: Path, progress: bool
+        self, spec: "StructuredSpec", data: DataSet, session: "Session"
     ) -> "Identification":
         """The model that the records choose; trained on the validation records too where folds
         predict these far better than the training records do."""
         from ssm_study.training.choice import announcer, choose_model, refit_words
         from ssm_study.training.folds import with_joined_records
+        from ssm_study.training.metrics import mean_fit
 
         began = time.perf_counter()
-        choice = choose_model(spec, data, seed, announcer(progress))
+        choice = choose_model(spec, data, session.seed, announcer(session.progress))
         choice_s = time.perf_counter() - began
         starts = [choice.spec] * choice.spec.starts
-        best = self._best_start(starts, data, seed, folder, progress)
+        best = self._best_start(starts, data, session)
         seconds = choice_s + best.seconds
         if choice.asks_for_refit(best.fit_validation_percent):
             words = refit_words(best.fit_validation_percent)
             whole = with_joined_records(data)
-            best = self._best_start(starts, whole, seed, folder / "refit", progress)
+            again = replace(session, folder=session.folder / "refit")
+            best = self._best_start(starts, whole, again)
             seconds += best.seconds
-            best = replace(best, ended=best.ended + words, refitted=True)
+            best = replace(
+                best,
+                ended=best.ended + words,
+                refitted=True,
+                fit_validation_percent=mean_fit(best.model, data.validation, data),
+            )
         chosen = choice.words(spec.automatic)
         return replace(best, seconds=seconds, choice=choice.rows, chosen=chosen)
 
     def _best_start(
-        self, starts: Sequence["ModelSpec"], data: DataSet, seed: int, folder: Path, progress: bool
+        self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
     ) -> "Identification":
         """The best of several trainings, by the rule of the specification or by validation fit."""
-        from ssm_study.training.saving import trained  # with it torch's compiler
-
         dead_time = int(getattr(starts[0], "dead_time", 0))
         records = data.shift_out_dead_time(dead_time) if dead_time else data
-        identified: list[Identification] = []
-        for k, spec in enumerate(starts):
-            into = folder / f"start_{k}" if k else folder
-            identified.append(trained(self, spec, records, seed + 1000 * k, into, progress))
+        identified = self._train_starts(starts, records, session)
         rule = getattr(starts[0], "among_starts", None)
         if rule is None:
             best = max(identified, key=lambda start: start.fit_validation_percent)
@@ -129,6 +144,39 @@ class Training:
             best = rule(identified)
         seconds = sum(start.seconds for start in identified)
         model: Any = best.model
-        return replace(
-            best, model=model.delayed(dead_time) if dead_time else model, seconds=seconds
-        )
+        if dead_time:
+            model = model.delayed(dead_time)
+        return replace(best, model=model, seconds=seconds)
+
+    def _train_starts(
+        self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
+    ) -> list["Identification"]:
+        """Trainings from several starts, one after the other; after Ctrl-C those that there are."""
+        from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
+
+        identified: list[Identification] = []
+        for k, spec in enumerate(starts):
+            seed = session.seed + 1000 * k
+            folder = session.folder / f"start_{k}" if k else session.folder
+            try:
+                start = saving.trained(
+                    self, spec, data, seed, folder, session.progress, session.keep_on_interrupt
+                )
+            except KeyboardInterrupt:
+                if not session.keep_on_interrupt or not identified:
+                    raise
+                break
+            identified.append(start)
+            if start.ended.startswith(saving.INTERRUPTED):
+                break
+        return identified
+
+
+@dataclass(frozen=True, kw_only=True)
+class Session:
+    """Seed, folder and manners of the trainings of one identification."""
+
+    seed: int
+    folder: Path
+    progress: bool = False
+    keep_on_interrupt: bool = False

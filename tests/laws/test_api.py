@@ -279,8 +279,9 @@ def test_models_and_designs_say_what_they_are(design: Design) -> None:
         assert 3 <= len(repr(subject).splitlines()) <= 16
         assert "<table>" in subject._repr_html_()
     assert "fit on the test records" in repr(model)
-    figures = [model.plot(), model.bode(), model.residuals(), model.poles()]
-    figures += [design.plot(), design.poles()]
+    figures = [model.plot(), model.bode(), model.residuals(), model.poles(), model.input_map()]
+    figures += [design.plot(), design.poles(), design.nyquist(), design.step()]
+    figures += [design.margin_plot(), design.coverage_plot()]
     for figure in figures:
         assert isinstance(figure, Figure)
 

@@ -98,7 +98,7 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     plant = from_yaml("plant", "cascaded_tanks")
     driven = {
         t.name: np.abs(t.u - plant.equilibrium().u).max()
-        for t in mismatch_records(plant, 0, np.zeros(1))
+        for t in mismatch_records(plant, np.random.default_rng(0), np.zeros(1))
         if "_at_" in t.name
     }
     shares = np.array([float(name.rpartition("_")[2]) for name in driven])
@@ -106,6 +106,25 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     whole = driven["trial_at_1"]
     assert 0.9 * plant.input_amplitude[0] < whole <= plant.input_amplitude[0]
     assert np.array([*driven.values()]) == pytest.approx(shares * whole)
+
+
+def test_fresh_data_sets_are_like_the_first_and_none_of_them() -> None:
+    plant = from_yaml("plant", "dc_motor")
+    made = from_yaml("data", "simulated", *SMALL, "fresh_sets=2")
+    own = made.build(plant, from_yaml("excitation", "aprbs"), 0)
+    first, second = made.simulate_fresh_sets(plant, 0)
+    again = next(made.simulate_fresh_sets(plant, 0))
+    names = [record.name for record in own.mismatch_records]
+    assert [record.name for record in first.mismatch_records] == names
+    assert len(first.validation[0]) == len(own.validation[0])
+    np.testing.assert_array_equal(first.mismatch_records[0].y, again.mismatch_records[0].y)
+    np.testing.assert_array_equal(first.validation[0].y, again.validation[0].y)
+    for other in (own, second):
+        assert not np.array_equal(first.validation[0].u, other.validation[0].u)
+        assert not np.array_equal(first.mismatch_records[0].u, other.mismatch_records[0].u)
+        decays = (first.mismatch_records[5], other.mismatch_records[5])
+        assert decays[0].name.startswith("decay")
+        assert not np.array_equal(decays[0].y, decays[1].y)  # the sensor's noise is its own
 
 
 def test_tensors_round_trip_bit_for_bit() -> None:

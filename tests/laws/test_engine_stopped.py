@@ -82,3 +82,51 @@ def test_a_program_that_fits_ends_by_the_signal_it_got(tmp_path: Path) -> None:
         timeout=180,
     )
     assert (ended.returncode, ended.stdout) == (-signal.SIGTERM, ""), ended.stderr
+
+
+KEEPING = """
+import os, signal, threading
+import numpy as np
+import ssm_study as st
+from pathlib import Path
+def stop():
+    while not list(Path(RESULTS).rglob("last.ckpt")):
+        pass
+    os.kill(os.getpid(), signal.SIGINT)
+threading.Thread(target=stop, daemon=True).start()
+signal.signal(signal.SIGINT, signal.default_int_handler)
+u = np.random.default_rng(0).normal(size=500)
+y = np.convolve(u, [0.0, 0.5, 0.3, 0.1])[:500]
+words = ["model=ssm", "training.max_epochs=100000", "training.patience=100000"]
+words += ["+training.checkpoint_every_s=0.01", "+training.starts=3"]
+try:
+    model = st.fit(u, y, 0.1, *words, results_dir=RESULTS, keep_on_interrupt=KEEP)
+    print(model.facts["training_ended"], model.score(u, y) > 0)
+except KeyboardInterrupt:
+    print("interrupted")
+print(signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+"""
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_ctrl_c_returns_the_model_so_far_only_where_it_is_asked_for(
+    tmp_path: Path, keep: bool
+) -> None:
+    """In a notebook the next cell goes on, and Ctrl-C works there as before: Lightning left it
+    ignored."""
+    program = KEEPING.replace("RESULTS", repr(str(tmp_path))).replace("KEEP", repr(keep))
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert ended.returncode == 0, ended.stderr
+    first, second = ended.stdout.splitlines()
+    assert second == "True"
+    if keep:
+        assert first.startswith("stopped by Ctrl-C after ")
+        assert first.endswith(" epochs True")
+    else:
+        assert first == "interrupted"

@@ -69,6 +69,10 @@ def test_every_other_entry_exists() -> None:
         assert new in BY_NAME
     for path in renamed.WITHDRAWN_SETTINGS:
         assert not configured(path), f"{path} is still a setting"
+    for target in renamed.WITHDRAWN_TARGETS:
+        module, _, name = target.rpartition(".")
+        module = f"ssm_study.{module}"
+        assert find_spec(module) is None or not hasattr(import_module(module), name)
     for choice in renamed.WITHDRAWN_CHOICES:
         group, _, name = choice.partition("=")
         assert not (ROOT / "conf" / group / f"{name}.yaml").exists()

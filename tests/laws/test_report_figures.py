@@ -7,6 +7,7 @@ import shutil
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import report_tables
 import structured_cases
@@ -18,7 +19,8 @@ from ssm_study.cli import summary as endings
 from ssm_study.refusal import BadRequest
 from ssm_study.report import figures
 from ssm_study.report.figures import learned_dead_zone
-from ssm_study.report.study_folder import RunFolder, StudyFolder
+from ssm_study.report.run_pictures import PICTURES, picture_of_run
+from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.table.rank import best_first
 
 STUDIES = {
@@ -82,6 +84,26 @@ def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(
 ) -> None:
     drawn = {path.stem for path in figures.draw(None, smoke_copy)}
     assert drawn == set(figures.names()) - NEEDS_SEVERAL
+
+
+def test_the_pictures_of_a_run_say_the_numbers_of_its_record(smoke_copy: Path) -> None:
+    """Margin and coverage are computed again from the recordings, and are those of the record."""
+    (run,) = [path.parent for path in smoke_copy.glob("*/record.json")]
+    record = json.loads((run / "record.json").read_text())
+    folder = RunFolder(path=run)
+    margin = picture_of_run("margin_by_frequency", folder)
+    assert f"{record['resolved_margin']:.3g}" in margin.title
+    coverage = picture_of_run("coverage_by_band", folder)
+    assert f"{np.floor(100 * record['coverage']) / 100:.2f}" in coverage.title
+    assert record["coverage_reference"] in coverage.title
+    assert f"{record['fit_test_percent']:.1f} %" in picture_of_run("free_run", folder).title
+
+
+def test_a_picture_of_what_a_run_did_not_leave_is_a_sentence(tmp_path: Path) -> None:
+    run = RunFolder(path=tmp_path)
+    for name in PICTURES:
+        with pytest.raises(NothingToDraw, match=r"^The run left no [a-z ]+\.$"):
+            picture_of_run(name, run)
 
 
 def test_one_situation_is_no_robustness(

@@ -173,9 +173,23 @@ def test_outputs_that_share_no_range_are_not_given_one() -> None:
 def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None:
     """A limit cycle of 3.5 noise deviations stood beside `at most 1` without a word."""
     record = a_run("ok") | {"noise_gain_model": 1.0}
-    for measured, told in ((3.51, True), (0.9, False)):
+    for measured, told, doubted in ((1.7, True, False), (3.51, False, True), (0.9, False, False)):
         text = " ".join(printed(record | {"noise_gain_measured": measured}).split())
         assert ("more than noise moves it" in text) is told
+        assert ("doubt, more than twice what the model predicts" in text) is doubted
+
+
+def test_fresh_data_stand_beside_what_is_proved() -> None:
+    record = a_run("ok") | {"coverage": 1.256, "coverage_needed": 1.031, "fresh_sets": 3}
+    expected = {
+        "1.25 times as large as the records show, at every frequency above zero; 3 fresh data sets "
+        "need at most 1.04 times": {},
+        "; a fresh data set needs 1.04 times": {"fresh_sets": 1},
+        "; the test record needs 1.04 times": {"fresh_sets": None},
+        "; fresh data lie outside every such disc": {"coverage_needed": "inf"},
+    }
+    for words, change in expected.items():
+        assert words in " ".join(printed(record | change).split())
 
 
 def test_no_number_is_rounded_across_the_bound_it_is_compared_with() -> None:

@@ -24,7 +24,7 @@ from ssm_study.study.specification import Specification
 from ssm_study.study.stages.evidence import EVIDENCE
 
 ROOT = Path(__file__).resolve().parents[2]
-ALL = ["dataset", "model", "bounds", "mismatch", "evidence", "synthesis", "loop"]
+ALL = ["dataset", "model", "bounds", "mismatch", "evidence", "synthesis", "fresh_data", "loop"]
 COLUMNS = " columns"
 
 
@@ -205,7 +205,7 @@ def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
     before = keys_of(simulated, scratch, tmp_path)
     file.write_text('{"level": "doubt"}')
     after = keys_of(simulated, scratch, tmp_path)
-    assert [name for name in ALL if after[name] != before[name]] == ["synthesis", "loop"]
+    assert [name for name in ALL if after[name] != before[name]] == ALL[5:]
 
 
 @pytest.fixture
@@ -228,7 +228,16 @@ def test_reader_and_split_make_all_stale(
     file: str, pattern: str, scratch: Path, recorded: Specification
 ) -> None:
     edited = stale(recorded, scratch, file, pattern, r"@edited\n\g<0>")
-    assert stages_among(edited) == ALL
+    assert stages_among(edited) == [name for name in ALL if name != "fresh_data"]
+
+
+def test_more_fresh_data_sets_train_nothing_again(scratch: Path, simulated: Specification) -> None:
+    before = keys_of(simulated, scratch)
+    more = request_of("experiment=smoke", "data.fresh_sets=7")
+    after = keys_of(more, scratch)
+    assert [name for name in ALL if after[name] != before[name]] == ["fresh_data"]
+    other_noise = keys_of(request_of("experiment=smoke", "data.noise_variance=0.5"), scratch)
+    assert [name for name in ALL if other_noise[name] != before[name]] == ALL
 
 
 TOO_NARROW = {

@@ -9,20 +9,21 @@ import pytest
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.models.identified import SSM
+from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.coverage import (
     EMPTY,
     INTEGRATES,
     NO_MISMATCH,
     NOT_AT_REST,
-    MismatchSpectrum,
     Premise,
     Weights,
     measure_premise,
-    repeating_items,
     running_sum,
 )
+from ssm_study.robustness.coverage_items import repeating_items
+from ssm_study.robustness.coverage_spectra import MismatchSpectrum
 from ssm_study.robustness.coverage_table import coverage_table
-from ssm_study.robustness.mismatch import ANGLES, measure_mismatch
+from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import coverage_facts, weights_of, with_coverage
@@ -100,6 +101,25 @@ def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: 
             assert need == pytest.approx(abs(share - centre), rel=1e-6)
 
 
+def test_every_line_but_the_mean_is_in_one_band() -> None:
+    items = premise(scaled_model(0.3), amplitudes=(0.1, 1.0)).items(0.0)
+    record = items[0].record
+    bands = [item for item in items if item.is_band and item.record == record]
+    lines = np.concatenate([band.angles for band in bands])
+    angles = 2 * np.pi * np.arange(1, PERIOD // 2 + 1) / PERIOD
+    np.testing.assert_allclose(np.sort(lines), angles)
+    assert not any(0.0 in item.angles for item in items)
+
+
+def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
+    """It stays where model and input have come to rest, so no disc bounds it."""
+    needs = []
+    for offset in (0.0, 0.3):
+        items = premise(lambda u, offset=offset: 1.2 * MODEL.simulate(u)[0] + offset).items(0.0)
+        needs.append(OUTPUT_ALONE.need(items)[0])
+    assert needs[1] == pytest.approx(needs[0], rel=1e-6)
+
+
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
     totals = [item for item in noisy.items(0.0) if item.where.endswith("in total")]
@@ -134,13 +154,14 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     centre = -0.25
     kappa = 1.3
     one = period(np.random.default_rng(1))
+    one = one - one.mean()  # the mean is in no item
     u = np.concatenate([one, one, one])
     m = MODEL.simulate(u)[0]
     plant = StateSpace(a=MODEL.a, b=MODEL.b, c=np.array([[1.1, 0.2]]), d=ZERO)
     e = plant.simulate(u)[0] - m
     sums = running_sum(weights, centre, kappa, u, m, e)
     growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
-    made = premise(linear(plant), amplitudes=(1.0,))
+    made = premise(linear(plant), amplitudes=(1.0,), shape=one)
     total = next(item for item in made.items(centre) if item.where.endswith("in total"))
     reference = weights.on_output(total.angles) @ total.model_power
     reference += weights.on_input(total.angles) @ total.input_power
@@ -190,19 +211,36 @@ def test_the_loop_is_lost_on_some_of_these_modes() -> None:
     assert radius_on(resonance(-0.05)) > 1 > radius_on(resonance(0.05))
 
 
-def test_a_mode_that_no_record_excites_is_no_coverage() -> None:
-    """The input has no power around the mode, the sensor's noise has: the band is named."""
+def shape_without_high_frequencies() -> np.ndarray:
+    """One period of an input without power above 1.2 rad/sample."""
     lines = np.fft.rfft(period(np.random.default_rng(1)), axis=0)
     angles = np.linspace(0, np.pi, len(lines))
     lines[angles > 1.2] = 0
-    shape = np.fft.irfft(lines, n=PERIOD, axis=0)
-    facts = covered(scaled_model(0.05), shape=shape, noise=0.05)
+    return np.fft.irfft(lines, n=PERIOD, axis=0)
+
+
+def test_a_band_without_excitation_is_no_coverage() -> None:
+    """The input has no power above 1.2 rad/sample, the sensor's noise has: the band is named."""
+    facts = covered(scaled_model(0.05), shape=shape_without_high_frequencies(), noise=0.05)
+    assert facts["coverage"] is None
+    assert "next to no power" in facts["coverage_reason"]
+
+
+@pytest.mark.parametrize(("size", "noise"), [(-0.05, 0.05), (-0.05, 1e-4), (-0.2, 0.0)])
+def test_a_mode_that_no_record_excites_is_no_coverage(size: float, noise: float) -> None:
+    """A lightly damped mode above the excitation, on which this loop is lost."""
+    mode = resonance(size)
+    assert radius_on(mode) > 1
+    shape = shape_without_high_frequencies()
+    facts = covered(
+        lambda u: 1.05 * MODEL.simulate(u)[0] + mode.simulate(u)[0], shape=shape, noise=noise
+    )
     assert facts["coverage"] is None
     assert "next to no power" in facts["coverage_reason"]
 
 
 def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
-    """A gain that is wrong by a tenth: measured everywhere; a band is covered where need <= kappa."""
+    """A gain that is wrong by a tenth is measured as that in every band."""
     known = premise(scaled_model(0.1))
     model = SSM.of(MODEL, 0.01)
     part = with_coverage(design(), model, BALLS, known).extra_certificates["coverage"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from ssm_study.data import clock
+from ssm_study.data import clock_column
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from log_variants import Variant, outcome, variants
@@ -45,7 +45,7 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
 ) -> None:
     """The check itself is checked: milliseconds taken for seconds are noticed."""
     assert outcome(MILLISECONDS, tmp_path)[0] == "read"
-    monkeypatch.setattr(clock, "clock_unit", lambda *_: 1.0)
+    monkeypatch.setattr(clock_column, "clock_unit", lambda *_: 1.0)
     assert outcome(MILLISECONDS, tmp_path) == ("wrong", "step 10")
 
 

@@ -94,16 +94,22 @@ def rectified(u: np.ndarray) -> np.ndarray:
 
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     slow = LEVELS[:600].repeat(10)
-    assert sentences([*map(_doubt, records._limits(case(slow, rectified(slow))))]) == ""
+    assert not list(records._limits(case(slow, rectified(slow))))
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
-    told = " ".join(records._limits(case(LEVELS, clipped)))
-    assert told.count("it saturates") == 2
+    findings = list(records._limits(case(LEVELS, clipped)))
+    assert sentences(findings).count("it saturates") == 2
+    assert {finding.level for finding in findings} == {"doubt"}
 
 
-def _doubt(sentence: str):
-    from ssm_study.evidence.finding import doubt
-
-    return doubt(sentence)
+def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_elsewhere_saturates():
+    """Below its dead zone the machine stops within a sample, while the input goes on moving."""
+    stopping = np.maximum(answer(LEVELS), 0.0)
+    (finding,) = records._limits(case(LEVELS, stopping))
+    assert finding.level == "note"
+    assert "stands at 0 in" in finding.sentence
+    (shifted,) = records._limits(case(LEVELS, stopping + 3.0))
+    assert shifted.level == "doubt"
+    assert "it saturates" in shifted.sentence
 
 
 def test_a_position_at_its_farthest_does_not_saturate():

@@ -18,7 +18,7 @@ from loop_cases import (
 
 from ssm_study.bounds.frequency import gains, hinf_norm
 from ssm_study.refusal import BadRequest
-from ssm_study.robustness.mismatch import ANGLES as BANDS
+from ssm_study.robustness.bands import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import Prediction, predict
 from ssm_study.robustness.sensitivity import (

@@ -2,6 +2,7 @@
 saturated loop contracts wherever it is claimed to, for slopes that change at will."""
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import control
@@ -9,17 +10,28 @@ import numpy as np
 import pytest
 
 import ssm_study as st
+from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.limited_input import from_everywhere, limited
+from ssm_study.certificates.theorems.unlimited_start import unlimited
 from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.trajectory import equilibrium
 from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
-from ssm_study.synthesis.deployed import WithinLimits, with_limits, within_limits
+from ssm_study.study.design_claims import stored_starts
+from ssm_study.synthesis.deployed import (
+    WithinLimits,
+    outputs_of,
+    rest_corners,
+    starts_at_rest,
+    with_limits,
+    within_limits,
+)
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.metrics import limit_facts
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -232,3 +244,65 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
         )
     else:
         assert not {"unlimited_from", "unlimited_to"} & facts.keys()
+
+
+def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
+    """Two lags whose outputs a linear S_y mixes."""
+    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.eye(2), d=np.zeros((2, 2)))
+    model = replace(SSM.of(lags, 0.1), scaffold_out=LinearScaffold(gain=gain))
+    balls = Balls(
+        input=JacobianBall(alpha=1.0, beta=0.0), output=jacobian_ball(model.scaffold_out).ball
+    )
+    wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.1, input_weight=0.5)
+    return model, wanted.design(model, balls)
+
+
+def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
+    """Largest input that the law asks for from rest at this output, the estimate exact."""
+    rest, _, gain = model.linear.held()
+    x = rest @ np.linalg.solve(model.scaffold_out.portable().linear @ gain, output)
+    k = design.state_feedback.k
+    largest = 0.0
+    for _ in range(80):
+        largest = max(largest, float(np.abs(k @ x).max()))
+        x = (model.linear.a + model.linear.b @ k) @ x
+    return largest
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.8])
+def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mixed(
+    coupling: float,
+) -> None:
+    """The image of the box that S_y maps is no box: of its bounding box a corner asks for 6.45
+    times the limit."""
+    model, design = coupled_pair(np.array([[1.0, coupling], [coupling, 1.0]]))
+    assert design.certified
+    ends = np.full(2, -0.6), np.full(2, 0.6)
+    found = within_limits(model, design, *ends)
+    corners = [np.array([s, t]) * found.upper for s, t in product((-1, 1), repeat=2)]
+    requests = [largest_request(model, design, corner) for corner in corners]
+    assert 0.4 < max(requests) <= 0.6
+    np.testing.assert_allclose(found.lower, -found.upper)
+
+    rest, _, gain = model.linear.held()
+    mapped = rest @ np.linalg.inv(gain) @ np.array([[1.0, 1.0], [-1.0, 1.0]])
+    limits = np.stack(ends, axis=1)
+    old = unlimited([design.state_feedback], mapped, limits)
+    assert old is not None
+    bounding = outputs_of(model, old.starts)[1] * np.array([1.0, -1.0])
+    assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)
+    part = with_limits(model, design, *ends)["state_feedback_unlimited"]
+    assert stored_starts(part, starts_at_rest(model, part.starts)).holds
+    assert stored_starts(old, starts_at_rest(model, old.starts)).holds == (coupling == 0)
+
+
+def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
+    """Two inputs and one output: one output rests at many states."""
+    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.ones((1, 2)), d=np.zeros((1, 2)))
+    assert rest_corners(SSM.of(lags, 0.1)) is None
+    bent = MonotoneScaffold(breakpoints=np.zeros((1, 1)), slopes=np.array([[1.0, -1.0]]))
+    folded = replace(
+        SSM.of(StateSpace(a=0.9 * np.eye(1), b=np.eye(1), c=np.eye(1), d=np.zeros((1, 1))), 0.1),
+        scaffold_out=bent,
+    )
+    assert rest_corners(folded) is None

@@ -38,6 +38,7 @@ from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compared, judge, verify
+from ssm_study.synthesis.deployed import outputs_of
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.table.columns import declared
 from ssm_study.table.gather import MARKS, gather
@@ -66,7 +67,7 @@ NUMBERS = {
         for what in ("rate_limit", "gain_norm")
     },
     **{f"{side}_certified_rate": ITERATED for side in ("controller", "observer")},
-    **dict.fromkeys(("certified_tolerance", "coverage"), ITERATED),
+    **dict.fromkeys(("certified_tolerance", "coverage", "coverage_needed"), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
     **dict.fromkeys(
         ("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"),
@@ -131,7 +132,7 @@ ABSENT = (
     "unsettled_as",
     "limited_rate",
 )  # here: all settle
-REQUESTED = ("study", "run", "status", "seed", "order", "hidden_width", "slope_lower",
+REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",
              "scaffold_in", "scaffold_out", "plant", "excitation", "synthesis_method",
              "rates_chosen", "data_source",
@@ -141,6 +142,7 @@ FILES = (
         "files",
         "folder",
         "certificate limits",
+        "certificate starts",
         "closed_loop.mcap settling_band",
         "closed_loop_model.mcap settling_band",
         "fit_test_before_reduction_percent",
@@ -405,6 +407,27 @@ def lie_about_observer(run: Path, columns: dict[str, Any], **fields: Any) -> Non
     sealed_anew(run, **columns)
 
 
+def lie_about_starts(run: Path) -> None:
+    """Starts within the level set that are no states at rest, with the outputs that they have."""
+    stored = RunFiles(path=run, record={})
+    model = stored.model
+    part = stored.design.extra_certificates["state_feedback_unlimited"]
+    farthest = part.p @ model.linear.c.T
+    size = np.sqrt((model.linear.c @ farthest).item() / part.level)
+    starts = (1 - 1e-9) * farthest / size
+    assert type(part).holds(**(part.variables | {"starts": starts}))
+    low, high = outputs_of(model, starts)
+    assert high[0] > 1.5 * (read_record(run) or {})["unlimited_to"]
+
+    def change(content: dict[str, Any]) -> None:
+        entry = content["state_feedback_unlimited"]
+        entry["starts"] = starts.tolist()
+        entry["digest"] = digest(entry)
+
+    edited(run / "certificate.json", change)
+    sealed_anew(run, unlimited_from=float(low[0]), unlimited_to=float(high[0]))
+
+
 def lie_about_excitation(run: Path) -> None:
     altered(run, "excitation.mcap", "/record_0/input", levenberg_marquardt_step)
     sealed_anew(run)
@@ -517,6 +540,7 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
                "certificate.observer"),
     "condition": (lambda run: lie_about_observer(run, {}, condition=1.0), "certificate.observer"),
     "method": (lambda run: lie_about_observer(run, {}, method="lmi"), "certificate.observer"),
+    "starts that do not rest": (lie_about_starts, "certificate starts"),
     "no certificate, claims kept": (lambda run: without(run, "certificate.json"),
                                     "certificate.json"),
     "no closed loop, claims kept": (lambda run: without(run, "closed_loop.mcap"),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from flint import arb, arb_mat, ctx, fmpq, fmpq_mat
 
-from ssm_study.certificates.exact import Exact
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.exact import Exact
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, fast_gain
 from ssm_study.synthesis.modes import _scale, split_modes

@@ -9,11 +9,11 @@ from flint import fmpq_mat, fmpz_mat
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.certificates import exact
+from ssm_study import exact
 from ssm_study.certificates.certificate import Design
-from ssm_study.certificates.exact import Exact
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.exact import Exact
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.lmi import LmiSynthesis
 from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis

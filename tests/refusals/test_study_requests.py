@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 
 from ssm_study.cli.from_python import composed
 from ssm_study.cli.hydra_errors import meant
-from ssm_study.cli.main import main
+from ssm_study.cli.main import INTERRUPTED, main
 from ssm_study.cli.run import _warned, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
@@ -294,7 +294,7 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == -signal.SIGINT
-    assert ended.stderr == "ssm-study: interrupted; the same command again does what is missing\n"
+    assert ended.stderr == f"ssm-study: {INTERRUPTED}\n"
 
 
 def test_our_own_warning_is_a_sentence() -> None:
@@ -401,3 +401,22 @@ def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(
     monkeypatch.setattr("ssm_study.cli.run.run", broken)
     monkeypatch.setattr("ssm_study.cli.main._reader_is_gone", lambda: False)
     assert main(["run"]) == 2
+
+
+@pytest.mark.parametrize("module", ["plants.sensor", "plants.wrapper"])
+def test_a_part_that_is_gone_is_refused_with_what_stands_in_its_place(
+    module: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = f"plant._target_=ssm_study.{module}.QuantisedOutput"
+    words = ["run", "experiment=smoke", f"results_dir={tmp_path}", target, "--dry-run"]
+    assert main(words) == 2
+    refusal = capsys.readouterr().err
+    assert "withdrawn in 0.2; the sensor's noise is loop.measurement_noise_variance" in refusal
+
+
+@pytest.mark.parametrize("word", ["retry_failed=3", "dry_run=0", "progress=[[1]]", "strict=-1"])
+def test_a_flag_is_true_or_false(
+    word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["run", "experiment=smoke", f"results_dir={tmp_path}", word]) == 2
+    assert "is neither true nor false; write true or false." in capsys.readouterr().err

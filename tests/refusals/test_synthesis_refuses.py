@@ -11,12 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthesis_ratio import ratio_limit
 
-from ssm_study.certificates import exact
+from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
-from ssm_study.certificates.exact import Exact
 from ssm_study.certificates.frontier import frontier, unreached_modulus
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
+from ssm_study.exact import Exact
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.certificates import exact
+from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution

@@ -58,12 +58,12 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
             "rate below 1": [[1 - of.rate]],
         }
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
         """The fields that are the model's."""
-        return {"a": known.controlled.a, "b": known.controlled.b}
+        return {"a": context.controlled.a, "b": context.controlled.b}
 
     @classmethod
-    def rate_limit_of(cls, known: VerificationContext) -> float | None:  # noqa: ARG003
+    def rate_limit_of(cls, context: VerificationContext) -> float | None:  # noqa: ARG003
         """The exact limit of the rate for every gain, where there is a formula."""
         return None
 

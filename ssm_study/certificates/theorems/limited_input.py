@@ -51,8 +51,8 @@ class LimitedFeedback(StateFeedbackOfBall):
     """The fields of `state_feedback` at the wider ball."""
 
     @classmethod
-    def ball(cls, known: VerificationContext) -> JacobianBall:
-        return limited(known.balls.input, known.controlled.b.shape[1])
+    def ball(cls, context: VerificationContext) -> JacobianBall:
+        return limited(context.balls.input, context.controlled.b.shape[1])
 
 
 def limited(ball: JacobianBall, inputs: int) -> JacobianBall:

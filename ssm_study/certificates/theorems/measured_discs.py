@@ -54,8 +54,8 @@ Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small ga
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
->>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(known, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
+>>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> proof = largest_kappa(context, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
 >>> print(f"{proof.kappa:.2f}, at most 1 / 0.15, certified: {proof.certified}")
 6.57, at most 1 / 0.15, certified: True
 """
@@ -189,31 +189,31 @@ class MeasuredDiscs(Theorem):
         del of, rows
         return moved, error
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
-        given = self.loop_of(known)
-        ball = known.balls.output
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        given = self.loop_of(context)
+        ball = context.balls.output
         linear_map = len(self.lambda_out) == 0
         if linear_map and ball.beta > 0:  # no multiplier for a bend that there is: proves nothing
             given["beta_out"] = np.nan
         return given
 
     @classmethod
-    def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
+    def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
         """Every field that is the model's, or a gain."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
         loop = {
-            name: getattr(known.system if name in OF_THE_OUTPUT else known.controlled, name)
+            name: getattr(context.system if name in OF_THE_OUTPUT else context.controlled, name)
             for name in names
         }
-        ball = known.balls.output
-        return {**loop, **known.gains, "alpha_out": ball.alpha, "beta_out": ball.beta}
+        ball = context.balls.output
+        return {**loop, **context.gains, "alpha_out": ball.alpha, "beta_out": ball.beta}
 
     @staticmethod
-    def ball(known: VerificationContext) -> JacobianBall:
-        return known.balls.input
+    def ball(context: VerificationContext) -> JacobianBall:
+        return context.balls.input
 
     @classmethod
-    def rate_limit_of(cls, known: VerificationContext) -> None:
+    def rate_limit_of(cls, context: VerificationContext) -> None:
         """No rate is claimed."""
 
 

@@ -38,8 +38,8 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> loop = StructuredSystem(**matrices)
 >>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
 >>> balls = Balls(input=unit, output=unit)
->>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(known, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
+>>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> proof = largest_kappa(context, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
 >>> print(f"{proof.kappa:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {proof.certified}")
 4.37 <= 4.43, certified: True
 """
@@ -104,6 +104,6 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
             forms.append((1, given.T @ weighted + weighted.T @ given))
         return forms
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
-        looped = known.system.h.any() and self.l_z.any()
-        return super().model_data(known) | ({"alpha_out": np.nan} if looped else {})
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        looped = context.system.h.any() and self.l_z.any()
+        return super().model_data(context) | ({"alpha_out": np.nan} if looped else {})

@@ -72,12 +72,12 @@ class StructuredObserver(OfProblem, Observer):
         """The conditions, and the hypothesis on `L_z`."""
         return not _looped(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
 
-    def failed_checks(self, known: VerificationContext) -> list[str]:
+    def failed_checks(self, context: VerificationContext) -> list[str]:
         """Checks that fail: those of every theorem, and the hypothesis on `L_z`."""
         looped = _looped(self.h, self.l_z) and self.certified
         return [
             ".l_z: must be zero, for neurons stand in the output (H)"
-        ] * looped + super().failed_checks(known)
+        ] * looped + super().failed_checks(context)
 
 
 def _looped(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:

@@ -42,8 +42,8 @@ Example. `x+ = 0.2 x + 0.3 phi(x) + u`, `K = -0.25`, `L = -0.5`: at slope zero e
 >>> loop = StructuredSystem(**matrices)
 >>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
 >>> balls = Balls(input=unit, output=unit)
->>> known = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> found = largest_tolerance(known, weight=one, theorem=StructuredTolerance)
+>>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
+>>> found = largest_tolerance(context, weight=one, theorem=StructuredTolerance)
 >>> print(f"{found.s:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {found.certified}")
 4.43 <= 4.43, certified: True
 """
@@ -93,9 +93,9 @@ class StructuredTolerance(Tolerance):
         ]
         return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
-        looped = known.system.h.any() and self.l_z.any()
-        return super().model_data(known) | ({"alpha_out": np.nan} if looped else {})
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        looped = context.system.h.any() and self.l_z.any()
+        return super().model_data(context) | ({"alpha_out": np.nan} if looped else {})
 
     @classmethod
     def candidates(

@@ -158,20 +158,20 @@ class Tolerance(Theorem):
         d_w = of.weight[w:, w:]
         return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
-    def model_data(self, known: VerificationContext) -> dict[str, Any]:
-        return self.loop_of(known) | {"weight": np.eye(len(self.k))}
+    def model_data(self, context: VerificationContext) -> dict[str, Any]:
+        return self.loop_of(context) | {"weight": np.eye(len(self.k))}
 
     @classmethod
-    def loop_of(cls, known: VerificationContext) -> dict[str, Any]:
+    def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
         """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear
         output map."""
         names = [part.name for part in fields(cls) if part.name in DUAL]
-        out = known.balls.output
+        out = context.balls.output
         given = {
-            name: getattr(known.system if name in ("c", "h") else known.controlled, name)
+            name: getattr(context.system if name in ("c", "h") else context.controlled, name)
             for name in names
         }
-        return {**given, **known.gains, "alpha_out": np.nan if out.beta > 0 else out.alpha}
+        return {**given, **context.gains, "alpha_out": np.nan if out.beta > 0 else out.alpha}
 
     @classmethod
     def candidates(
@@ -201,16 +201,16 @@ class Tolerance(Theorem):
                 yield {"s": s, "lambda_p": lambda_p, "p": p, "status": said}
 
     @staticmethod
-    def ball(known: VerificationContext) -> JacobianBall:
-        return known.balls.input
+    def ball(context: VerificationContext) -> JacobianBall:
+        return context.balls.input
 
     @classmethod
-    def rate_limit_of(cls, known: VerificationContext) -> None:
+    def rate_limit_of(cls, context: VerificationContext) -> None:
         """No rate is claimed."""
 
 
 def largest_tolerance(
-    known: VerificationContext,
+    context: VerificationContext,
     weight: Float[np.ndarray, "v v"],
     theorem: type[Tolerance] = Tolerance,
 ) -> Tolerance | None:
@@ -218,9 +218,9 @@ def largest_tolerance(
     is found, and where no mismatch has an effect (K or L is zero): no number is the largest then.
     """
     started = time.perf_counter()
-    if known.balls.output.beta > 0:
+    if context.balls.output.beta > 0:
         return None
-    given = theorem.loop_of(known) | vars(known.balls.input) | {"weight": weight}
+    given = theorem.loop_of(context) | vars(context.balls.input) | {"weight": weight}
     of = SimpleNamespace(**given)
     for numbers in theorem.candidates(theorem.seen(of), of.beta, *theorem.matrices(of)):
         told: Any = {"status": numbers.pop("status"), "method": "tolerance", "started": started}

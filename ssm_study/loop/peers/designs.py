@@ -1,7 +1,7 @@
-"""The plant left alone, and certified designs: any solution of the paper's inequalities, guaranteed
-cost, and ours."""
+"""Peers without a controller or with a certified design: any solution of the paper's inequalities,
+guaranteed cost, and ours."""
 
-# ruff: noqa: ARG002 - every peer is shown everything; these need less
+# ruff: noqa: ARG002 - every peer gets all arguments; these need less
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Peer
@@ -22,30 +22,30 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
     """Any solution of the theorems' inequalities."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        asked = LmiSynthesis(
+        synthesis = LmiSynthesis(
             rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
         )
-        return asked.design(known.model, known.balls)
+        return synthesis.design(known.model, known.balls)
 
 
 class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
     """Riccati, with the weights of `synthesis=riccati`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        return RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(
-            known.model, known.balls
-        )
+        synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
+        return synthesis.design(known.model, known.balls)
 
 
 class ChosenPeer(Peer, names=("auto",)):
-    """Ours, `synthesis=auto`."""
+    """Our own choice, `synthesis=auto`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
         return known.chosen(Auto())
 
 
 class ChosenIntegralPeer(Peer, names=("auto_integral",)):
-    """Ours with integral action."""
+    """Our own choice, with integral action."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        return known.chosen(Auto(integral_weights=(1e-4, 1e-3, 1e-2)))
+        synthesis = Auto(integral_weights=(1e-4, 1e-3, 1e-2))
+        return known.chosen(synthesis)

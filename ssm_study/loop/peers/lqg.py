@@ -1,4 +1,4 @@
-"""LQG as the textbook has it: the linear part and the mean slope of the nonlinearity, no
+"""LQG as in textbooks, from the linear part and the mean slope of the nonlinearity, without a
 certificate."""
 
 from dataclasses import replace
@@ -22,36 +22,41 @@ LINEAR = JacobianBall(alpha=1.0, beta=0.0)
 
 
 def lqg(model: SSM, weights: Synthesis) -> ObserverFeedback:
-    """`K = -(R + B^T S B)^{-1} B^T S A` and the predictor's Kalman gain, S_u replaced by its mean
-    slope.
+    """LQG controller of a model whose nonlinearity S_u is replaced by its mean slope.
 
-    Of `weights` the cost and the noise count, as `Synthesis` has them, not the rates.
+    `K = -(R + B^T S B)^{-1} B^T S A` and the predictor's Kalman gain. The cost and the noise are
+    those of `weights`; its rates do not count.
     """
     slope = mean_slope(model)
     linear = replace(model.linear, b=model.linear.b @ slope)
-    k, dual = (_gain(weights.problem(linear, LINEAR, observes)) for observes in (False, True))
+    k = _riccati_gain(weights.problem(linear, LINEAR, False))
+    dual = _riccati_gain(weights.problem(linear, LINEAR, True))
     plain = replace(model, scaffold_in=LinearScaffold(gain=slope))
     return ObserverFeedback(model=plain, gains=Gains(k=k, l=dual.T))
 
 
-def _gain(problem: Problem) -> Float[np.ndarray, "m n"]:
-    a, b, r = problem.a, problem.b, problem.input_weight * np.eye(problem.b.shape[1])
+def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
+    """State feedback that minimises the problem's quadratic cost."""
+    a = problem.a
+    b = problem.b
+    r = problem.input_weight * np.eye(b.shape[1])
     s = scipy.linalg.solve_discrete_are(a, b, problem.state_weight, r)
     return -np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
 
 
 class LqgPeer(Peer, names=("lqg",)):
-    """With the weights of `synthesis=riccati` and the sensor's own noise; one input scale drives
-    the states."""
+    """LQG with the weights of `synthesis=riccati` and the sensor's noise."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> ObserverFeedback:
-        return lqg(known.without_neurons, weights_of(plant, known, rate))
+        weights = lqg_weights(plant, known, rate)
+        return lqg(known.without_neurons, weights)
 
 
-def weights_of(plant: Plant, known: Identified, rate: float) -> Synthesis:
-    """Weights of `synthesis=riccati`, with the sensor's own noise, mean over the outputs; a linear
-    design has no rate."""
-    noise = max(
-        float(np.mean(np.array(plant.noise_variance) / known.model.scale.output_scale**2)), 1e-6
-    )
+def lqg_weights(plant: Plant, known: Identified, rate: float) -> Synthesis:
+    """Weights of `synthesis=riccati`, with the sensor's noise, mean over the outputs.
+
+    One input scale drives the states; a linear design has no rate.
+    """
+    scaled_variance = np.array(plant.noise_variance) / known.model.scale.output_scale**2
+    noise = max(float(np.mean(scaled_variance)), 1e-6)
     return RiccatiSynthesis(rate_controller=rate, rate_observer=rate, output_noise=noise)

@@ -1,5 +1,4 @@
-"""The controllers compared on one plant, one file each: left alone, textbook, the paper's, ours;
-what each may know."""
+"""Controllers that are compared on one plant, one file each, and the data that each may use."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -22,15 +21,14 @@ if TYPE_CHECKING:
     from ssm_study.synthesis.auto import Auto
 
 Row = dict[str, Any]
-# Nothing where a controller has no model.
+# Empty where a controller has no model.
 PREDICTED = ("mismatch_margin", "resolved_margin", "controller_radius", "noise_peak")
 UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED), "reason": ""}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every controller may use: the model, the balls of its Jacobians, the validation
-    record."""
+    """Data that every controller may use: model, balls of its Jacobians, validation records."""
 
     model: Model
     balls: Balls
@@ -40,57 +38,72 @@ class Identified:
 
     @classmethod
     def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """The model beside the records that may be known."""
-        records = {
-            name: getattr(data, name)
-            for name in ("validation", "mismatch_records", "start_up_samples")
-        }
-        return cls(model=model, balls=balls, **records)
+        """Model and balls with the records of a data set that a controller may use."""
+        return cls(
+            model=model,
+            balls=balls,
+            validation=data.validation,
+            mismatch_records=data.mismatch_records,
+            start_up_samples=data.start_up_samples,
+        )
 
     @cached_property
     def without_neurons(self) -> SSM:
-        """Linear model as a textbook's design sees it: neurons by their slopes at rest, within A,
-        B, C and D."""
-        if isinstance(self.model, SSM):
-            return self.model
-        parts: dict[str, Any] = {
-            n: getattr(self.model, n) for n in ("scaffold_in", "scaffold_out", "scale", "step_s")
-        }
-        return SSM(linear=at_rest(self.model), **parts)
+        """Linear model for a textbook's design: neurons count by their slopes at rest."""
+        model = self.model
+        if isinstance(model, SSM):
+            return model
+        return SSM(
+            linear=at_rest(model),
+            scaffold_in=model.scaffold_in,
+            scaffold_out=model.scaffold_out,
+            scale=model.scale,
+            step_s=model.step_s,
+        )
 
     @cached_property
-    def shown(self) -> Mismatch:
-        """How far the plant is from the model, as the records show it."""
+    def mismatch(self) -> Mismatch:
+        """Distance of the plant from the model, as the records show it."""
         return measure_mismatch(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
 
     def chosen(self, synthesis: "Auto") -> Design:
-        """Design that `auto` chooses from the model, the balls, the validation records and the
-        mismatch."""
-        return synthesis.design(self.model, self.balls, self.validation, self.shown)
+        """Design that `auto` chooses from model, balls, validation records and mismatch."""
+        return synthesis.design(self.model, self.balls, self.validation, self.mismatch)
 
 
 class Peer(Family):
-    """A way to a controller; `names` is what the comparison calls it."""
+    """One way to a controller; `names` is what the comparison calls it."""
 
     @abstractmethod
     def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
-        """`rate` is asked of controller and observer where the method takes rates. Raises
-        `BadRequest` for a model or plant that it has no controller for."""
+        """Controller or design for this plant, with `rate` where the method takes rates.
+
+        Raises `BadRequest` for a model or plant that the method has no controller for.
+        """
 
 
 def compared(
     name: str, plant: Plant, known: Identified, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """One of the peers, None where it has no controller, and what is proved and predicted of it, or
-    the reason."""
-    said = UNSAID | {"controller": name}
+    """Build a peer, and the columns that say what is proved and predicted of it.
+
+    None, and a row with the reason, where the peer has no controller.
+    """
+    columns = UNSAID | {"controller": name}
+    is_certified = False
     try:
         built = Peer.known[name]().build(plant, known, rate)
-        controller = ObserverFeedback.of(known.model, built) if isinstance(built, Design) else built
+        if isinstance(built, Design):
+            controller: Controller = ObserverFeedback.of(known.model, built)
+            is_certified = built.certified
+        else:
+            controller = built
     except BadRequest as refusal:
-        return None, said | {"reason": str(refusal)}
+        return None, columns | {"reason": str(refusal)}
     if isinstance(controller, ObserverFeedback):
-        said |= vars(predict(known.model, controller.gains, known.balls, known.shown))
-    return controller, said | {"certified": isinstance(built, Design) and built.certified}
+        prediction = predict(known.model, controller.gains, known.balls, known.mismatch)
+        columns |= vars(prediction)
+    columns["certified"] = is_certified
+    return controller, columns

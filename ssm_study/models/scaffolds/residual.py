@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.network import Network, PortableMap
-from ssm_study.bounds.slopes import SlopeBound, bound_from_ball
+from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable, numbers
 from ssm_study.refusal import at_least, require
@@ -20,10 +21,9 @@ class ResidualScaffold(Scaffold, names=("residual",)):
     """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball
     `alpha I + beta Delta`.
 
-    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G: with
-    the network's weights they make the matrix of Fazlyab et al. (2019), eq. (10), semidefinite at
-    Lipschitz constant one, so the claim can be checked from these numbers alone. Source: Wang &
-    Manchester (2023).
+    `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
+    is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
+    the map is bounded from its numbers like any other network. Source: Wang & Manchester (2023).
     """
 
     alpha: float
@@ -58,6 +58,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return self.alpha * np.eye(self.network.inputs) + self.beta * self.network.jacobian(v)
 
     def bound(self) -> SlopeBound:
+        if not is_proved_nonexpansive(self.network, self.multipliers):
+            return network_bound(self.portable().as_network())
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:

@@ -9,12 +9,14 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.report.answers import answers, parameters_line
+from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
 from ssm_study.report.words import CHOICES, VERDICTS, counts, spoken, verdicts, words
 from ssm_study.table.columns import DECLARED, FURTHER, RESULTS, by_part, column, swept, text
 from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
+MOST_PICTURED = 3  # best runs whose pictures are embedded
 LONGEST = 400  # samples of a validation record shown: more than a phone has pixels
 PROVENANCE = ("git_commit", "git_dirty", "machine", "machine_processor", "machine_cores",
               "version_python",
@@ -72,6 +74,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         ],
         "parameters": swept(table),
         "trajectories": trajectories(study, table),
+        "pictures": pictures(study, table),
         "comparisons": comparisons(study, table),
         "choices": CHOICES,
         "configuration": config.read_text() if config and config.is_file() else "",
@@ -133,6 +136,13 @@ def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """`{run: {...}}` for the best runs that left recordings."""
     best = text(table, "run").head(MOST_TRAJECTORIES)
     return {name: found for name in best if name and (found := _recordings(study.run(name)))}
+
+
+def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+    """`{run: [picture, ...]}` for the best few runs: each takes 50 kB and a second or two."""
+    best = text(table, "run").head(MOST_PICTURED)
+    drawn = {name: pictures_of_run(study.run(name)) for name in best if name}
+    return {name: pictured for name, pictured in drawn.items() if pictured}
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from threading import Lock
 from ssm_study.engine.records import RECORD, read_record
 from ssm_study.refusal import BadRequest, require
 from ssm_study.report.page.writing import write_page
-from ssm_study.table.gather import gather, marks_of
+from ssm_study.table.gather import gather, record_marks
 
 LOCALHOST = "127.0.0.1"  # nobody else on the network sees the study
 POLICY = (
@@ -52,7 +52,7 @@ class LivePage:
         """The page with the script that asks for `/state` every two seconds."""
         with self.lock:
             mark = self.current_mark()
-            if mark != self.mark and marks_of(self.study):
+            if mark != self.mark and record_marks(self.study):
                 gather(self.study)
                 self.html = write_page(self.study).read_text(encoding="utf-8")
                 self.mark = mark
@@ -62,7 +62,7 @@ class LivePage:
     def current_mark(self) -> str:
         """Changes whenever a record does."""
         return str(
-            hash(tuple(sorted((name, *mark) for name, mark in marks_of(self.study).items())))
+            hash(tuple(sorted((name, *mark) for name, mark in record_marks(self.study).items())))
         )
 
     def state(self) -> dict[str, str]:

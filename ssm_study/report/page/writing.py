@@ -17,6 +17,7 @@ SCRIPTS = (
     "plots",
     "table",
     "compared",
+    "pictures",
     "run",
     "lead",
     "groups",

@@ -9,9 +9,10 @@ from ssm_study.training.metrics import mean_fit
 
 
 def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Facts:
-    """The columns of the certified model: fits, linear part, slopes."""
-    before = {"fit_test_before_reduction_percent": mean_fit(trained.model, data.test, data)}
-    return measure_score(simulated, data, trained) | before | bound_facts(simulated.model)
+    """Columns of the certified model: fits, linear part, slopes."""
+    facts = measure_score(simulated, data, trained)
+    facts["fit_test_before_reduction_percent"] = mean_fit(trained.model, data.test, data)
+    return facts | bound_facts(simulated.model)
 
 
 BOUNDS = Stage("bounds", compute_simulated, ModelRun, measure_bounds, SIMULATED)

@@ -4,9 +4,10 @@ from ssm_study.study.stages.bounds import BOUNDS
 from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.evidence import EVIDENCE
 from ssm_study.study.stages.free_run import SCORE
+from ssm_study.study.stages.fresh_data import FRESH_DATA
 from ssm_study.study.stages.loop import LOOP
 from ssm_study.study.stages.mismatch import MISMATCH
 from ssm_study.study.stages.model import MODEL
 from ssm_study.study.stages.synthesis import SYNTHESIS
 
-STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, LOOP)
+STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, FRESH_DATA, LOOP)

@@ -7,6 +7,7 @@ from ssm_study.data.metrics import data_facts
 from ssm_study.engine.stages import Stage
 from ssm_study.plants.plant import Plant
 from ssm_study.signals import DataSet
+from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import TRIALS, write_records
 from ssm_study.study.stages.files import read_json, write_json
 
@@ -14,8 +15,9 @@ from ssm_study.study.stages.files import read_json, write_json
 def compute_dataset(
     folder: Path, *, data: Any, seed: int, plant: Plant | None = None, excitation: Any = None
 ) -> None:
-    """Simulate or read the records; kept as tensors."""
-    records = data.build(seed) if plant is None else data.build(plant, excitation, seed)
+    """Simulate the records, or read them unless this process has; they are stored as tensors."""
+    is_recorded = plant is None
+    records = read_data_set(data, seed) if is_recorded else data.build(plant, excitation, seed)
     write_dataset(folder, records)
     write_records(folder / "excitation.mcap", records, records.training, outputs=False)
     if records.mismatch_records:
@@ -34,14 +36,13 @@ def write_dataset(folder: Path, records: DataSet) -> None:
 
 
 def read_dataset(folder: Path) -> DataSet:
-    """The records in physical units, with their splits."""
+    """Read the records in physical units, with their splits."""
     from safetensors.numpy import load_file
 
     from ssm_study.data.assembly import dataset_from_tensors
 
-    return dataset_from_tensors(
-        load_file(folder / "records.safetensors"), read_json(folder / "records.json")
-    )
+    arrays = load_file(folder / "records.safetensors")
+    return dataset_from_tensors(arrays, read_json(folder / "records.json"))
 
 
 DATASET = Stage("dataset", compute_dataset, read_dataset, data_facts, ("excitation.mcap", TRIALS))

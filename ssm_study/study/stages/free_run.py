@@ -1,4 +1,4 @@
-"""The free run: the model simulated beside the validation and test records, and its score."""
+"""Free run of the model beside the validation and test records, and its score."""
 
 from functools import cached_property
 from pathlib import Path
@@ -20,8 +20,7 @@ SIMULATED = ("model.json", "validation.mcap", "test.mcap")
 
 
 class ModelRun:
-    """A model and its free runs beside the validation and test records; each is read when first
-    asked for."""
+    """Model with its free runs on the validation and test records, read when first asked for."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -42,23 +41,23 @@ class ModelRun:
 def compute_simulated(
     folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
 ) -> None:
-    """The model and its free runs beside the validation and test records.
+    """Simulate the model beside the validation and test records, and write both.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is
     claimed of it.
     """
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
-    for name, records in (("validation", data.validation), ("test", data.test)):
-        free = Simulation.of(model, records, data.start_up_samples).simulated
-        start_up = str(data.start_up_samples)
-        write_records(
-            folder / f"{name}.mcap", data, records, simulated=free, start_up_samples=start_up
-        )
+    start_up = str(data.start_up_samples)
+    for name in ("validation", "test"):
+        records = getattr(data, name)
+        simulated = Simulation.of(model, records, data.start_up_samples).simulated
+        path = folder / f"{name}.mcap"
+        write_records(path, data, records, simulated=simulated, start_up_samples=start_up)
 
 
 def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
-    """The columns of the free run: fits in percent, errors in the output's unit, a benchmark's
+    """Columns of the free run: fits in percent, errors in the output's unit, a benchmark's
     score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}

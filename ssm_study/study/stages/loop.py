@@ -1,4 +1,4 @@
-"""The closed loop: the certified gains on the plant, or on the identified model."""
+"""Closed loop of the certified gains on the plant, or on the identified model."""
 
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,18 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
 from ssm_study.signals import DataSet
-from ssm_study.study.loop_recordings import NOISE_FREE, closed_on, read_experiment, write_experiment
+from ssm_study.study.loop_recordings import (
+    NOISE_FREE,
+    ON_MODEL,
+    ON_PLANT,
+    closed_on,
+    read_experiment,
+    write_experiment,
+)
 from ssm_study.study.stages.free_run import ModelRun
 
-Experiment = tuple[LoopRuns, str]  # and what it was done on
-LOOPS = ("closed_loop.mcap", "closed_loop_model.mcap", NOISE_FREE, "comparison.csv")
+Experiment = tuple[LoopRuns, str]  # and the word for what it was done on
+LOOPS = (ON_PLANT, ON_MODEL, NOISE_FREE, "comparison.csv")
 
 
 def compute_loop(
@@ -27,11 +34,10 @@ def compute_loop(
     loop_seed: int,
     plant: Any = None,
 ) -> Experiment | None:
-    """The certified pair on the true plant, or on the identified model where there is no plant;
-    none without a pair.
+    """Run the certified gains on the true plant, or on the identified model where there is none.
 
-    None either where the model, in the place of a plant, answers its input at once: it is scored
-    and certified.
+    None without gains, and where the model, in the place of a plant, answers its input at once: it
+    is scored and certified.
     """
     import pandas as pd
 
@@ -41,29 +47,30 @@ def compute_loop(
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on = plant or twin
     loop_on = closed_on(plant)
-    fitted = (loop.within(data.applied) if plant is None or design.inverts else loop).fitted(model)
-    closed = fitted.run(on, model, design, loop_seed)
-    write_experiment(folder, closed, on, twin, {"loop_on": loop_on, "loop_seed": str(loop_seed)})
-    if fitted.comparison is not None:
-        rows = fitted.comparison.rows(
-            on, Identified.of(model, certified_balls(model), data), fitted, loop_seed
-        )
-        table = pd.DataFrame(
-            rows, dtype=object
-        )  # else whole numbers beside an empty field become fractions
+    stays_within_records = plant is None or design.inverts
+    limited = loop.within(data.applied) if stays_within_records else loop
+    experiment = limited.fitted(model)
+    closed = experiment.run(on, model, design, loop_seed)
+    about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}
+    write_experiment(folder, closed, on, twin, about)
+    if experiment.comparison is not None:
+        identified = Identified.of(model, certified_balls(model), data)
+        rows = experiment.comparison.rows(on, identified, experiment, loop_seed)
+        # As objects: else whole numbers beside an empty field become fractions.
+        table = pd.DataFrame(rows, dtype=object)
         table.to_csv(folder / "comparison.csv", index=False, lineterminator="\n")
     return closed, loop_on  # as `read_loop` reads it back, to the last bit
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Read the closed-loop experiment; None where there was no pair to close the loop with."""
-    return read_experiment(folder) if (folder / "closed_loop.mcap").is_file() else None
+    """Read the closed-loop experiment; None where there were no gains to close the loop with."""
+    return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
 def measure_loop(
     experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
 ) -> Facts:
-    """The columns of the closed loop; none without a loop."""
+    """Columns of the closed loop; none without a loop."""
     if experiment is None:
         return {}
     closed, loop_on = experiment

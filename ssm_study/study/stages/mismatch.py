@@ -1,4 +1,4 @@
-"""The mismatch between plant and model, as the records show it."""
+"""Mismatch between plant and model, as the records show it."""
 
 import json
 from dataclasses import asdict
@@ -16,39 +16,42 @@ FILE = "mismatch.json"
 
 
 def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
-    """How far the plant is from the model, as the records show it: once for all designs on this
-    model."""
-    shown = measure_mismatch(
-        bounded.model, data.validation, data.start_up_samples, data.mismatch_records
-    )
-    write_mismatch(folder, shown)
-    return shown
+    """Measure how far the plant is from the model: once for all designs on this model."""
+    records = data.mismatch_records
+    mismatch = measure_mismatch(bounded.model, data.validation, data.start_up_samples, records)
+    write_mismatch(folder, mismatch)
+    return mismatch
 
 
-def write_mismatch(folder: Path, shown: Mismatch) -> None:
-    """Every number as the text that reads back to the same float; a complex one as two."""
-    told = json.dumps(
-        asdict(shown), default=lambda array: np.ascontiguousarray(array).view(float).tolist()
-    )
-    (folder / FILE).write_text(told, encoding="utf-8")
+def write_mismatch(folder: Path, mismatch: Mismatch) -> None:
+    """Write every number as the text that reads back to the same float; a complex one as two."""
+    text = json.dumps(asdict(mismatch), default=_as_floats)
+    (folder / FILE).write_text(text, encoding="utf-8")
+
+
+def _as_floats(array: Any) -> list[float]:
+    """Real or complex numbers of an array as a list of floats."""
+    return list(np.ascontiguousarray(array).view(float).tolist())
 
 
 def read_mismatch(folder: Path) -> Mismatch:
-    """The views at each amplitude, as they were computed."""
-    told = json.loads((folder / FILE).read_text(encoding="utf-8"))
-    views = tuple(map(_view, told.pop("views")))
-    loop = told.pop("loop")
-    others: dict[str, Any] = {
-        name: tuple(one) if isinstance(one, list) else one for name, one in told.items()
-    }
-    return Mismatch(views=views, loop=loop and _view(loop), **others)
+    """Read the mismatch with its views at each amplitude, as they were computed."""
+    content = json.loads((folder / FILE).read_text(encoding="utf-8"))
+    views = tuple(_read_view(view) for view in content.pop("views"))
+    loop = content.pop("loop")
+    others: dict[str, Any] = {}
+    for name, value in content.items():
+        others[name] = tuple(value) if isinstance(value, list) else value
+    return Mismatch(views=views, loop=loop and _read_view(loop), **others)
 
 
-def _view(told: dict[str, Any]) -> View:
-    parts: dict[str, Any] = {
-        name: np.array(one) if isinstance(one, list) else one for name, one in told.items()
-    }
-    return View(**parts | {"linear": parts["linear"].view(complex)})
+def _read_view(content: dict[str, Any]) -> View:
+    """View at one amplitude, from the lists of a file."""
+    parts: dict[str, Any] = {}
+    for name, value in content.items():
+        parts[name] = np.array(value) if isinstance(value, list) else value
+    parts["linear"] = parts["linear"].view(complex)
+    return View(**parts)
 
 
 MISMATCH = Stage("mismatch", compute_mismatch, read_mismatch)

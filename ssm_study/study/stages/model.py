@@ -37,8 +37,10 @@ def compute_model(
     seed: int,
     progress: bool,
 ) -> None:
-    """Train; kept as explicit numbers. A fit that left the finite is a gap in the curve: JSON has
-    no infinity."""
+    """Train the model and write it as explicit numbers.
+
+    A fit that left the finite is a gap in the curve: JSON has no infinity.
+    """
     identified = training.identify(model, data, seed, folder, progress)
     write_json(folder / "model.json", identified.model.to_json())
     facts: dict[str, Any] = {"seconds": identified.seconds, "ended": identified.ended}
@@ -55,8 +57,9 @@ def compute_model(
 
 
 def read_trained(folder: Path) -> Trained:
-    """The model with the seconds its training took and why it ended."""
-    return Trained(read_model(folder), **read_json(folder / "training.json"))
+    """Read the model with the seconds its training took and why it ended."""
+    facts = read_json(folder / "training.json")
+    return Trained(read_model(folder), **facts)
 
 
 def measure_model(trained: Trained, _: DataSet) -> Facts:
@@ -69,16 +72,21 @@ def measure_model(trained: Trained, _: DataSet) -> Facts:
 
 
 def read_model(folder: Path) -> Any:
-    """The model as explicit numbers, without torch."""
+    """Read the model from its explicit numbers, without torch."""
     return model_from_json(read_json(folder / "model.json"))
 
 
 def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """The curve with null for what is not finite."""
-    return [
-        {name: value if math.isfinite(value) else None for name, value in row.items()}
-        for row in curve
-    ]
+    """Training curve with null for what is not finite."""
+    rows: list[dict[str, float | None]] = []
+    for row in curve:
+        rows.append({name: finite_or_none(value) for name, value in row.items()})
+    return rows
+
+
+def finite_or_none(value: float) -> float | None:
+    """A number, or None for infinity and for what is no number."""
+    return value if math.isfinite(value) else None
 
 
 MODEL = Stage(

@@ -1,4 +1,4 @@
-"""The design: controller and observer with their certificates."""
+"""Design of controller and observer with their certificates."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,35 +29,29 @@ def compute_synthesis(
     synthesis: "Synthesis",
     limits: dict[str, Any],
 ) -> None:
-    """Controller and observer, decided in exact arithmetic; chosen from the model and the records
-    alone.
+    """Design controller and observer from the model and the records alone.
 
-    Without evidence `auto` takes the largest margin; within `limits` that are `applied` (given, or
-    a log's) it scores.
+    Certificates are decided in exact arithmetic. Without evidence `auto` takes the largest margin;
+    within `limits` that are `applied` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.deployed import with_gain_certificates
     from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
 
-    premise = measured_premise(bounded.model, data, shown)
-    chosen_by: Any = synthesis
-    model, balls, shown = (
-        bounded.model,
-        certified_balls(bounded.model),
-        shown_to(synthesis, bounded.model, data, shown),
-    )
+    model = bounded.model
+    balls = certified_balls(model)
+    premise = measured_premise(model, data, shown)
+    mismatch = shown_to(synthesis, model, data, shown)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
+    method: Any = synthesis
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
-        judgeable = judgeable.covering(premise)
-        chosen_by = (
-            judgeable.within(*map(model.scale.scaled_input, ends))
-            if limits["applied"]
-            else judgeable
-        )
-    design = with_gain_certificates(
-        chosen_by.design(model, balls, data.validation, shown), model, balls, ends
-    )
+        method = judgeable.covering(premise)
+        if limits["applied"]:
+            lower, upper = (model.scale.scaled_input(end) for end in ends)
+            method = method.within(lower, upper)
+    design = method.design(model, balls, data.validation, mismatch)
+    design = with_gain_certificates(design, model, balls, ends)
     if is_coverage_sought(model, synthesis):
         design = with_coverage(design, model, balls, premise)
     design.save(folder / "certificate.json")
@@ -72,8 +66,10 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
 
 
 def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """Mismatch that the test record of a log shows, which neither fit nor design has seen; None for
-    a simulated plant."""
+    """Mismatch that the test record of a log shows, which neither fit nor design has seen.
+
+    None for a simulated plant.
+    """
     from ssm_study.robustness.coverage import measure_premise
 
     if data.metadata.get("source") == "simulated":
@@ -82,20 +78,23 @@ def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | N
 
 
 def read_design(folder: Path) -> Design:
-    """Controller and observer, or why there is none."""
+    """Read controller and observer, or why there is none."""
     return Design.load(folder / "certificate.json")
 
 
 def measure_synthesis(
     design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
 ) -> Facts:
-    """The columns of the design and of its prediction."""
+    """Columns of the design and of its prediction."""
     from ssm_study.synthesis.measured_discs_run import coverage_facts
 
-    model, balls = bounded.model, certified_balls(bounded.model)
-    facts = design_facts(design, model, balls, shown_to(design, model, data, shown))
+    model = bounded.model
+    balls = certified_balls(model)
+    mismatch = shown_to(design, model, data, shown)
     premise = measured_premise(model, data, shown)
-    facts |= coverage_facts(design, model, premise, fresh_premise(model, data, shown))
+    fresh = fresh_premise(model, data, shown)
+    facts = design_facts(design, model, balls, mismatch)
+    facts |= coverage_facts(design, model, premise, fresh)
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 

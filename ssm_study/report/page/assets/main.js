@@ -121,8 +121,16 @@ function drawContents() {
   } }, section.id === "compare" ? "Comparison" : section.querySelector("h2").textContent)));
 }
 
+/** Pictures of the run that the table has first; the section is hidden where it left none. */
+function drawBestPictures() {
+  const pictures = (RUNS && DATA.pictures[COLUMNS.run[0]]) || [];
+  document.getElementById("pictures").hidden = !pictures.length;
+  placePictures(document.getElementById("best-pictures"), pictures);
+}
+
 drawWords();
 drawLead();
+drawBestPictures();
 readLink();
 drawForm();
 drawGroupForm();

@@ -94,7 +94,7 @@ function placeExplorer() {
 
 async function drawPlots() {
   if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs. The ring marks the best run.";
-  const alone = RUNS === 1 && trajectoryCharts(document.getElementById("plots"), DATA.trajectories[COLUMNS.run[0]] || {}, false);
+  const alone = RUNS === 1 && trajectoryCharts(document.getElementById("plots"), DATA.pictures[COLUMNS.run[0]] ? { loop: (DATA.trajectories[COLUMNS.run[0]] || {}).loop } : DATA.trajectories[COLUMNS.run[0]] || {}, false);
   for (const draw of alone || [...DATA.panels.map(placePanel), placeExplorer()]) {
     await draw();
     await pause();

@@ -39,8 +39,11 @@ function drawRun(i) {
   const content = document.getElementById("run-content");
   content.replaceChildren(element("p", {}, `${word}: ${verdict.sentence}.`), ...reasons(i).map((text) => element("p", { class: "reason" }, text)));
   const found = DATA.trajectories[name], charts = [];
-  if (found) charts.push(...trajectoryCharts(content, found));
+  if (found) charts.push(...trajectoryCharts(content, DATA.pictures[name] ? { loop: found.loop } : found));
   else content.append(element("p", { class: "quiet" }, `No trajectories here; if the run left any they are in ${DATA.folder}/${name}/closed_loop.mcap.`));
+  const pictures = element("div", { class: "pictures" });
+  placePictures(pictures, DATA.pictures[name] || []);
+  content.append(pictures);
   const compared = DATA.comparisons[name];
   if (compared && compared.controller) content.append(controllersTable(compared));
   if (compared && compared.design) charts.push(designsChart(content, compared));

@@ -1,0 +1,198 @@
+"""How many designs come out covered, and what that costs in settling time: seeds and plants.
+
+    python -m benchmarks.coverage_by_seed --plant dc_motor --seed 0 1 2 --to
+    results/reference/certificates/coverage.csv
+    python -m benchmarks.coverage_by_seed --table results/reference/certificates/coverage.csv
+
+Per row, on one model of one data seed, as `ssm-study run plant=... seed=...` makes it: the choice
+of `auto` without the proof (`plain_`) and the one that prefers covered designs, each on the
+simulated plant from ten starts with noise; the coverage of both, decided exactly, and its reason
+where it is null; what fresh data sets need. Plants are those of the project and of
+`benchmarks/adversarial`. A row takes 20 to 60 s; rows that stand in the file are left as they are,
+unless `--again`.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pandas as pd
+
+from benchmarks.adversarial.__main__ import plant_of
+from benchmarks.common import keep, rows_of, study_of
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
+from ssm_study.evidence.finding import CANNOT_JUDGE
+from ssm_study.evidence.metrics import judge
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.metrics import behaviour
+from ssm_study.models.metrics import Simulation
+from ssm_study.plants.plant import Plant
+from ssm_study.robustness.coverage import Premise, measure_premise
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.signals import DataSet
+from ssm_study.synthesis.measured_discs_run import (
+    coverage_facts,
+    fresh_facts,
+    fresh_needs,
+    with_coverage,
+)
+
+KEY = ("plant", "model", "order", "seed", "cover")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedCase:
+    """One plant, its records, the model of them and what they show of its mismatch."""
+
+    parts: Any
+    plant: Plant
+    data: DataSet
+    model: Any
+    mismatch: Mismatch
+    premise: Premise
+    evidence: str
+    fit_percent: float
+
+    @classmethod
+    def of(cls, plant_name: str, seed: int, settings: list[str], fresh: int) -> "IdentifiedCase":
+        """Identified as `ssm-study run` does it."""
+        plant = plant_of(plant_name)
+        parts = study_of(f"seed={seed}", f"data.fresh_sets={fresh}", *settings)
+        data = parts.data.build(plant, parts.excitation, seed)
+        with TemporaryDirectory() as folder:
+            trained = parts.training.identify(parts.model, data, seed, Path(folder), False).model
+        model = parts.reduction.reduce(trained)
+        records = data.validation, data.start_up_samples, data.mismatch_records
+        mismatch = measure_mismatch(model, *records)
+        start_up = data.start_up_samples
+        premise = measure_premise(model, data.validation, mismatch, start_up, data.mismatch_records)
+        validation = Simulation.of(model, data.validation, start_up)
+        test = Simulation.of(model, data.test, start_up)
+        return cls(
+            parts=parts,
+            plant=plant,
+            data=data,
+            model=model,
+            mismatch=mismatch,
+            premise=premise,
+            evidence=judge(data, model, validation, test, mismatch).level,
+            fit_percent=test.fit_percent,
+        )
+
+    def choose(self, *, covered: bool) -> Design:
+        """The choice of `auto`, with or without a preference for what the proof covers."""
+        synthesis = self.parts.synthesis
+        if self.evidence == CANNOT_JUDGE:
+            synthesis = synthesis.cautious()
+        if covered:
+            synthesis = synthesis.covering(self.premise)
+        balls = certified_balls(self.model)
+        design: Design = synthesis.design(self.model, balls, self.data.validation, self.mismatch)
+        return with_coverage(design, self.model, balls, self.premise)
+
+    def columns(self, design: Design) -> dict[str, Any]:
+        """Coverage, prediction and loop of one design."""
+        facts: dict[str, Any] = dict(coverage_facts(design, self.model, self.premise))
+        if not design.feasible:
+            return facts
+        balls = certified_balls(self.model)
+        prediction = predict(self.model, design.pair, balls, self.mismatch)
+        facts["predicted"] = prediction.predicts_stability(self.parts.synthesis.margin)
+        controller = ObserverFeedback.of(self.model, design)
+        loop = self.parts.loop.fitted(self.model)
+        runs = loop.on_plant(self.plant, controller, self.parts.loop_seed)
+        loop_columns = behaviour(runs)
+        names = ("stable_count", "settling_time_mean_s", "settling_time_open_loop_s")
+        return facts | {name: loop_columns[name] for name in names}
+
+
+def row_of(arguments: argparse.Namespace, plant: str, seed: int) -> dict[str, Any]:
+    """One line of the table."""
+    settings = [f"model={arguments.model}", *arguments.set]
+    if arguments.order is not None:
+        settings.append(f"model.order={arguments.order}")
+    if arguments.cover is not None:
+        settings.append(f"synthesis.cover={arguments.cover}")
+    started = time.process_time()
+    case = IdentifiedCase.of(plant, seed, settings, arguments.fresh)
+    identified = time.process_time()
+    plain = case.choose(covered=False)
+    chosen = case.choose(covered=True)
+    designed = time.process_time()
+    fresh = case.parts.data.simulate_fresh_sets(case.plant, seed)
+    start_up = case.data.start_up_samples
+    needs = fresh_needs(chosen, case.model, case.premise, case.mismatch, fresh, start_up)
+    row: dict[str, Any] = {"plant": plant, "model": arguments.model, "seed": seed}
+    row |= {"order": arguments.order or "", "cover": arguments.cover or ""}
+    row |= {"evidence": case.evidence, "rests": case.mismatch.rests, "fit_test": case.fit_percent}
+    row |= {f"plain_{name}": value for name, value in case.columns(plain).items()}
+    row |= case.columns(chosen) | fresh_facts(needs)
+    row["fresh_sets"] = len(needs)
+    coverage = row.get("coverage")
+    row["fresh_sets_covered"] = sum(coverage is not None and need <= coverage for need in needs)
+    row["identify_s"] = round(identified - started, 1)
+    row["design_s"] = round(designed - identified, 1)
+    return {name: "" if value is None else value for name, value in row.items()}
+
+
+def summary(path: Path) -> pd.DataFrame:
+    """Per plant: rows, covered and settled of them, settling time over that of the plain choice."""
+    table = pd.read_csv(path)
+    table["ratio"] = table.settling_time_mean_s / table.plain_settling_time_mean_s
+    table["covered"] = table.coverage >= 1
+    table["plain_covered"] = table.plain_coverage >= 1
+    table["settles"] = table.stable_count == 10
+    table["covered_lost"] = table.covered & ~table.settles
+    table["fresh_within"] = table.fresh_sets_covered == table.fresh_sets
+    table["cheap"] = table.covered & (table.ratio <= 1.15)
+    groups = table.groupby(["plant", "model", "cover"], dropna=False, sort=False)
+    counts = ["plain_covered", "covered", "cheap", "settles", "covered_lost", "fresh_within"]
+    result = groups[counts].sum()
+    result.insert(0, "rows", groups.size())
+    result["smallest_coverage"] = groups.coverage.min()
+    result["median_coverage"] = groups.coverage.median()
+    result["median_ratio"] = groups.ratio.median()
+    result["largest_ratio"] = groups.ratio.max()
+    result["largest_needed"] = groups.coverage_needed.max()
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--plant", nargs="+", default=["dc_motor"])
+    parser.add_argument("--seed", nargs="+", type=int, default=[0])
+    parser.add_argument("--model", default="ssm")
+    parser.add_argument("--order", type=int)
+    parser.add_argument("--cover", type=float)
+    parser.add_argument("--fresh", type=int, default=3)
+    parser.add_argument("--set", nargs="*", default=[])
+    parser.add_argument("--to", type=Path)
+    parser.add_argument("--table", type=Path)
+    parser.add_argument("--again", action="store_true")
+    arguments = parser.parse_args()
+    if arguments.table is not None:
+        print(summary(arguments.table).to_string(float_format=lambda value: f"{value:.3f}"))
+        return
+    for plant in arguments.plant:
+        for seed in arguments.seed:
+            key = {"plant": plant, "model": arguments.model, "seed": seed}
+            key |= {"order": arguments.order or "", "cover": arguments.cover or ""}
+            there = any(
+                all(row[name] == str(key[name]) for name in KEY)
+                for row in rows_of(arguments.to or Path("none"))
+            )
+            if there and not arguments.again:
+                continue
+            row = row_of(arguments, plant, seed)
+            print(row, flush=True)
+            if arguments.to is not None:
+                keep(arguments.to, [row], KEY, lambda one: [str(one[name]) for name in KEY])
+
+
+if __name__ == "__main__":
+    main()

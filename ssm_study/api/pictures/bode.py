@@ -1,0 +1,115 @@
+"""Frequency response at rest beside the estimate that a record gives without any model."""
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
+from ssm_study.models.structured import Model, at_rest
+from ssm_study.signals import Trajectory
+from ssm_study.systems import JacobianBall
+
+SEGMENT = 256
+FEWEST = 16  # samples of a piece at most, and at least
+EXCITED = 0.01  # share of the input's mean power below which a frequency is left out
+COHERENT = 0.5  # squared coherence below which a dot would be noise
+POINTS = 200
+DECADES = 3  # below half the sampling rate
+Angles = Float[np.ndarray, "F"]
+
+
+def bode_picture(
+    model: Model,
+    record: Trajectory,
+    slopes: JacobianBall | None = None,
+    units: tuple[str, str] = ("", ""),
+) -> Picture:
+    """Gain and phase of the first output to the first input, physical, with the record's own dots.
+
+    `slopes` of the input map shade the gains that they allow, for one input. `units` are those of
+    output and input.
+    """
+    nyquist = 0.5 / model.step_s
+    hertz = np.geomspace(10.0**-DECADES * nyquist, nyquist, POINTS)
+    response = response_at_rest(model, 2 * np.pi * hertz * model.step_s)
+    angle = np.unwrap(np.angle(response))
+    magnitude = np.abs(response)
+    gains = [Series(x=hertz, y=magnitude, name="model at rest")]
+    phases = [Series(x=hertz, y=np.rad2deg(angle))]
+    at_hertz, estimate = estimated_response(record.u[:, 0], record.y[:, 0], record.step_s)
+    if len(at_hertz):
+        dots = np.abs(estimate)
+        name = "record"
+        gains.append(Series(x=at_hertz, y=dots, mark="dots", colour=style.GREY, name=name))
+        near = np.interp(at_hertz, hertz, angle)  # of all equal angles the one next to the model's
+        apart = np.angle(estimate * np.exp(-1j * near))
+        degrees = np.rad2deg(near + apart)
+        phases.append(Series(x=at_hertz, y=degrees, mark="dots", colour=style.GREY))
+    shared = {"x_label": "Frequency (Hz)", "log_x": True}
+    upper = PicturePanel(
+        y_label=f"Gain{_ratio(units)}",
+        series=tuple(gains),
+        bands=_bands(model, slopes, hertz, magnitude),
+        log_y=True,
+        height=1.2,
+        **shared,  # type: ignore[arg-type]
+    )
+    lower = PicturePanel(y_label="Phase (degrees)", series=tuple(phases), **shared)  # type: ignore[arg-type]
+    title = "Frequency response at the equilibrium"
+    return Picture(title=title, panels=(upper, lower))
+
+
+def _ratio(units: tuple[str, str]) -> str:
+    """Unit of the gain in parentheses."""
+    return f" ({units[0] or '1'} per {units[1] or '1'})"
+
+
+def _bands(
+    model: Model, slopes: JacobianBall | None, hertz: Angles, magnitude: Angles
+) -> tuple[Band, ...]:
+    """Gains that the slopes of the input map allow."""
+    if slopes is None or model.scaffold_in.inputs != 1:
+        return ()
+    slope_at_rest = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
+    if slope_at_rest <= 0 or slopes.lower <= 0 or slopes.upper <= slopes.lower:
+        return ()
+    low = magnitude * slopes.lower / slope_at_rest
+    high = magnitude * slopes.upper / slope_at_rest
+    band = Band(x=hertz, low=low, high=high, name="slopes of the input map", colour=style.SKY)
+    return (band,)
+
+
+def response_at_rest(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
+    """`s_y J_y (C (zI - A)^-1 B + D) J_u / s_u` of the first channels at `z = exp(j angle)`."""
+    linear = at_rest(model)
+    slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+    slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+    inward = (slope_in / model.scale.input_scale)[:, 0]
+    outward = (model.scale.output_scale[:, None] * slope_out)[0]
+    z = np.exp(1j * angles)[:, None, None]
+    shifted = z * np.eye(len(linear.a)) - linear.a
+    states = np.linalg.solve(shifted, (linear.b @ inward)[:, None])
+    return np.asarray((outward @ linear.c) @ states[:, :, 0].T + outward @ linear.d @ inward)
+
+
+def estimated_response(
+    u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], step_s: float
+) -> tuple[Float[np.ndarray, "K"], Complex[np.ndarray, "K"]]:
+    """Frequencies in Hz and the ratio of cross spectrum to input power; empty for a short record.
+
+    By Welch's method; frequencies without input power or coherence are left out.
+    """
+    from scipy import signal
+
+    segment = min(SEGMENT, len(u) // 4)
+    if segment < FEWEST:
+        return np.empty(0), np.empty(0, dtype=complex)
+    input_deviation = u - u.mean()
+    output_deviation = y - y.mean()
+    rate = 1 / step_s
+    frequency, cross = signal.csd(input_deviation, output_deviation, fs=rate, nperseg=segment)
+    power = signal.welch(input_deviation, fs=rate, nperseg=segment)[1]
+    output_power = signal.welch(output_deviation, fs=rate, nperseg=segment)[1]
+    coherent = np.abs(cross) ** 2 > COHERENT * power * output_power
+    excited = (power > EXCITED * power.mean()) & (frequency > 0) & coherent
+    return frequency[excited], cross[excited] / power[excited]

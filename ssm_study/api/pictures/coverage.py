@@ -1,0 +1,85 @@
+"""Coverage by band: how many times the measured model error the proof tolerates."""
+
+import numpy as np
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
+from ssm_study.synthesis.measured_discs_run import weights_of
+
+HIGHEST = 100.0  # a band that is covered so often says no more than "far"
+
+
+def coverage_picture(part: MeasuredDiscs | None, premise: Premise, step_s: float) -> Picture:
+    """Proved over needed radius of each band, a line per record, rule at 1, the deciding band
+    marked.
+
+    Bands in which the record shows no error are left out; crosses are bands without excitation,
+    where noise counts as error. Raises `NothingToShow` without a certificate or a premise.
+    """
+    if part is None:
+        raise NothingToShow("No proof speaks of the model error of these gains.")
+    missing = premise.missing(part.centre)
+    if missing is not None:
+        raise NothingToShow(f"Nothing is covered: {missing}.")
+    weights = weights_of(part)
+    rows = [row for row in coverage_table(premise, weights, part.centre, part.kappa) if row.need]
+    if not rows:
+        raise NothingToShow("The records show no model error in any band.")
+    records = list(dict.fromkeys(row.record for row in rows))
+    series = []
+    for i, record in enumerate(records):
+        own = [row for row in rows if row.record == record]
+        colour = style.CYCLE[i % len(style.CYCLE)]
+        series += _record_series(own, part.kappa, step_s, record, colour)
+    need, where = weights.need(premise.items(part.centre))
+    coverage = part.kappa / need
+    band = next((row for row in rows if row.decides), None)
+    if band is not None and np.isclose(band.need, need, rtol=1e-6):
+        series.append(_mark(band, part.kappa, step_s))
+    verdict = "covered" if coverage >= 1 else "not covered"
+    title = f"Coverage {_two_digits(coverage)}, {verdict}; decided by: {where}"
+    panel = PicturePanel(
+        x_label="Frequency (Hz)",
+        y_label="Proved over measured error (–)",
+        series=tuple(series),
+        rules=(GuideLine(y=1.0, dashed=False, name="1: no longer covered"),),
+        log_x=True,
+        log_y=True,
+        height=1.6,
+    )
+    return Picture(title=title, panels=(panel,), wide=True)
+
+
+def _record_series(
+    rows: list[CoverageBand], kappa: float, step_s: float, name: str, colour: str
+) -> list[Series]:
+    """Line over the bands of one record, with crosses where its input has no power."""
+    hertz = np.array([row.frequency for row in rows]) / (2 * np.pi * step_s)
+    times = np.minimum([kappa / row.need for row in rows], HIGHEST)
+    is_dark = np.array([row.is_dark for row in rows])
+    seen = hertz > 0
+    lit = Series(x=hertz[seen], y=times[seen], colour=colour, name=name)
+    dark = is_dark & seen
+    if not dark.any():
+        return [lit]
+    return [lit, Series(x=hertz[dark], y=times[dark], mark="crosses", colour=colour)]
+
+
+def _mark(band: CoverageBand, kappa: float, step_s: float) -> Series:
+    """Dot at the band that decides."""
+    hertz = band.frequency / (2 * np.pi * step_s)
+    return Series(
+        x=np.array([hertz]),
+        y=np.array([kappa / band.need]),
+        mark="point",
+        colour=style.INK,
+        name=f"decides, {hertz:.3g} Hz",
+    )
+
+
+def _two_digits(coverage: float) -> str:
+    """Coverage rounded down, so that it is never rounded up across one."""
+    return f"{np.floor(100 * coverage) / 100:.2f}"

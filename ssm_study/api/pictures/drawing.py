@@ -1,0 +1,158 @@
+"""Matplotlib figures of pictures."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import GuideLine, Mark, Picture, PicturePanel, Series
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ROW_IN = 1.55  # height of a panel of height one
+SHAPES: dict[Mark, str] = {
+    "dots": ".",
+    "crosses": "x",
+    "circles": "o",
+    "triangles": "^",
+    "point": "o",
+}
+MOST_LEGEND_COLUMNS = 3
+FEW_DECADES = 200  # ratio of the ends of a logarithmic axis below which more ticks have labels
+
+
+def draw_picture(picture: Picture) -> "Figure":
+    """Draw a picture in the style of the paper. Returns the figure; nothing is shown."""
+    with style.paper():
+        return draw_unstyled(picture)
+
+
+def draw_unstyled(picture: Picture) -> "Figure":
+    """Draw a picture with the settings that are in force."""
+    rows = [
+        picture.panels[i : i + picture.columns]
+        for i in range(0, len(picture.panels), picture.columns)
+    ]
+    heights = [row[0].height for row in rows]
+    width = style.PAGE_IN if picture.wide or picture.columns > 1 else style.COLUMN_IN
+    figure = style.canvas(width, 0.35 + ROW_IN * sum(heights))
+    grid = figure.subplots(len(rows), picture.columns, squeeze=False, height_ratios=heights)
+    for axes_of_row, panels in zip(grid, rows, strict=True):
+        for axes, panel in zip(axes_of_row, panels, strict=False):
+            draw_panel(axes, panel)
+        for axes in axes_of_row[len(panels) :]:
+            axes.set_axis_off()
+    _hide_repeated_labels(grid, rows)
+    if picture.title:
+        figure.suptitle(picture.title, size=8, x=0.01, ha="left")
+    figure.align_ylabels()
+    return figure
+
+
+def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
+    """Draw one panel into its axes."""
+    for band in panel.bands:
+        axes.fill_between(
+            band.x, band.low, band.high, color=band.colour, lw=0, label=band.name or None, alpha=0.6
+        )
+    for rule in panel.rules:
+        _draw_rule(axes, rule)
+    for series in panel.series:
+        _draw_series(axes, series)
+    axes.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title)
+    if panel.log_x:
+        axes.set_xscale("log")
+    if panel.log_y:
+        axes.set_yscale("log")
+        _thin_minor_labels(axes)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="box")
+    if panel.x_range:
+        axes.set_xlim(*panel.x_range)
+    if panel.y_range:
+        axes.set_ylim(*panel.y_range)
+    if axes.get_legend_handles_labels()[1] and not panel.title:
+        style.above(axes, columns=MOST_LEGEND_COLUMNS if _is_wide(axes) else 2)
+    elif axes.get_legend_handles_labels()[1]:
+        axes.legend(loc="best")
+
+
+def _thin_minor_labels(axes: "Axes") -> None:
+    """Label 2 and 5 between decades, as plain numbers, where the axis spans few decades."""
+    from matplotlib.ticker import LogLocator, StrMethodFormatter
+
+    low, high = axes.get_ylim()
+    if high < FEW_DECADES * low:
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.yaxis.set_minor_formatter(lambda *_: "")
+
+
+def _is_wide(axes: "Axes") -> bool:
+    """Whether the axes fill a page rather than a column."""
+    figure = axes.figure
+    columns = axes.get_subplotspec()
+    assert columns is not None
+    across = columns.get_gridspec().ncols
+    return bool(figure.get_figwidth() / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
+
+
+def _draw_series(axes: "Axes", series: Series) -> None:
+    """Draw one series by its mark."""
+    label = series.name or None
+    look: dict[str, Any] = {"color": series.colour, "label": label}
+    line: dict[str, Any] = {
+        "linewidth": 0.7 if series.thin else 1.1,
+        "linestyle": "--" if series.dashed else "-",
+    }
+    if series.mark == "line":
+        axes.plot(series.x, series.y, **look, **line)
+    elif series.mark == "steps":
+        axes.step(series.x, series.y, where="post", **look, **line)
+    elif series.mark == "stems":
+        axes.vlines(series.x, 0, series.y, color=series.colour, linewidth=1.0)
+        axes.plot(series.x, series.y, marker="o", markersize=2, linestyle="", **look)
+    elif series.mark == "dots":
+        axes.plot(series.x, series.y, marker=".", markersize=2.5, linestyle="", **look)
+    else:
+        fill = "full" if series.mark == "point" else "none"
+        shape = SHAPES[series.mark]
+        axes.plot(series.x, series.y, marker=shape, linestyle="", fillstyle=fill, zorder=4, **look)
+
+
+def _draw_rule(axes: "Axes", rule: GuideLine) -> None:
+    """Draw a line across the axes."""
+    look: dict[str, Any] = {
+        "color": style.INK,
+        "linewidth": 0.8,
+        "linestyle": "--" if rule.dashed else "-",
+        "label": rule.name or None,
+    }
+    if rule.y is not None:
+        axes.axhline(rule.y, **look)
+    if rule.x is not None:
+        axes.axvline(rule.x, **look)
+
+
+def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> None:
+    """Label the horizontal axis once where a column of panels shares it."""
+    for j in range(len(rows[0])):
+        labels = [row[j].x_label for row in rows if j < len(row)]
+        if len(set(labels)) > 1:
+            continue
+        for i in range(len(labels) - 1):
+            if rows[i][j].x_range == rows[i + 1][j].x_range:
+                grid[i][j].sharex(grid[i + 1][j])
+                grid[i][j].set_xlabel("")
+                grid[i][j].tick_params(labelbottom=False)
+
+
+def circle(
+    radius: float = 1.0, points: int = 181
+) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
+    """Coordinates of a circle around the origin."""
+    angles = np.linspace(0, 2 * np.pi, points)
+    return radius * np.cos(angles), radius * np.sin(angles)

@@ -1,0 +1,94 @@
+"""Free runs on one record: measured as dots, models on top, errors below."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series
+from ssm_study.signals import fit_percent
+
+LONGEST = 2000  # samples drawn: more would be a solid block of ink
+Outputs = Float[np.ndarray, "T p"]
+
+
+def free_run_picture(
+    time_s: Float[np.ndarray, "T"],
+    measured: Outputs,
+    simulated: Mapping[str, Outputs],
+    labels: Sequence[str],
+    start_up: int = 0,
+) -> Picture:
+    """One column per output; the legend holds each model's fit after `start_up` samples.
+
+    Of a longer record the first `LONGEST` samples are drawn; the fit is of the whole.
+    """
+    shown = slice(0, LONGEST)
+    fits = {
+        name: fit_percent(measured[start_up:], output[start_up:])
+        for name, output in simulated.items()
+    }
+    upper = []
+    lower = []
+    for j, label in enumerate(labels):
+        start = _start_up_band(time_s[shown], measured[shown, j], start_up)
+        dots = Series(
+            x=time_s[shown], y=measured[shown, j], mark="dots", colour=style.GREY, name="measured"
+        )
+        runs = [dots]
+        errors = []
+        for i, (name, output) in enumerate(simulated.items()):
+            colour = style.CYCLE[i % len(style.CYCLE)]
+            legend = f"{name}, fit {fits[name]:.1f} %"
+            run = Series(x=time_s[shown], y=output[shown, j], colour=colour, name=legend)
+            runs.append(run)
+            error = measured[shown, j] - output[shown, j]
+            errors.append(Series(x=time_s[shown], y=error, colour=_error_colour(i), thin=True))
+        upper.append(
+            PicturePanel(
+                x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3
+            )
+        )
+        zero = GuideLine(y=0.0, dashed=False)
+        lower.append(
+            PicturePanel(
+                x_label="Time (s)",
+                y_label=f"Error{_unit(label)}",
+                series=tuple(errors) if len(errors) > 1 else _recoloured(errors),
+                rules=(zero,),
+                height=0.7,
+            )
+        )
+    best = max(fits.values())
+    title = f"Free run on the test record: fit {best:.1f} %"
+    if len(measured) > LONGEST:
+        title += f" (the first {LONGEST} of {len(measured)} samples)"
+    return Picture(title=title, panels=(*upper, *lower), columns=len(labels), wide=True)
+
+
+def _error_colour(i: int) -> str:
+    """Colour of the error of the i-th model: that of its run."""
+    return style.CYCLE[i % len(style.CYCLE)]
+
+
+def _recoloured(errors: list[Series]) -> tuple[Series, ...]:
+    """The error of a single model, in a colour of its own."""
+    return tuple(Series(x=one.x, y=one.y, colour=style.VERMILLION, thin=True) for one in errors)
+
+
+def _unit(label: str) -> str:
+    """Unit of a label, with its parentheses."""
+    return f" ({label.rpartition('(')[2]}" if "(" in label else ""
+
+
+def _start_up_band(
+    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T"], samples: int
+) -> tuple[Band, ...]:
+    """Shade the samples that estimate the initial state and are not scored."""
+    if not samples:
+        return ()
+    ends = time_s[[0, min(samples, len(time_s) - 1)]]
+    low = np.full(2, values.min())
+    high = np.full(2, values.max())
+    return (Band(x=ends, low=low, high=high, name="initial state"),)

@@ -1,0 +1,183 @@
+"""Responses of the closed loop: from initial outputs, and to a step of the set point."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import (
+    Band,
+    GuideLine,
+    NothingToShow,
+    Picture,
+    PicturePanel,
+    Series,
+)
+from ssm_study.certificates.certificate import Design
+from ssm_study.loop.controller import ObserverFeedback
+from ssm_study.loop.reference import StepReference
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.rollout import Rollouts, settling_times_s
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel
+
+SIZES = (0.5, 0.25, 0.1)  # steps tried, in output scales: the first that the input can hold
+BEFORE = 0.1  # share of the horizon before the step
+SEEN_SETTLING_TIMES = 6  # how much is drawn after the step, in settling times
+FEWEST_SEEN = 40  # samples
+Inputs = Sequence[Float[np.ndarray, "_ m"]]
+
+
+def initial_response_picture(
+    controlled: Rollouts, uncontrolled: Rollouts, plant: Any, recorded: Inputs, place: str
+) -> Picture:
+    """Outputs and inputs from initial outputs, the open loop in grey, recorded range dashed."""
+    columns = max(len(plant.outputs), len(plant.inputs))
+    upper = []
+    for j, channel in enumerate(plant.outputs):
+        open_loop = _bundle(uncontrolled, "y", j, "open loop", style.GREY)
+        closed = _bundle(controlled, "y", j, "under control", style.BLUE)
+        panel = PicturePanel(
+            x_label="Time (s)", y_label=label_of(channel), series=(*open_loop, *closed)
+        )
+        upper.append(panel)
+    lower = _input_panels(controlled, plant.inputs, recorded)
+    panels = (*_padded(upper, columns), *_padded(lower, columns))
+    title = f"Closed loop on {place}"
+    return Picture(title=title, panels=panels, columns=columns, wide=True)
+
+
+def set_point_picture(
+    plant: Plant | IdentifiedPlant,
+    design: Design,
+    model: Any,
+    loop: Loop,
+    recorded: Inputs,
+    place: str,
+    size: float | None = None,
+) -> Picture:
+    """Step of the set point from the equilibrium, without noise, and the input that follows it.
+
+    `size` in the output's unit; without it the largest share of the output's scale in `SIZES` that
+    an input within the limits of `loop` holds. Raises `NothingToShow` where none does.
+    """
+    controller = ObserverFeedback.of(model, design)
+    scale = float(model.scale.output_scale.min())
+    sizes = (size,) if size is not None else tuple(share * scale for share in SIZES)
+    reason = "No step of the set point can be held."
+    for one in sizes:
+        try:
+            run = _step(plant, controller, loop, one)
+        except BadRequest as refusal:
+            reason = f"No step of the set point can be held: {refusal}"
+            continue
+        return _step_picture(run, plant, recorded, place, one)
+    raise NothingToShow(reason)
+
+
+def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> Rollouts:
+    """One run from rest through a step."""
+    samples = loop.samples(plant.step_s)
+    at_s = BEFORE * samples * plant.step_s
+    reference = StepReference(before=0.0, after=size, at_s=at_s)
+    rest = plant.equilibrium().y[None]
+    noise = np.zeros((1, samples, len(plant.outputs)))
+    return replace(loop, reference=reference).simulate(plant, controller, rest, noise)
+
+
+def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
+    """Output beside its reference, settling band in grey, and the input."""
+    (time_s,) = settling_times_s(run, plant.settling_band)
+    seen = _seen_range(run, time_s)
+    columns = max(len(plant.outputs), len(plant.inputs))
+    upper = []
+    for j, channel in enumerate(plant.outputs):
+        goal = run.reference[0, :, j] if run.reference.ndim == 3 else run.reference[:, j]
+        band = Band(
+            x=run.time_s,
+            low=goal - plant.settling_band,
+            high=goal + plant.settling_band,
+            name="settling band",
+        )
+        set_point = Series(
+            x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name="set point"
+        )
+        output = Series(x=run.time_s, y=run.y[0, :, j], name="output")
+        panel = PicturePanel(
+            x_label="Time (s)",
+            y_label=label_of(channel),
+            series=(set_point, output),
+            bands=(band,),
+            x_range=seen,
+        )
+        upper.append(panel)
+    lower = [replace(panel, x_range=seen) for panel in _input_panels(run, plant.inputs, recorded)]
+    panels = (*_padded(upper, columns), *_padded(lower, columns))
+    ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
+    unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
+    title = f"Step of the set point by {size:.3g}{unit} on {place}: {ending}"
+    return Picture(title=title, panels=panels, columns=columns, wide=True)
+
+
+def _seen_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
+    """Times that are drawn: around the step, as long as what follows it takes."""
+    end_s = float(run.time_s[-1])
+    at_s = BEFORE * len(run.time_s) * run.step_s
+    if settling_time_s is None:
+        return 0.0, end_s
+    span_s = max(SEEN_SETTLING_TIMES * settling_time_s, FEWEST_SEEN * run.step_s)
+    return max(0.0, at_s - span_s / 4), min(end_s, at_s + span_s)
+
+
+def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
+    """One line per case; the first has the name."""
+    values = getattr(runs, signal)
+    mark: Any = "steps" if signal == "u" else "line"
+    return tuple(
+        Series(
+            x=runs.time_s,
+            y=values[i, :, j],
+            name="" if i else name,
+            colour=colour,
+            mark=mark,
+            thin=True,
+        )
+        for i in range(len(values))
+    )
+
+
+def _input_panels(
+    runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs
+) -> list[PicturePanel]:
+    """Inputs, with the ends of their recorded range."""
+    panels = []
+    for j, channel in enumerate(inputs):
+        rules: tuple[GuideLine, ...] = ()
+        if len(recorded):
+            values = np.concatenate([one[:, j] for one in recorded])
+            rules = (
+                GuideLine(y=float(values.min()), name="recorded range"),
+                GuideLine(y=float(values.max())),
+            )
+        series = _bundle(runs, "u", j, "input", style.VERMILLION)
+        panel = PicturePanel(
+            x_label="Time (s)", y_label=label_of(channel), series=series, rules=rules
+        )
+        panels.append(panel)
+    return panels
+
+
+def _padded(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
+    """Fill a row whose panels are fewer than its columns with empty ones."""
+    empty = PicturePanel(x_label="", y_label="", series=())
+    return panels + [empty] * (columns - len(panels))
+
+
+def label_of(channel: Any) -> str:
+    """Name of a channel with its unit in parentheses."""
+    name = str(channel.name).replace("_", " ")
+    return f"{name[:1].upper()}{name[1:]} ({channel.unit})" if channel.unit else name

@@ -1,0 +1,74 @@
+"""Stability margin by frequency: how much larger the measured model error may be."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ssm_study import style
+from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.robustness.margin_by_frequency import MarginCurve
+from ssm_study.robustness.sensitivity import FINE_ANGLES
+
+HIGHEST = 1e3  # margins above say no more than "far": the axis ends there
+DECADES = 3  # below half the sampling rate
+
+
+def margin_picture(
+    curves: Sequence[MarginCurve], step_s: float, margin: float | None = None
+) -> Picture:
+    """Margin at each frequency, a line for each recorded amplitude, a dot where it is decided.
+
+    `margin` is the design's own: where it lies below every curve, a mixture of amplitudes or an
+    offset decides it, and a dashed line shows it. Raises `NothingToShow` without a curve.
+    """
+    drawn = [curve for curve in curves if np.isfinite(curve.smallest)]
+    if not curves:
+        raise NothingToShow("A loop of constant slopes is unstable: the margin is zero.")
+    if not drawn:
+        raise NothingToShow("The records show no model error beyond their noise.")
+    hertz = FINE_ANGLES / (2 * np.pi * step_s)
+    least = min(drawn, key=lambda curve: curve.smallest)
+    first = min(hertz[-1] / 10**DECADES, least.angle / (2 * np.pi * step_s))
+    visible = hertz >= first
+    series = [
+        Series(
+            x=hertz[visible],
+            y=np.where(curve.margin < HIGHEST, curve.margin, np.nan)[visible],
+            name=_name(curve),
+            colour=style.CYCLE[i % len(style.CYCLE)],
+        )
+        for i, curve in enumerate(drawn)
+    ]
+    at_hertz = least.angle / (2 * np.pi * step_s)
+    rules = [GuideLine(y=1.0, dashed=False, name="1: small gain ends")]
+    decided_by_curve = margin is None or least.smallest <= 1.001 * margin
+    if decided_by_curve:
+        dot = Series(
+            x=np.array([at_hertz]),
+            y=np.array([least.smallest]),
+            mark="point",
+            colour=style.INK,
+            name=f"decides: {least.smallest:.3g} at {at_hertz:.3g} Hz",
+        )
+        series.append(dot)
+        title = f"Stability margin {least.smallest:.3g}, decided at {at_hertz:.3g} Hz"
+    else:
+        rules.append(GuideLine(y=margin, name="the design's margin, between two amplitudes"))
+        title = f"Stability margin {margin:.3g}, decided between two amplitudes or by an offset"
+    panel = PicturePanel(
+        x_label="Frequency (Hz)",
+        y_label="Stability margin (–)",
+        series=tuple(series),
+        rules=tuple(rules),
+        log_x=True,
+        log_y=True,
+        height=1.5,
+    )
+    return Picture(title=title, panels=(panel,))
+
+
+def _name(curve: MarginCurve) -> str:
+    """Legend of one curve."""
+    if curve.amplitude is None:
+        return "trials in closed loop"
+    return f"input rms {curve.amplitude:.2g} scales"

@@ -1,0 +1,134 @@
+"""Nyquist curve of the loop, with a disc around each point for the measured model error."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study import style
+from ssm_study.api.pictures.drawing import circle
+from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel, Series
+from ssm_study.bounds.frequency import frequency_response
+from ssm_study.models.structured import Model, at_rest
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.sensitivity import FINE_ANGLES, sensitivity
+from ssm_study.systems import Gains
+
+REACH = 2.2  # how far from the origin the curve is drawn: the point -1 decides
+SMALLEST_DISC = 0.01  # a smaller one is not seen
+
+
+def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Picture:
+    """Loop gain `-C P` broken at the plant's input, at the slopes of rest, and its discs.
+
+    The plant at one amplitude is `P (1 + Q)` up to a gain `g_r` from input to output, so the curve
+    is `L (1 + Q)` and its discs have the radius `|C| g_r`: the loop is stable at these slopes if
+    the curve does not wind around -1 and no disc holds it. The amplitude drawn is the one whose
+    discs come nearest. Raises `NothingToShow` for several inputs or outputs.
+    """
+    if model.scale.inputs != 1 or model.scale.outputs != 1:
+        raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
+    plant, controller = loop_parts(model, pair, FINE_ANGLES)
+    loop = -plant * controller
+    series = [_curve(loop, "model", style.BLUE)]
+    title = "Nyquist curve of the loop at the equilibrium"
+    if mismatch is not None:
+        discs, distance = _nearest_discs(model, pair, mismatch.views)
+        series.append(discs)
+        title = (
+            f"The point -1 lies {distance:.2g} outside the discs of the measured error"
+            if distance > 0
+            else "A disc of the measured error holds the point -1"
+        )
+    series.append(_point())
+    unit = circle()
+    circle_series = Series(x=unit[0], y=unit[1], colour=style.PALE, thin=True, name="gain 1")
+    panel = PicturePanel(
+        x_label="Real part (–)",
+        y_label="Imaginary part (–)",
+        series=(circle_series, *series),
+        equal=True,
+        x_range=(-REACH, REACH),
+        y_range=(-REACH, REACH),
+        height=2.2,
+    )
+    return Picture(title=title, panels=(panel,))
+
+
+def loop_parts(
+    model: Model, pair: Gains, angles: Float[np.ndarray, "F"]
+) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
+    """Plant and controller, scaled, at these angles: `C = T_ue / (1 + P T_ue)`."""
+    linear = at_rest(model)
+    slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
+    slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
+    closed = frequency_response(sensitivity(linear, pair, slope_in, slope_out), angles)[:, 0, 0]
+    plant = slope_in * slope_out * frequency_response(linear, angles)[:, 0, 0]
+    return plant, closed / (1 + plant * closed)
+
+
+def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Series, float]:
+    """Discs of the amplitude that come nearest to -1, and the least distance.
+
+    Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
+    that lies farther away counts: either is sufficient.
+    """
+    plant, controller = loop_parts(model, pair, np.maximum(ANGLES, 1e-4))
+    nearest: tuple[Series, float] | None = None
+    for view in views:
+        by_size = _discs_at(plant, controller, 0 * view.linear, view.by_frequency)
+        with_phase = _discs_at(plant, controller, view.linear, view.rest)
+        farther = max(by_size, with_phase, key=lambda pair: pair[1])
+        if nearest is None or farther[1] < nearest[1]:
+            nearest = farther
+    assert nearest is not None
+    return nearest
+
+
+def _discs_at(
+    plant: Complex[np.ndarray, "F"],
+    controller: Complex[np.ndarray, "F"],
+    linear_part: Complex[np.ndarray, "F"],
+    remainder: Float[np.ndarray, "F"],
+) -> tuple[Series, float]:
+    """Discs around `L (1 + Q)` with the radius `|C| g`, and how far -1 lies outside all."""
+    centres = -plant * controller * (1 + linear_part)
+    radii = np.abs(controller) * remainder
+    return _discs(centres, radii), float((np.abs(centres + 1) - radii).min())
+
+
+def _curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
+    """The part of a complex curve that is near enough to be seen."""
+    near = np.abs(values) < 2 * REACH
+    return Series(
+        x=np.where(near, values.real, np.nan),
+        y=np.where(near, values.imag, np.nan),
+        name=name,
+        colour=colour,
+    )
+
+
+def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
+    """The rims of all discs that can be seen, as one broken line."""
+    rims = []
+    x, y = circle(points=25)
+    for centre, radius in zip(centres, radii, strict=True):
+        if radius > SMALLEST_DISC and np.abs(centre) < 2 * REACH:
+            rim = centre + radius * (x + 1j * y)
+            rims.append(np.append(rim, complex(np.nan, np.nan)))
+    points = np.concatenate(rims) if rims else np.empty(0, dtype=complex)
+    return Series(
+        x=points.real,
+        y=points.imag,
+        name="measured error, by band",
+        colour=style.VERMILLION,
+        thin=True,
+    )
+
+
+def _point() -> Series:
+    """The point that must not be reached."""
+    return Series(
+        x=np.array([-1.0]), y=np.array([0.0]), mark="crosses", colour=style.INK, name="-1"
+    )

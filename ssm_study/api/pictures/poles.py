@@ -1,0 +1,57 @@
+"""Poles in the unit circle, and the circle of the rate that is proved."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Inexact
+
+from ssm_study import style
+from ssm_study.api.pictures.drawing import circle
+from ssm_study.api.pictures.picture import Mark, Picture, PicturePanel, Series
+from ssm_study.models.structured import Model, at_rest
+from ssm_study.systems import Gains
+
+MARKS: tuple[Mark, ...] = ("crosses", "circles", "triangles")
+COLOURS = (style.GREY, style.BLUE, style.VERMILLION)
+Poles = Inexact[np.ndarray, "_"]
+
+
+def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Picture:
+    """Eigenvalues per sample; the dashed circle has the radius `sqrt(1 - rate)`."""
+    unit = circle()
+    series = [Series(x=unit[0], y=unit[1], colour=style.INK, thin=True)]
+    title = "Poles at the equilibrium, per sample"
+    if rate is not None:
+        factor = float(np.sqrt(1 - rate))
+        x, y = circle(factor)
+        name = f"proved of the controller: {factor:.3f}"
+        series.append(Series(x=x, y=y, colour=style.GREY, dashed=True, name=name))
+        title = f"Poles at the equilibrium; distances shrink by {factor:.3f} a sample or faster"
+    for i, (name, poles) in enumerate(groups.items()):
+        values = np.asarray(poles, dtype=complex)
+        mark = MARKS[i % len(MARKS)]
+        colour = COLOURS[i % len(COLOURS)]
+        series.append(Series(x=values.real, y=values.imag, mark=mark, colour=colour, name=name))
+    panel = PicturePanel(
+        x_label="Real part (per sample)",
+        y_label="Imaginary part (per sample)",
+        series=tuple(series),
+        equal=True,
+        height=2.2,
+    )
+    return Picture(title=title, panels=(panel,))
+
+
+def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
+    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest, without an internal model."""
+    linear = at_rest(model)
+    n = len(linear.a)
+    slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+    slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+    controlled = linear.a + linear.b @ slope_in @ gains.k[:, :n]
+    observed = linear.a + gains.l[:n] @ slope_out @ linear.c
+    return {
+        "model": np.linalg.eigvals(linear.a).astype(complex),
+        "controlled": np.linalg.eigvals(controlled).astype(complex),
+        "estimate": np.linalg.eigvals(observed).astype(complex),
+    }

@@ -1,0 +1,74 @@
+"""Correlation of the error of a free run with itself and with the inputs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
+
+SURE = 1.96  # standard deviations of a normal distribution that hold 95 %
+MAX_LAG = 25  # samples
+Signals = Sequence[Float[np.ndarray, "_ c"]]
+
+
+def residual_correlation_picture(
+    errors: Signals, inputs: Signals, output_name: str, input_names: Sequence[str]
+) -> Picture:
+    """Correlations of all records together, 95 % bounds of white noise in grey.
+
+    Of the first output; one panel for it alone and one for each input.
+    """
+    samples = sum(map(len, errors))
+    lags = min(MAX_LAG, min(map(len, errors)) // 4)
+    bound = SURE / np.sqrt(samples)
+    own = correlate(errors, errors, 0, 0, lags, one_sided=True)
+    panels = [_panel(own, bound, f"Error of {output_name} with itself")]
+    for j, name in enumerate(input_names):
+        cross = correlate(errors, inputs, 0, j, lags, one_sided=False)
+        panels.append(_panel(cross, bound, f"Error with {name}"))
+    inside = float(np.mean(np.abs(own[1][1:]) <= bound))
+    title = (
+        f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
+    )
+    return Picture(title=title, panels=tuple(panels), columns=len(panels))
+
+
+def _panel(
+    correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]], bound: float, title: str
+) -> PicturePanel:
+    """One correlation as stems over its bounds."""
+    lags, values = correlation
+    ends = np.array([lags[0], lags[-1]], dtype=float)
+    band = Band(x=ends, low=np.full(2, -bound), high=np.full(2, bound))
+    stems = Series(x=lags.astype(float), y=values, mark="stems")
+    return PicturePanel(
+        x_label="Lag (samples)",
+        y_label="Correlation (–)",
+        series=(stems,),
+        bands=(band,),
+        title=title,
+        height=1.1,
+    )
+
+
+def correlate(
+    first: Signals, second: Signals, i: int, j: int, lags: int, *, one_sided: bool
+) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
+    """Correlation of `first[k]` with `second[k - lag]`, all records together, means removed.
+
+    Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
+    """
+    range_of_lags = np.arange(0 if one_sided else -lags, lags + 1)
+    sums = np.zeros(len(range_of_lags))
+    powers = np.zeros(2)
+    for a, b in zip(first, second, strict=True):
+        x = a[:, i] - a[:, i].mean()
+        z = b[:, j] - b[:, j].mean()
+        powers += [float(x @ x), float(z @ z)]
+        for k, lag in enumerate(map(int, range_of_lags)):
+            later = x[max(lag, 0) : len(x) + min(lag, 0)]
+            earlier = z[max(-lag, 0) : len(z) + min(-lag, 0)]
+            sums[k] += float(later @ earlier)
+    size = np.sqrt(powers.prod())
+    return range_of_lags, sums / size if size > 0 else sums

@@ -1,0 +1,51 @@
+"""The exact verdict on a Lipschitz certificate: whether stored multipliers prove `|N(v) - N(w)| <=
+|v - w|`.
+
+Neurons of slopes `lo <= hi`, diagonal `T_l > 0`: the network is 1-Lipschitz if
+
+    |v|^2 - |W d|^2 - 2 sum_l (d_l - lo q_l)^T T_l (hi q_l - d_l) > 0     for all (v, d) != 0
+    (q_l = W_l d_{l-1})
+
+Source: Fazlyab et al. 2019, eq. (10). Decided in rational arithmetic on the stored floats, so no
+rounding of the maker's and no word of a file is believed.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.bounds.network import Network
+from ssm_study.exact import Exact, is_positive_definite
+
+
+def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndarray, "_"]]) -> bool:
+    """Whether these multipliers prove that the network is 1-Lipschitz; decided, not estimated.
+
+    False says that they prove nothing, not that the network expands.
+    """
+    if not all((t > 0).all() for t in multipliers):
+        return False
+    selections = _selections(network)
+    form = selections[0].T @ selections[0]
+    for layer, (weight, _, negative, positive) in enumerate(network.hidden()):
+        drive = Exact.of(weight) @ selections[layer]
+        output = selections[layer + 1]
+        above = output - _diagonal(np.minimum(negative, positive)) @ drive
+        below = _diagonal(np.maximum(negative, positive)) @ drive - output
+        sector = above.T @ (_diagonal(multipliers[layer]) @ below)
+        form = form - sector - sector.T
+    response = Exact.of(network.weights[-1]) @ selections[-1]
+    return is_positive_definite(form - response.T @ response)
+
+
+def _selections(network: Network) -> list[Exact]:
+    """Matrices that pick `v`, then each layer's `d_l`, from the stacked `(v, d_1, ..., d_L)`."""
+    sizes = [network.inputs, *(len(bias) for bias in network.biases)]
+    ends = np.cumsum(sizes)
+    identity = np.eye(ends[-1])
+    return [Exact.of(identity[end - size : end]) for size, end in zip(sizes, ends, strict=True)]
+
+
+def _diagonal(entries: Float[np.ndarray, "_"]) -> Exact:
+    return Exact.of(entries).diagonal()

@@ -1,0 +1,30 @@
+"""The command `overlay`: free runs of several runs on one record."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+PICTURE = "overlay.png"
+WORDS = "compare the free runs of several runs on the test record that they share: table, picture"
+
+
+def add_overlay(commands: Any) -> None:
+    """Add `overlay RUN RUN ...`."""
+    parser = commands.add_parser("overlay", help=WORDS, description=WORDS[0].upper() + WORDS[1:])
+    run_help = "a run folder, or a study with the begin or the end of a run's name"
+    parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help=run_help)
+    parser.add_argument(
+        "--picture", type=Path, default=Path(PICTURE), metavar="PNG", help=f"where ({PICTURE})"
+    )
+    parser.set_defaults(command=overlay_runs)
+
+
+def overlay_runs(options: argparse.Namespace) -> None:
+    """Print the table and write the picture."""
+    from ssm_study.report.overlay import overlay
+    from ssm_study.table.folders import run_folder
+
+    comparison = overlay([run_folder(run) for run in options.runs])
+    print(comparison)
+    comparison.plot().savefig(options.picture, dpi=150)
+    print(options.picture)

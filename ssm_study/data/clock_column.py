@@ -1,0 +1,154 @@
+"""Column of a log that is its clock: by name, unit and place; its times in seconds."""
+
+import re
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.readers.reader import Table, folded, title_without_unit
+from ssm_study.data.rounded_times import rounded_period_s
+from ssm_study.refusal import BadRequest, require
+
+SECONDS = {
+    "s": 1.0,
+    "sec": 1.0,
+    "secs": 1.0,
+    "second": 1.0,
+    "seconds": 1.0,
+    "sek": 1.0,
+    "sekunden": 1.0,
+    "ms": 1e-3,
+    "msec": 1e-3,
+    "millis": 1e-3,
+    "milliseconds": 1e-3,
+    "us": 1e-6,
+    "usec": 1e-6,
+    "μs": 1e-6,
+    "micros": 1e-6,
+    "microseconds": 1e-6,
+    "ns": 1e-9,
+    "nanoseconds": 1e-9,
+    "min": 60.0,
+    "mins": 60.0,
+    "minutes": 60.0,
+    "h": 3600.0,
+    "hr": 3600.0,
+    "hrs": 3600.0,
+    "hour": 3600.0,
+    "hours": 3600.0,
+    "d": 86400.0,
+    "day": 86400.0,
+    "days": 86400.0,
+}
+WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "dateandtime", "zeit",
+         "zeitstempel", "datum", "clock", "elapsed", "elapsedtime", "runtime", "timesec", "temps",
+         "tiempo", "tempo", "epoch", "unixtime", "utc", "timeofday", "simtime",
+         "stamp", "localtime", "uptime", "recordtime", "logtime")  # fmt: skip
+# Seconds since 1970 in smaller units have so many digits: what a unit is without a name.
+EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+def clock_unit(title: str, stated: str) -> float | None:
+    """Seconds of one unit of a clock, as its name or its column states; None without a unit.
+
+    `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
+    none of time.
+    """
+    if stated:
+        unit = stated.strip().replace("µ", "μ")
+        seconds = SECONDS.get(unit.lower().rstrip("."))
+        problem = f"states the unit {unit}, which is none of time"
+        if seconds is None:
+            remedy = "use s, ms, us, ns, min or h, or data.step_s"
+            raise BadRequest("data.time", title, problem, remedy)
+        return seconds
+    words = re.split(r"[\s_.\-/]+", title.replace("µ", "μ").strip().lower())
+    known = [SECONDS[word] for word in words[-1:] if word in SECONDS and len(words) > 1]
+    whole = title.strip().lower()
+    long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
+    return known[0] if known else SECONDS[whole] if whole in long_words else None
+
+
+def is_clock_name(title: str) -> bool:
+    """Whether a title is that of a clock: `time`, `t`, `Timestamp (ms)`, `time_s`, `date`, ..."""
+    plain = title_without_unit(title)
+    if folded(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
+        return True
+    words = [word for word in re.split(r"[\s_.\-/]+", plain.lower()) if word]
+    return len(words) > 1 and folded("".join(words[:-1])) in WORDS and words[-1] in SECONDS
+
+
+def find_clock(table: Table, signals: Collection[str]) -> str | None:
+    """The column that is the clock: named like one, or without a name and first; else None.
+
+    Its values must increase (a clock written with few digits may stand still). A nameless column
+    that counts rows is none: nobody knows how long a row lasts.
+    """
+    free = [title for title in table.columns if title not in signals]
+    for title in free:
+        if is_clock_name(title) and runs_forwards(table.columns[title]):
+            return title
+    first = next(iter(table.columns), None)
+    nameless = first is not None and (first == "" or table.nameless or first.startswith("Unnamed"))
+    if not nameless or first not in free or len(table.columns) < 2:
+        return None
+    times = table.columns[first]
+    if not runs_forwards(times) or counts_rows(times):
+        return None
+    known = times[np.isfinite(times)]
+    mostly = bool((np.diff(known) > 0).mean() > 0.5)
+    return first if mostly or rounded_period_s(known) is not None else None
+
+
+def runs_forwards(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether the times never run backwards, and mostly known."""
+    known = times[np.isfinite(times)]
+    enough = len(known) >= max(3, 0.5 * len(times))
+    return bool(enough and (np.diff(known) >= 0).all() and known[-1] > known[0])
+
+
+def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether the column is 0, 1, 2, ... or 1, 2, 3, ..."""
+    known = times[np.isfinite(times)]
+    return bool(known[0] in (0.0, 1.0) and (np.diff(known) == 1.0).all())
+
+
+def clock_seconds(title: str, table: Table) -> tuple[Float[np.ndarray, "T"], str]:
+    """The times of a column in seconds, and in words what unit was read."""
+    times = table.columns[title]
+    name = title or "the nameless first column"
+    if title in table.dated:
+        return times, f"clock {name} (dates)"
+    factor = clock_unit(title, table.units.get(title, ""))
+    if factor is not None:
+        return factor * times, f"clock {name}"
+    known = np.abs(times[np.isfinite(times)])
+    largest = float(known.max(initial=0.0))
+    for digits, seconds in EPOCHS:
+        if largest >= digits and np.ptp(known) < 0.1 * largest:
+            return seconds * (times - times[0]), f"clock {name} (units of {seconds:g} s since 1970)"
+    return times, f"clock {name} (no unit: seconds)"
+
+
+def counts_in_first_column(contents: Table) -> bool:
+    """Whether the first column has no name and counts the rows."""
+    title, times = next(iter(contents.columns.items()))
+    nameless = title == "" or contents.nameless or title.startswith("Unnamed")
+    if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
+        return False
+    return len(times) > 2 and counts_rows(times)
+
+
+def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
+    """Refuse a signal that is the clock: by its name, or nameless, first and even."""
+    first = next(iter(contents.columns))
+    for title in taken:
+        steps = np.diff(contents.columns[title])
+        forwards = bool((steps > 0).all()) and len(steps) > 2
+        nameless = title == first and (contents.nameless or title == "")
+        even = forwards and float(np.ptp(steps)) <= 1e-6 * float(steps.mean())
+        is_clock = (forwards and is_clock_name(title)) or (nameless and even)
+        problem = "is the clock: it increases from row to row"
+        require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")

@@ -1,0 +1,229 @@
+"""What input and output of a log say about the plant: answer, integrator, loop, noise, in words.
+
+Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
+`dy`; a lag answers where its coefficient is `SURE` standard errors from zero.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.splits import rest_segments
+from ssm_study.signals import Trajectory
+
+LAGS = 40
+SURE = 6.0  # standard errors
+OF_THE_LARGEST = 0.05  # share of the largest answer from which on a lag counts
+STRIDES = (1, 5, 20)  # samples: a slow answer stands out of the noise of coarser steps only
+FOLLOWS = 0.5  # share of the output that the input explains where no single step of it does
+FED_BACK = 0.1  # share of the input's changes that earlier outputs explain in a closed loop
+WINDOWS = (5, 10, 20, 50, 100)  # samples over which an integrator may sum what moves it
+MOVED = 0.6  # share of the output's changes that the input of an integrator explains, at least
+FORGETS = 1.0  # times over that an output without an integrator loses its level in a log, at least
+DRIFTS = 0.3  # share of its level by which one with an integrator may seem to grow
+INTEGRATES = 0.15  # by so much more the input explains the output's change than its level
+COARSE = 0.1  # distinct outputs, of all samples, below which a sensor is called coarse
+FEEDTHROUGH = "model.feedthrough=true"
+INTEGRATOR = "model.integrating_output=true"
+
+Signal = Float[np.ndarray, "T"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class InputShares:
+    """Shares of the output's level and of its change over a window that the input explains; the
+    share of its level that the output loses over that window, and at that pace over the log."""
+
+    level: float
+    change: float
+    lost: float
+    lost_in_log: float
+    window: int
+
+    @property
+    def is_integrator(self) -> bool:
+        """Whether the output sums what the input moves: it changes by it, and forgets nothing."""
+        changes = self.change > self.level + INTEGRATES
+        return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
+
+
+def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
+    """Rests, answer, integrator, closed loop and noise of the longest stretch, in words."""
+    record = max(records, key=len)
+    u = record.u[:, 0]
+    y = record.y[:, 0]
+    if len(record) < 4 * LAGS or np.ptp(u) == 0 or np.ptp(y) == 0:
+        return ["too short, or nothing moves: no dynamics measured"]
+    shares = input_shares(u, y)
+    sentences = [rest_sentence(sum(len(rest_segments(piece)) for piece in records))]
+    sentences.append(answer_sentence(u, y, shares))
+    fed_back = fed_back_share(u, y)
+    if fed_back > FED_BACK:
+        sentences.append(
+            f"earlier outputs explain {fed_back:.0%} of the input's changes: a closed loop? "
+            "name its set point, data.reference"
+        )
+    if shares.is_integrator:
+        sentences.append(
+            f"integrator: the input explains {shares.change:.0%} of the output's changes and "
+            f"{max(shares.level, 0):.0%} of its level ({INTEGRATOR})"
+        )
+    sentences.append(noise_sentence(y))
+    return sentences
+
+
+def rest_sentence(rests: int) -> str:
+    """How often the input rests where the log ends, in words."""
+    if not rests:
+        return "no rest at the input at which the log ends"
+    return f"{rests} {'rest' if rests == 1 else 'rests'} at the input at which the log ends"
+
+
+def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
+    """After how many samples the output answers; of an integrator, its change from row to row."""
+    rate = np.diff(y)
+    answering = rate if shares.is_integrator else y[1:]
+    word = "the output's change" if shares.is_integrator else "the output"
+    for stride in STRIDES:
+        coarse_u = block_means(u[1:], stride)
+        coarse_y = answering[stride - 1 :: stride][: len(coarse_u)]
+        enough = len(coarse_u) >= 4 * LAGS
+        lag = first_answer(coarse_u, coarse_y) if enough else None
+        if lag is not None:
+            return lag_sentence(lag, word) if stride == 1 else slow_sentence(lag, stride, word)
+    if max(shares.level, shares.change) > FOLLOWS:
+        by_level = shares.level >= shares.change
+        explained = "output" if by_level else f"output's changes over {shares.window} samples"
+        return (
+            "no single step of the input stands out of the noise, but its level explains "
+            f"{max(shares.level, shares.change):.0%} of the {explained}"
+        )
+    return f"no answer to the input within {LAGS} samples stands out of the noise"
+
+
+def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
+    """Means over blocks of so many samples."""
+    blocks = len(values) // length
+    return values[: blocks * length].reshape(blocks, length).mean(axis=1)
+
+
+def lag_sentence(lag: int, word: str) -> str:
+    """A lag of the answer, in samples, in words."""
+    if lag == 0:
+        return f"{word} answers within the same sample ({FEEDTHROUGH})"
+    if lag == 1:
+        return f"{word} answers in the next sample: no dead time"
+    if lag == 2:
+        return f"{word} answers after 2 samples: two lags in a row, or a dead time of one"
+    return f"dead time: {word} answers after {lag} samples"
+
+
+def slow_sentence(lag: int, stride: int, word: str) -> str:
+    """A lag of the answer, found in steps of several samples, in words."""
+    if lag <= 1:
+        return f"{word} answers slowly, within {(lag + 1) * stride} samples: no longer dead time"
+    return (
+        f"{word} answers after {lag * stride} to {(lag + 1) * stride} samples: dead time, or slow"
+    )
+
+
+def first_answer(u: Signal, y: Signal) -> int | None:
+    """The first lag at which the output answers a change of the input; None where none is sure."""
+    if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:
+        return None
+    x, target = increments(u, y)
+    gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
+    residual = target - x @ gains
+    variance = float(residual @ residual) / max(len(target) - int(rank), 1)
+    errors = np.sqrt(np.maximum(variance * np.diag(np.linalg.pinv(x.T @ x)), 1e-300))
+    answers = np.abs(gains[: LAGS + 1])
+    is_sure = answers > SURE * errors[: LAGS + 1]
+    counts = is_sure & (answers > OF_THE_LARGEST * answers.max())
+    return int(np.argmax(counts)) if counts.any() else None
+
+
+def increments(u: Signal, y: Signal) -> tuple[np.ndarray, np.ndarray]:
+    """Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]` and `dy[k]`, scaled."""
+    du = np.diff(u) / np.std(u)
+    dy = np.diff(y) / np.std(y)
+    columns = [du[LAGS - lag : len(du) - lag] for lag in range(LAGS + 1)]
+    columns += [dy[LAGS - lag : len(dy) - lag] for lag in (1, 2)]
+    return np.stack(columns, axis=1), dy[LAGS:]
+
+
+def fed_back_share(u: Signal, y: Signal) -> float:
+    """Share of what earlier inputs leave of the input's changes that earlier outputs explain."""
+    lags = range(1, 6)
+    earlier_u = [u[5 - lag : len(u) - lag] for lag in lags]
+    earlier_y = [y[5 - lag : len(y) - lag] for lag in lags]
+    by_input = np.stack([*earlier_u, np.ones(len(u) - 5)], axis=1)
+    by_both = np.hstack([by_input, np.stack(earlier_y, axis=1)])
+    target = u[5:]
+    half = len(target) // 2
+    powers = []
+    for x in (by_input, by_both):
+        gains = np.linalg.lstsq(x[:half], target[:half], rcond=1e-9)[0]
+        error = target[half:] - x[half:] @ gains
+        powers.append(float((error**2).mean()))
+    return 1.0 - powers[1] / powers[0] if powers[0] > 0 else 0.0
+
+
+def input_shares(u: Signal, y: Signal) -> InputShares:
+    """Shares that the input's mean over a window explains, by a polynomial of degree three.
+
+    The window is the shortest over which the input explains most of the output's changes: over a
+    long one a plant with an integrator is turned round (a position must come back), a plant without
+    one has settled. Where there is none, it is the window whose changes are explained best.
+    """
+    best = InputShares(level=0.0, change=0.0, lost=1.0, lost_in_log=np.inf, window=0)
+    for window in WINDOWS:
+        if len(u) < 8 * window:
+            continue
+        shares = shares_over(u, y, window)
+        if shares.change > best.change:
+            best = shares
+        if shares.change > MOVED:
+            return best
+    return best
+
+
+def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
+    """Shares that the input's mean explains over windows of one length."""
+    mean = np.convolve(u, np.full(window, 1 / window), mode="valid")[:-1:window]
+    ends = y[window::window][: len(mean)]
+    begins = y[:-window:window][: len(ends)]
+    mean = mean[: len(ends)]
+    scaled = (mean - mean.mean()) / max(float(mean.std()), 1e-300)
+    x = np.stack([scaled**power for power in range(4)], axis=1)
+    with_level = np.hstack([x, begins[:, None]])
+    gains = np.linalg.lstsq(with_level, ends - begins, rcond=1e-9)[0]
+    lost = float(-gains[-1])
+    return InputShares(
+        level=explained_share(x, ends),
+        change=explained_share(x, ends - begins),
+        lost=lost,
+        lost_in_log=lost * len(y) / window,
+        window=window,
+    )
+
+
+def explained_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
+    """Share of the target's variance that least squares explains."""
+    residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
+    return 1.0 - float(residual.var() / max(float(target.var()), 1e-300))
+
+
+def noise_sentence(y: Signal) -> str:
+    """Resolution of the output, and its noise by second differences."""
+    steps = np.abs(np.diff(y))
+    moving = steps[steps > 0]
+    resolution = float(moving.min()) if len(moving) else 0.0
+    is_coarse = len(np.unique(y)) < COARSE * len(y)
+    noise = float(1.4826 * np.median(np.abs(np.diff(y, n=2))) / np.sqrt(6.0))
+    if noise < 0.5 * resolution:
+        coarse = "a coarse sensor: " if is_coarse else ""
+        return f"{coarse}no noise beyond the sensor's steps of {resolution:.3g}"
+    coarse = f"; a coarse sensor: steps of {resolution:.3g}" if is_coarse else ""
+    return f"noise at most {noise:.2g}, {noise / np.ptp(y):.2%} of the range{coarse}"

@@ -1,0 +1,88 @@
+"""Clocks written with few digits: the even clock that explains every written time, if one does.
+
+A time `t_k` that was rounded to a multiple of `q_k` lies within `q_k / 2` of the instant it stands
+for, one that was cut off within `q_k`. An even clock `t_0 + k h` explains the column where it keeps
+to all of these intervals, so the smallest and the largest possible `h` are two linear programs in
+`(t_0, h)`.
+"""
+
+import numpy as np
+import scipy
+from jaxtyping import Float
+
+# Relative half width of the possible periods up to which the period is taken as known.
+SURE_PERIOD = 1e-3
+ROUNDED = 0.6  # of the last digit: half of it, and a second rounding
+CUT_OFF = 1.0  # of the last digit
+FEWEST_REPEATS = 3  # of a time: one that stands twice may be a row that was written twice
+DIGITS = 12  # of a written time; the rest is arithmetic
+
+
+def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | None:
+    """Period of the even clock that explains rounded times, and its relative uncertainty.
+
+    The period is the shortest decimal number among the possible ones. None where no even clock
+    explains the times, or clocks of clearly different periods do.
+    """
+    repeats = int((np.diff(time_s) == 0).sum())
+    if 0 < repeats < FEWEST_REPEATS:
+        return None
+    for share in (ROUNDED, CUT_OFF):
+        possible_s = possible_periods_s(time_s, share * written_resolution(time_s))
+        if possible_s is not None and possible_s[0] > 0.0:
+            uncertainty = 0.5 * (possible_s[1] - possible_s[0]) / possible_s[0]
+            return (roundest(*possible_s), uncertainty) if uncertainty <= SURE_PERIOD else None
+    return None
+
+
+def possible_periods_s(
+    time_s: Float[np.ndarray, "T"], error_s: Float[np.ndarray, "T"]
+) -> tuple[float, float] | None:
+    """Shortest and longest period of an even clock within so much of every time; None without."""
+    rows = len(time_s) - 1
+    span_s = float(time_s[-1] - time_s[0])
+    scaled = (time_s - time_s[0]) / span_s
+    errors = error_s / span_s
+    clock = np.stack([np.ones(rows + 1), np.arange(rows + 1) / rows], axis=1)
+    bounds = np.concatenate([errors + scaled, errors - scaled])
+    limits_s = []
+    for sign in (1.0, -1.0):
+        problem = scipy.optimize.linprog(
+            [0.0, sign], A_ub=np.vstack([clock, -clock]), b_ub=bounds, bounds=(None, None)
+        )
+        if not problem.success:
+            return None
+        limits_s.append(float(problem.x[1]) * span_s / rows)
+    return min(limits_s), max(limits_s)
+
+
+def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    """Last written digit of each time, for columns of so many decimals or so many digits."""
+    written = [f"{time:.{DIGITS}g}" for time in time_s]
+    decimals = max(decimal_places(text) for text in written)
+    digits = max(significant_digits(text) for text in written)
+    magnitude = np.floor(np.log10(np.maximum(np.abs(time_s), 10.0**-decimals)))
+    return np.maximum(10.0**-decimals, 10.0 ** (magnitude - digits + 1))
+
+
+def decimal_places(text: str) -> int:
+    """Digits behind the decimal point of a number."""
+    mantissa, _, exponent = text.partition("e")
+    behind = len(mantissa.partition(".")[2])
+    return max(behind - int(exponent or 0), 0)
+
+
+def significant_digits(text: str) -> int:
+    """Digits of a number without leading and closing zeros."""
+    mantissa = text.partition("e")[0]
+    return len(mantissa.replace(".", "").lstrip("-0").rstrip("0"))
+
+
+def roundest(low: float, high: float) -> float:
+    """Number between two positive ones that has the fewest digits, nearest to their middle."""
+    middle = 0.5 * (low + high)
+    for digits in range(1, DIGITS + 1):
+        number = float(f"{middle:.{digits}g}")
+        if low <= number <= high:
+            return number
+    return middle

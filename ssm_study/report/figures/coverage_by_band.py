@@ -1,0 +1,14 @@
+"""How many times the measured model error the proof tolerates, band by band, one line for each
+record. Below the line at one the proof does not cover the record; the dot marks the band that
+decides, crosses are bands in which the input has no power, so that noise counts as error."""
+
+from matplotlib.figure import Figure
+
+from ssm_study.api.pictures.drawing import draw_unstyled
+from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.study_folder import StudyFolder
+
+
+def draw(study: StudyFolder) -> Figure:
+    """Draw the picture of the best run."""
+    return draw_unstyled(picture_of_best("coverage_by_band", study))

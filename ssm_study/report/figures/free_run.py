@@ -1,0 +1,13 @@
+"""Free run of the identified model on the test record: measured output as dots, the model on top,
+the error below. Shaded samples estimate the initial state and are not scored."""
+
+from matplotlib.figure import Figure
+
+from ssm_study.api.pictures.drawing import draw_unstyled
+from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.study_folder import StudyFolder
+
+
+def draw(study: StudyFolder) -> Figure:
+    """Draw the picture of the best run."""
+    return draw_unstyled(picture_of_best("free_run", study))

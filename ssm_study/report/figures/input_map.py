@@ -1,0 +1,13 @@
+"""Learned input map S_u around rest (left), and its local slope within the interval that the
+certificate assumes (right)."""
+
+from matplotlib.figure import Figure
+
+from ssm_study.api.pictures.drawing import draw_unstyled
+from ssm_study.report.run_pictures import picture_of_best
+from ssm_study.report.study_folder import StudyFolder
+
+
+def draw(study: StudyFolder) -> Figure:
+    """Draw the picture of the best run."""
+    return draw_unstyled(picture_of_best("input_map", study))

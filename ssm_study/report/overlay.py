@@ -1,0 +1,84 @@
+"""Free runs of several runs' models on the test record that they share."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ssm_study.api.comparing import ModelComparison, compare_simulations
+from ssm_study.refusal import require
+from ssm_study.report.study_folder import RunFolder
+from ssm_study.study.recordings import RecordedCases
+
+FEWEST = 2
+
+
+def overlay(folders: Sequence[Path]) -> ModelComparison:
+    """Score the stored free runs of several runs, best first, and hold them beside one another.
+
+    Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
+    is not that of the first run.
+    """
+    several = len({folder.resolve() for folder in folders})
+    enough = several >= FEWEST
+    require(enough, "run", several, "is no comparison", "name two different runs or more")
+    unlike = several == len(folders)
+    require(unlike, "run", "one run twice", "would be compared with itself", "name it once")
+    names = short_names([folder.resolve() for folder in folders])
+    recordings = [_test_recording(folder) for folder in folders]
+    first = recordings[0]
+    for folder, recording in zip(folders[1:], recordings[1:], strict=True):
+        _require_same_record(folders[0], first, folder, recording)
+    runs = [RunFolder(path=folder) for folder in folders]
+    simulated = {
+        name: [case.values for case in recording.signals("simulated")]
+        for name, recording in zip(names, recordings, strict=True)
+    }
+    states = {
+        name: None if run.any_model is None else run.any_model.order
+        for name, run in zip(names, runs, strict=True)
+    }
+    return compare_simulations(
+        [case.values for case in first.signals("measured")],
+        simulated,
+        output_names=first.labels("measured"),
+        step_s=first.step_s("measured"),
+        states=states,
+        start_up_samples=max(run.start_up_samples for run in runs),
+    )
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """Names of runs without the parts that all share; with their study where two are alike."""
+    parts = [folder.name.split("-") for folder in folders]
+    if len({len(one) for one in parts}) == 1:
+        differs = [len(set(column)) > 1 for column in zip(*parts, strict=True)]
+        parts = [
+            [part for part, is_telling in zip(one, differs, strict=True) if is_telling]
+            for one in parts
+        ]
+    names = ["-".join(one) for one in parts]
+    if len(set(names)) == len(names):
+        return names
+    return [f"{folder.parent.name}/{folder.name}" for folder in folders]
+
+
+def _test_recording(folder: Path) -> RecordedCases:
+    """The free run of a run folder on its test records."""
+    path = folder / "test.mcap"
+    remedy = "choose runs that identified a model"
+    require(path.is_file(), "run", folder, "it left no test record", remedy)
+    return RecordedCases.of(path)
+
+
+def _require_same_record(
+    first_folder: Path, first: RecordedCases, folder: Path, other: RecordedCases
+) -> None:
+    """Refuse a test record whose inputs or measured outputs are not those of the first run."""
+    remedy = "name runs of the same data and the same test part"
+    for name in ("input", "measured"):
+        ours = [case.values for case in first.signals(name)]
+        theirs = [case.values for case in other.signals(name)]
+        alike = len(ours) == len(theirs) and all(map(np.array_equal, ours, theirs))
+        problem = f"its test record is not that of {first_folder} ({name} differs)"
+        require(alike, "run", folder, problem, remedy)

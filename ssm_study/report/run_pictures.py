@@ -1,0 +1,141 @@
+"""Pictures of one run, from its folder alone."""
+
+from collections.abc import Callable
+from typing import Any
+
+from ssm_study.api.pictures.bode import bode_picture
+from ssm_study.api.pictures.coverage import coverage_picture
+from ssm_study.api.pictures.free_run import free_run_picture
+from ssm_study.api.pictures.input_map import input_map_picture
+from ssm_study.api.pictures.loop_response import set_point_picture
+from ssm_study.api.pictures.margin import margin_picture
+from ssm_study.api.pictures.nyquist import nyquist_picture
+from ssm_study.api.pictures.picture import NothingToShow, Picture
+from ssm_study.api.pictures.poles import pole_groups, poles_picture
+from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
+from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
+from ssm_study.robustness.coverage import measure_premise
+from ssm_study.robustness.margin_by_frequency import margin_curves
+from ssm_study.study.recordings import RecordedCases
+
+
+def picture_of_best(name: str, study: StudyFolder) -> Picture:
+    """A picture of the study's best run. Raises `NothingToDraw` with the reason."""
+    if study.best is None:
+        raise NothingToDraw("No run left a model.")
+    return picture_of_run(name, study.best)
+
+
+def picture_of_run(name: str, run: RunFolder) -> Picture:
+    """A picture of one run. Raises `NothingToDraw` with the reason."""
+    try:
+        return PICTURES[name](run)
+    except NothingToShow as reason:
+        raise NothingToDraw(str(reason)) from reason
+
+
+def present(run: RunFolder, *parts: str) -> list[Any]:
+    """Parts of a run's folder. Raises `NothingToDraw` where it lacks one."""
+    values = [getattr(run, part) for part in parts]
+    missing = [part for part, value in zip(parts, values, strict=True) if value is None]
+    if missing:
+        raise NothingToDraw(f"The run left no {missing[0].replace('_', ' ').removeprefix('any ')}.")
+    return values
+
+
+def show_margin(run: RunFolder) -> Picture:
+    """Stability margin by frequency."""
+    model, gains, mismatch = present(run, "any_model", "gains", "mismatch")
+    curves = margin_curves(model, gains, certified_balls(model), mismatch)
+    return margin_picture(curves, model.step_s, run.record.get("resolved_margin"))
+
+
+def show_nyquist(run: RunFolder) -> Picture:
+    """Nyquist curve with the measured mismatch."""
+    model, gains = present(run, "any_model", "gains")
+    return nyquist_picture(model, gains, run.mismatch)
+
+
+def show_coverage(run: RunFolder) -> Picture:
+    """Coverage by band."""
+    model, design, mismatch = present(run, "any_model", "design", "mismatch")
+    part = design.extra_certificates.get(MeasuredDiscs.part)
+    premise = measure_premise(
+        model, run.validation_records, mismatch, run.start_up_samples, run.trials
+    )
+    return coverage_picture(part, premise, model.step_s)
+
+
+def show_bode(run: RunFolder) -> Picture:
+    """Frequency response beside the record's own."""
+    model, record = present(run, "any_model", "validation")
+    units = (record.unit("measured"), record.unit("input"))
+    return bode_picture(model, record.records[0], certified_balls(model).input, units)
+
+
+def show_poles(run: RunFolder) -> Picture:
+    """Poles of model, loop and observer."""
+    model, gains, design = present(run, "any_model", "gains", "design")
+    return poles_picture(pole_groups(model, gains), design.certified_rate("state_feedback"))
+
+
+def show_residuals(run: RunFolder) -> Picture:
+    """Correlations of the test record's error."""
+    (test,) = present(run, "test")
+    start = run.start_up_samples
+    errors = [test["measured"][0, start:] - test["simulated"][0, start:]]
+    inputs = [test["input"][0, start:]]
+    input_names = [channel.name for channel in test.signals("input")[0].channels]
+    output_name = test.signals("measured")[0].channels[0].name
+    return residual_correlation_picture(errors, inputs, output_name, input_names)
+
+
+def show_free_run(run: RunFolder) -> Picture:
+    """Free run on the test record."""
+    (test,) = present(run, "test")
+    simulated = {"model": test["simulated"][0]}
+    labels = test.labels("measured")
+    return free_run_picture(
+        test.time_s("measured"), test["measured"][0], simulated, labels, run.start_up_samples
+    )
+
+
+def show_input_map(run: RunFolder) -> Picture:
+    """Learned input map."""
+    model, excitation = present(run, "any_model", "excitation")
+    return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
+
+
+def show_set_point(run: RunFolder) -> Picture:
+    """Step of the set point on the identified model."""
+    model, design, test, excitation = present(run, "any_model", "design", "test", "excitation")
+    if not design.feasible or answers_at_once(model):
+        raise NothingToDraw("There is no loop to move to a set point.")
+    plant = _identified_plant(model, test)
+    recorded = [signal.values for signal in excitation.signals("input")]
+    loop = Loop().within(model.scale.with_rest(recorded)).fitted(model)
+    place = "the identified model"
+    return set_point_picture(plant, design, model, loop, recorded, place)
+
+
+def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
+    """The model in the place of the plant, with the channels of a record."""
+    inputs = record.signals("input")[0].channels
+    outputs = record.signals("measured")[0].channels
+    return IdentifiedPlant.of(model, inputs, outputs)
+
+
+PICTURES: dict[str, Callable[[RunFolder], Picture]] = {
+    "free_run": show_free_run,
+    "margin_by_frequency": show_margin,
+    "coverage_by_band": show_coverage,
+    "nyquist": show_nyquist,
+    "set_point_step": show_set_point,
+    "frequency_response": show_bode,
+    "loop_poles": show_poles,
+    "residual_correlation": show_residuals,
+    "input_map": show_input_map,
+}

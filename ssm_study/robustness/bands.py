@@ -1,0 +1,47 @@
+"""Power of signals in bands of frequency: of single periods, and Welch's averages."""
+
+import numpy as np
+import scipy
+from jaxtyping import Complex, Float, Inexact, Int
+
+# Samples per segment of Welch's estimate: bands of a tenth of a radian per sample, 60 averages in
+# 4,000 samples.
+SEGMENT = 64
+ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
+
+
+def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
+    """Summed over the channels."""
+    return (np.abs(spectrum) ** 2).sum(axis=1)
+
+
+def divided(
+    values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
+) -> Inexact[np.ndarray, "F"]:
+    """Quotient of values and a power that may vanish."""
+    return values / np.maximum(by, np.finfo(float).tiny)
+
+
+def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
+    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band
+    has."""
+    bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
+    return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
+
+
+def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
+    """The mean over each band of `ANGLES`."""
+    bands, counts = bands_of(len(lines))
+    return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
+
+
+def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
+    """Welch's power density (1967), over channels and records (each by its length), at equal steps
+    from 0 to pi."""
+    segment = min(SEGMENT, *(len(signal) for signal in signals))
+    even = max(segment - segment % 2, 2)  # so that the last band is at pi
+    powers = []
+    for signal in signals:
+        _, density = scipy.signal.welch(signal, nperseg=even, detrend=False, axis=0)
+        powers.append(len(signal) * density.sum(axis=1))
+    return np.sum(powers, axis=0)

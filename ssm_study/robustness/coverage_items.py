@@ -1,0 +1,183 @@
+"""Requirements on the weights of a disc: bands of one record's spectrum, groups of them, the total.
+
+Below the largest amplitude only what exceeds `SURE` standard errors counts, in totals whatever
+repeats; where nothing repeats, noise counts as mismatch. Source: docs/trust.md, "Covered".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from ssm_study.robustness.bands import ANGLES, bands_of
+from ssm_study.robustness.coverage_spectra import (
+    AveragedSpectrum,
+    MismatchSpectrum,
+    Powers,
+    power_of,
+)
+from ssm_study.robustness.mismatch import EXCITED
+from ssm_study.robustness.return_to_rest import SURE
+
+GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together
+TOTAL = "in total"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Item:
+    """One requirement on the weights: `seen <= sum over lines of (X model + Y input)` at its
+    angles.
+
+    X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
+    part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
+    """
+
+    record: str
+    place: str
+    is_band: bool
+    angles: Powers
+    model_power: Powers
+    input_power: Powers
+    seen: float
+    dark: bool
+
+    @property
+    def where(self) -> str:
+        """Record and place in its spectrum, in words."""
+        return f"{self.record}, {self.place}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatingPower:
+    """Powers of `e - c m` in the lines of a record with two periods.
+
+    `repeats` is the product of both periods, `measured` their mean power, noise included,
+    `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band
+    whether the input has next to no power in it, and `has_lines` whether any line lies in it (a
+    short period has few).
+    """
+
+    record: MismatchSpectrum
+    repeats: Powers
+    measured: Powers
+    variance: Powers
+    bands: Int[np.ndarray, "L"]
+    dark: Bool[np.ndarray, "F"]
+    has_lines: Bool[np.ndarray, "F"]
+
+    @classmethod
+    def of(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
+        """Powers of every line but the mean, which belongs to no band: friction leaves an offset
+        that no disc bounds, since it stays where model and input have come to rest. Source:
+        docs/trust.md, "Covered"."""
+        first, second = record.deviation(centre)
+        sides = record.sides
+        repeats = sides * (first * second.conj()).real.sum(axis=1)
+        noise = sides * record.noise
+        of_noise = noise * record.noise / 2
+        variance = sides * (of_noise + record.noise * np.maximum(repeats, 0.0))
+        bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
+        powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
+        has_lines = np.array([len(power) > 0 for power in powers])
+        drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
+        return cls(
+            record=record,
+            repeats=repeats,
+            measured=sides * (power_of(first) + power_of(second)) / 2,
+            variance=variance,
+            bands=bands,
+            dark=drive < EXCITED * drive[has_lines].mean(),
+            has_lines=has_lines,
+        )
+
+    def seen(
+        self, lines: Bool[np.ndarray, "L"], *, is_doubtful: bool, is_dark: bool = False
+    ) -> float:
+        """Power that counts as mismatch in these lines."""
+        if is_dark:
+            return float(self.measured[lines].sum())
+        error = SURE * np.sqrt(self.variance[lines].sum()) if is_doubtful else 0.0
+        return max(float(self.repeats[lines].sum() - error), 0.0)
+
+    def item(
+        self,
+        lines: Bool[np.ndarray, "L"],
+        place: str,
+        *,
+        is_doubtful: bool,
+        is_dark: bool = False,
+        is_band: bool = False,
+    ) -> Item:
+        """The requirement of these lines together."""
+        record = self.record
+        return Item(
+            record=record.name,
+            place=place,
+            is_band=is_band,
+            angles=record.angles[lines],
+            model_power=(record.sides * record.model_power)[lines],
+            input_power=(record.sides * record.input_power)[lines],
+            seen=self.seen(lines, is_doubtful=is_doubtful, is_dark=is_dark),
+            dark=is_dark,
+        )
+
+
+def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
+    """Bands, groups of bands and the total of a record with two periods; in one that is `sure`
+    whatever repeats counts."""
+    powers = RepeatingPower.of(record, centre)
+    items = list[Item]()
+    for band in np.flatnonzero(powers.has_lines):
+        place = f"around {ANGLES[band]:.2f} rad/sample"
+        lines = powers.bands == band
+        is_dark = bool(powers.dark[band])
+        items.append(powers.item(lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True))
+    for size in GROUPS:
+        items += _group_items(powers, size, is_doubtful=not sure)
+    every_line = powers.bands >= 0
+    return [*items, powers.item(every_line, TOTAL, is_doubtful=False)]
+
+
+def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
+    """The requirements of `size` neighbouring bands each."""
+    items = list[Item]()
+    for start in range(0, len(ANGLES), size):
+        lines = (powers.bands >= start) & (powers.bands < start + size)
+        if not lines.any():
+            continue
+        last = min(start + size, len(ANGLES)) - 1
+        place = f"{ANGLES[start]:.2f} to {ANGLES[last]:.2f} rad/sample"
+        is_dark = bool(powers.dark[start : start + size].all())
+        items.append(powers.item(lines, place, is_doubtful=is_doubtful, is_dark=is_dark))
+    return items
+
+
+def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
+    """Bins and the total of a record that does not repeat."""
+    seen = record.deviation_power(centre)
+    dark = record.input_power < EXCITED * record.input_power.mean()
+    items = list[Item]()
+    for k, angle in enumerate(record.angles):
+        items.append(
+            Item(
+                record=record.name,
+                place=f"around {angle:.2f} rad/sample",
+                is_band=True,
+                angles=record.angles[k : k + 1],
+                model_power=record.model_power[k : k + 1],
+                input_power=record.input_power[k : k + 1],
+                seen=float(seen[k]),
+                dark=bool(dark[k]),
+            )
+        )
+    total = Item(
+        record=record.name,
+        place=TOTAL,
+        is_band=False,
+        angles=record.angles,
+        model_power=record.model_power,
+        input_power=record.input_power,
+        seen=float(seen.sum()),
+        dark=False,
+    )
+    return [*items, total]

@@ -1,0 +1,200 @@
+"""Spectra of the mismatch in one record: both periods where the input repeats, else Welch's
+averages.
+
+`m` is the model's output for the record's input, `e = y - m` what it misses, all scaled. Source:
+docs/theory.md, "Measured discs".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+from jaxtyping import Complex, Float
+
+from ssm_study.models.metrics import free_run
+from ssm_study.models.structured import Model
+from ssm_study.robustness.bands import ANGLES, bands_of
+from ssm_study.robustness.mismatch import QUIET
+from ssm_study.robustness.return_to_rest import SURE
+from ssm_study.signals import Trajectory, repetition
+
+Powers = Float[np.ndarray, "L"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MismatchSpectrum:
+    """Line spectra of one record: angles (rad/sample), model output, input, and e in one or two
+    periods.
+
+    `sides` is 2 for a line that stands for a conjugate pair, 1 for the mean and for pi. Of a record
+    whose input does not repeat there is one period, and its "lines" are the bins of Welch's
+    estimate, in which powers stand in place of transforms.
+    """
+
+    name: str
+    amplitude: float
+    angles: Powers
+    sides: Powers
+    model: Complex[np.ndarray, "2 L p"]
+    error: Complex[np.ndarray, "2 L p"]
+    input_power: Powers
+    noise: Powers
+
+    def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
+        """Both periods of `e - c m`."""
+        return self.error - centre * self.model
+
+    @property
+    def model_power(self) -> Powers:
+        return power_of(self.model[1])
+
+
+@dataclass(frozen=True, kw_only=True)
+class AveragedSpectrum:
+    """Welch's powers of a record that does not repeat; `cross` is that of e with the model's
+    output, real part.
+
+    `drawn` is the noise's share of e's power, and `sure` the factor by which an average may be off:
+    zero and one in open loop, where noise counts as mismatch.
+    """
+
+    name: str
+    amplitude: float
+    angles: Powers
+    model_power: Powers
+    error_power: Powers
+    cross: Powers
+    input_power: Powers
+    drawn: Powers
+    sure: Powers
+
+    def deviation_power(self, centre: float) -> Powers:
+        """Power of `e - c m` in each bin beyond its noise."""
+        power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
+        return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredRun:
+    """One record: scaled input, the model's output m, what it misses; `period` samples repeat from
+    `start`, twice."""
+
+    name: str
+    u: Float[np.ndarray, "T m"]
+    m: Float[np.ndarray, "T p"]
+    e: Float[np.ndarray, "T p"]
+    start: int
+    period: int | None
+
+    @classmethod
+    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "ScoredRun":
+        simulated = free_run(model, record, start_up_samples)
+        scored = slice(start_up_samples, None)
+        start, period = repetition(record.u[scored]) or (0, None)
+        scaled_input = model.scale.scaled_input(record.u)
+        error = (record.y - simulated) / model.scale.output_scale
+        return cls(
+            name=f"input of rms {np.sqrt((scaled_input**2).mean()):.2g}",
+            u=scaled_input[scored],
+            m=model.scale.scaled_output(simulated)[scored],
+            e=error[scored],
+            start=start,
+            period=period,
+        )
+
+    def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
+        """The transforms of both periods."""
+        assert self.period is not None
+        pieces = signal[self.start : self.start + 2 * self.period]
+        return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
+
+
+def power_of(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
+    """Power of each line, summed over the channels."""
+    return np.asarray((np.abs(spectrum) ** 2).sum(axis=1))
+
+
+def noise_power_of(records: Sequence[ScoredRun]) -> Float[np.ndarray, "F"]:
+    """Noise power of a sample in each band, from what does not repeat: the median over the
+    records."""
+    powers = []
+    for run in records:
+        first, second = run.periods(run.e)
+        half = power_of(first - second) / 2
+        bands, lines = bands_of(len(half))
+        sums = np.bincount(bands, weights=half[1:], minlength=len(ANGLES))
+        powers.append(sums / lines / float(run.period or 1))
+    return np.asarray(np.median(powers, axis=0))
+
+
+def line_spectrum(run: ScoredRun, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
+    """Both periods of a record whose input repeats, line by line."""
+    assert run.period is not None
+    angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
+    alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
+    return MismatchSpectrum(
+        name=run.name,
+        amplitude=float(np.sqrt((run.u**2).mean())),
+        angles=angles,
+        sides=np.where(alone, 1.0, 2.0),
+        model=run.periods(run.m),
+        error=run.periods(run.e),
+        input_power=power_of(run.periods(run.u)[1]),
+        noise=run.period * np.interp(angles, ANGLES, noise),
+    )
+
+
+def averaged_spectrum(run: ScoredRun) -> AveragedSpectrum:
+    """Welch's powers of a record in open loop: its noise counts as mismatch."""
+    powers = _welch_powers(run)
+    count = len(powers["angles"])
+    return AveragedSpectrum(
+        name=run.name,
+        amplitude=float(np.sqrt((run.u**2).mean())),
+        drawn=np.zeros(count),
+        sure=np.ones(count),
+        **powers,
+    )
+
+
+def averaged_spectrum_in_loop(
+    run: ScoredRun, noise: Float[np.ndarray, "F"] | None
+) -> AveragedSpectrum:
+    """Welch's powers of a record in closed loop, which the noise drives too: as `noise` says, which
+    records in open loop show; without any it is taken for white, as strong as e in its quietest
+    bands."""
+    powers = _welch_powers(run)
+    angles = powers["angles"]
+    samples = len(run.u)
+    if noise is None:
+        one_sided = np.quantile(powers["error_power"][1:-1], QUIET) / 2
+    else:
+        one_sided = samples * np.interp(angles, ANGLES, noise)
+    sides = np.where((angles > 0) & (angles < np.pi), 2.0, 1.0)
+    relative_error = float(np.sqrt(1.06 * len(angles) / samples))
+    return AveragedSpectrum(
+        name=run.name,
+        amplitude=float(np.sqrt((run.u**2).mean())),
+        drawn=sides * one_sided,
+        sure=np.full(len(angles), 1 + SURE * relative_error),
+        **powers,
+    )
+
+
+def _welch_powers(run: ScoredRun) -> dict[str, Powers]:
+    """Angles, and powers of model, error and input and the cross power at them."""
+    segment = 2 * (len(ANGLES) - 1)
+    even = max(min(segment, len(run.u)) // 2 * 2, 2)
+    pairs = {
+        "model_power": (run.m, run.m),
+        "error_power": (run.e, run.e),
+        "cross": (run.e, run.m),
+        "input_power": (run.u, run.u),
+    }
+    powers = {}
+    for name, (first, second) in pairs.items():
+        _, density = scipy.signal.csd(first, second, nperseg=even, detrend=False, axis=0)
+        powers[name] = len(run.u) * density.real.sum(axis=1)
+    powers["angles"] = np.linspace(0, np.pi, len(powers["input_power"]))
+    return powers

@@ -1,0 +1,95 @@
+"""Stability margin at each frequency and amplitude, and the frequency that decides.
+
+At one amplitude the smaller of two numbers counts, `max_w g |T_ue|` or `max_w g_r |T_ue| / |1 - M
+Q|` (`robustness.prediction`). The curve is the inverse of what stands below the maximum, for the
+one that counts, at the worst of the constant slopes. Its smallest value over frequencies and
+amplitudes is the stability margin, except where a mixture of two amplitudes, an offset that
+friction leaves, or an unstable slope gives a smaller one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.structured import Model
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import AmplitudeCondition, LoopResponse, tested_loops
+from ssm_study.robustness.sensitivity import FINE_ANGLES
+from ssm_study.systems import Balls, Gains
+
+
+@dataclass(frozen=True, kw_only=True)
+class MarginCurve:
+    """Margin (-) at `FINE_ANGLES` for the records of one amplitude (scaled rms of the input).
+
+    `smallest` is the least margin, at `angle` (rad/sample), which may lie between the grid's
+    angles. `amplitude` is None for what was recorded in closed loop.
+    """
+
+    amplitude: float | None
+    margin: Float[np.ndarray, "F"]
+    smallest: float
+    angle: float
+
+
+def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> list[MarginCurve]:
+    """Compute one curve for each recorded amplitude, the smallest amplitude first.
+
+    None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
+    """
+    curves: dict[float | None, _WorstCurve] = {}
+    for linear, own_gains, slopes, records in tested_loops(model, pair, balls, mismatch):
+        loop = LoopResponse.of(linear, own_gains, slopes)
+        if loop is None:
+            return []
+        for view in records.views:
+            gain = _counted_gain(AmplitudeCondition.of(view, loop), view.by_frequency, loop)
+            curves.setdefault(view.amplitude, _WorstCurve()).include(loop.angles, gain)
+        if records.loop is not None:
+            gain = np.interp(loop.angles, ANGLES, records.loop.by_frequency) * loop.size
+            curves.setdefault(None, _WorstCurve()).include(loop.angles, gain)
+    ordered = sorted(curves.items(), key=lambda item: (item[0] is None, item[0] or 0.0))
+    return [curve.as_margin(amplitude) for amplitude, curve in ordered]
+
+
+def _counted_gain(
+    condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
+) -> Float[np.ndarray, "K"]:
+    """Loop gain of one amplitude at the loop's angles, by the condition that counts there."""
+    plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
+    if condition.is_exempt:
+        return np.zeros_like(plain)
+    with_phase = loop.gain_with_phase(condition.linear_part, condition.remainder)
+    if not with_phase < condition.small_gain:
+        return np.asarray(plain)
+    returned = loop.returned(condition.linear_part)
+    remainder = np.interp(loop.angles, ANGLES, condition.remainder)
+    return np.asarray(remainder * loop.size / np.abs(returned))
+
+
+class _WorstCurve:
+    """Largest loop gain over the slopes at each grid angle, and the largest of all with its
+    angle."""
+
+    def __init__(self) -> None:
+        self.gain = np.zeros(len(FINE_ANGLES))
+        self.largest = 0.0
+        self.angle = float(FINE_ANGLES[0])
+
+    def include(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
+        """Take in the loop gain at one combination of slopes."""
+        on_grid = gain[np.searchsorted(angles, FINE_ANGLES)]
+        self.gain = np.maximum(self.gain, on_grid)
+        peak = int(np.argmax(gain))
+        if gain[peak] > self.largest:
+            self.largest = float(gain[peak])
+            self.angle = float(angles[peak])
+
+    def as_margin(self, amplitude: float | None) -> MarginCurve:
+        """The inverse: infinite where nothing was measured."""
+        with np.errstate(divide="ignore"):
+            margin = 1 / self.gain
+        smallest = 1 / self.largest if self.largest else float("inf")
+        return MarginCurve(amplitude=amplitude, margin=margin, smallest=smallest, angle=self.angle)

@@ -1,0 +1,48 @@
+"""Fresh data sets of a simulated plant: what each needs of the disc that is proved."""
+
+from pathlib import Path
+from typing import Any
+
+from ssm_study.certificates.certificate import Design
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import DataSet
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.free_run import ModelRun
+from ssm_study.study.stages.synthesis import measured_premise
+from ssm_study.synthesis.measured_discs_run import fresh_facts, fresh_needs
+
+FILE = "fresh_data.json"
+
+
+def compute_fresh_data(
+    folder: Path,
+    records: DataSet,
+    bounded: ModelRun,
+    mismatch: Mismatch,
+    design: Design,
+    *,
+    data: Any,
+    seed: int,
+    plant: Any,
+) -> None:
+    """Simulate the fresh data sets and measure the kappa that each needs, over the need of the
+    run's own records; nothing where the design has no coverage certificate."""
+    model = bounded.model
+    premise = measured_premise(model, records, mismatch)
+    fresh = data.simulate_fresh_sets(plant, seed)
+    needs = fresh_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
+    write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
+
+
+def read_fresh_data(folder: Path) -> list[float]:
+    """The need of each fresh data set, over that of the run's own records."""
+    return [float(need) for need in read_json(folder / FILE)["needs"]]
+
+
+def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
+    """The largest need."""
+    return fresh_facts(needs)
+
+
+FRESH_DATA = Stage("fresh_data", compute_fresh_data, read_fresh_data, measure_fresh_data)

@@ -1,0 +1,79 @@
+"""Clocks written with few digits: the even clock behind them, against clocks that are known."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssm_study.data.recorded import RecordedData
+from ssm_study.data.rounded_times import possible_periods_s, rounded_period_s, written_resolution
+from ssm_study.refusal import BadRequest
+
+
+def in_digits(times: np.ndarray, digits: int) -> np.ndarray:
+    """The times as a program prints them with so many significant digits."""
+    return np.array([float(f"{time:.{digits}g}") for time in times])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    period_s=st.floats(1e-3, 10.0),
+    start_s=st.floats(0.0, 1.0),
+    digits=st.integers(3, 5),
+    samples=st.integers(300, 3000),
+)
+def test_the_period_is_found_or_none(
+    period_s: float, start_s: float, digits: int, samples: int
+) -> None:
+    """The true period lies among the possible ones, and the one taken is within what is stated."""
+    times = in_digits(start_s * period_s + period_s * np.arange(samples), digits)
+    possible_s = possible_periods_s(times, 0.6 * written_resolution(times))
+    assert possible_s is not None
+    assert possible_s[0] <= period_s * (1 + 1e-9)
+    assert possible_s[1] >= period_s * (1 - 1e-9)
+    found = rounded_period_s(times)
+    if found is not None:
+        assert found[0] == pytest.approx(period_s, rel=2e-3)
+
+
+def test_a_round_period_is_found_exactly() -> None:
+    times = in_digits(0.135 * np.arange(3000), 3)
+    found = rounded_period_s(times)
+    assert found is not None
+    assert found[0] == 0.135
+    assert found[1] < 1e-3
+
+
+def test_times_that_no_even_clock_explains() -> None:
+    """A row that is missing, a clock that changes its period, and a time that stands twice."""
+    even = 0.135 * np.arange(2000)
+    assert rounded_period_s(in_digits(np.delete(even, 700), 3)) is None
+    assert rounded_period_s(in_digits(np.where(even > 20, 1.2 * even - 4, even), 3)) is None
+    twice = np.sort(np.append(0.01 * np.arange(1000), 3.0))
+    assert rounded_period_s(twice) is None
+
+
+def test_too_few_digits_leave_the_period_open(tmp_path: Path) -> None:
+    """Sixty rows in whole seconds: periods of one per cent more or less explain them as well."""
+    rows = [f"{int(0.3 * k)},{k % 7},{k % 5}" for k in range(60)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["t,u,y", *rows]))
+    with pytest.raises(BadRequest, match=r"times were rounded; use data.step_s"):
+        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+
+
+def test_a_file_without_names_that_counts_its_rows(tmp_path: Path) -> None:
+    """A row is taken to last one second, said so; a table with names (an index) is refused."""
+    rows = [f"{k},{(7 * k) % 13},{(5 * k) % 11}" for k in range(80)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(rows))
+    pieces, remark = RecordedData(path=str(path), input=1, output=2).read_pieces(path)
+    assert pieces[0].step_s == 1.0
+    assert "column 0 counts the rows, and a row is taken to last one second" in remark
+    stated, _ = RecordedData(path=str(path), input=1, output=2, step_s=0.1).read_pieces(path)
+    assert stated[0].step_s == 0.1
+    path.write_text("\n".join([",u,y", *rows]))
+    with pytest.raises(BadRequest, match="the first column counts the rows"):
+        RecordedData(path=str(path), input="u", output="y").read_pieces(path)

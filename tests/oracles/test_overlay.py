@@ -1,0 +1,87 @@
+"""Overlay of runs: the same table as each run's own fit and as `st.compare`, and its refusals."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from report_runs import random_run, write_recordings
+
+from ssm_study.api.comparing import compare_simulations
+from ssm_study.cli.main import main
+from ssm_study.refusal import BadRequest
+from ssm_study.report.overlay import overlay, short_names
+from ssm_study.report.study_folder import RunFolder
+from ssm_study.signals import fit_percent
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> list[Path]:
+    """Three runs: two of one record, one of another."""
+    folders = [
+        tmp_path / name for name in ("order4-seed0-aa", "order8-seed0-bb", "order4-seed1-cc")
+    ]
+    for seed, folder in zip((0, 0, 1), folders, strict=True):
+        write_recordings(random_run(folder, kind="mlp", channels=1, seed=1), seed=seed)
+        (folder / "record.json").write_text("{}")
+    return folders
+
+
+def test_the_table_has_the_fit_of_each_runs_own_recording(runs: list[Path]) -> None:
+    comparison = overlay(runs[:2])
+    test = RunFolder(path=runs[0]).test
+    assert test is not None
+    own_fit = fit_percent(test["measured"][0], test["simulated"][0])
+    assert comparison.table["fit_percent"].tolist() == pytest.approx([own_fit, own_fit])
+    assert set(comparison.table.index) == {"order4-aa", "order8-bb"}
+    assert isinstance(comparison.plot(), Figure)
+
+
+def test_runs_of_different_records_are_refused_in_a_sentence(runs: list[Path]) -> None:
+    with pytest.raises(BadRequest, match=r"its test record is not that of .*order4-seed0-aa"):
+        overlay(runs)
+    with pytest.raises(BadRequest, match="name two different runs or more"):
+        overlay(runs[:1])
+    (runs[1] / "test.mcap").unlink()
+    with pytest.raises(BadRequest, match="it left no test record"):
+        overlay(runs[:2])
+
+
+def test_the_command_prints_the_table_and_draws(
+    runs: list[Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    picture = tmp_path / "both.png"
+    assert main(["overlay", str(runs[0]), str(runs[1]), "--picture", str(picture)]) == 0
+    printed = capsys.readouterr().out
+    assert "fit_percent" in printed
+    assert "order8-bb" in printed
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["overlay", str(runs[0]), str(runs[2])]) == 2
+
+
+def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[Path]) -> None:
+    other = runs[0].parent / "other" / runs[0].name
+    shutil.copytree(runs[0], other)
+    names = short_names([runs[0], other])
+    assert names == [f"{path.parent.name}/{path.name}" for path in (runs[0], other)]
+
+
+def test_several_records_are_scored_together_and_the_longest_is_drawn() -> None:
+    rng = np.random.default_rng(0)
+    measured = [rng.standard_normal((n, 1)) for n in (50, 80)]
+    simulated = {"good": [0.9 * y for y in measured], "bad": [0.1 * y for y in measured]}
+    comparison = compare_simulations(
+        measured,
+        simulated,
+        output_names=["y"],
+        step_s=0.1,
+        states={"good": 2, "bad": None},
+        start_up_samples=10,
+    )
+    assert list(comparison.table.index) == ["good", "bad"]
+    whole = np.concatenate([y[10:] for y in measured])
+    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(
+        fit_percent(whole, 0.9 * whole)
+    )
+    assert len(comparison.measured) == len(comparison.time_s) == 80
