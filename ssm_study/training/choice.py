@@ -43,9 +43,11 @@ SIZES: tuple[Settings, ...] = (  # the smallest first
     {"order": 3, "neurons": 0, "knots": 16},
     {"order": 3, "neurons": 1, "knots": 0},
     TRIED_SIZE,
-    {"order": 5, "neurons": 5, "knots": 16},
 )
-LARGER: Settings = {"order": 8, "neurons": 5, "knots": 16}  # where all others are behind the last
+LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are behind
+    {"order": 5, "neurons": 5, "knots": 16},
+    {"order": 8, "neurons": 5, "knots": 16},
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -284,11 +286,15 @@ def choose_size(search: Search) -> Candidate | None:
     if not integrates:
         settings = linear_sizes(search) + settings
     candidates = [search.structured("size", size) for size in settings]
-    chosen = first_not_behind(candidates)
-    if chosen is candidates[-1]:
-        settings.append(LARGER)
-        candidates.append(search.structured("size", LARGER))
+    needs_order = settings[0]["order"] > TRIED_SIZE["order"]
+    for larger in LARGER:
         chosen = first_not_behind(candidates)
+        if chosen is not candidates[-1] and not needs_order:
+            break
+        needs_order = False
+        settings.append(larger)
+        candidates.append(search.structured("size", larger))
+    chosen = first_not_behind(candidates)
     search.take(chosen, settings[candidates.index(chosen)])
     return chosen
 
