@@ -96,45 +96,34 @@ class Mlp(Trainable):
 
     def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:
         h = frame.width
-        channels = frame.samples.shape[1]
-        ends = (("negative", -2.0), ("positive", 2.0))
         if self.certified:
-            layers = [start_layer(frame.samples, h, rng) for _ in range(self.depth)]
-            free = {f"direction_{i}": w for i, (w, _) in enumerate(layers)}
-            free |= {f"kink_{i}": t for i, (_, t) in enumerate(layers)}
+            free = certified_start(frame, self.depth, rng)
         else:
-            first, kinks = start_layer(frame.samples, h, rng)
-            shapes = [(h, h)] * (self.depth - 1) + [(channels, h)]
-            weights = [first, *(rng.normal(size=shape) / np.sqrt(shape[1]) for shape in shapes)]
-            biases = [-kinks, *(0.1 * rng.normal(size=h) for _ in range(self.depth - 1))]
-            free = {f"weight_{i}": w for i, w in enumerate(weights)} | {
-                f"bias_{i}": b for i, b in enumerate(biases)
-            }
-        trained = range(self.depth if self.train_slopes else 0)  # near the two ends of the sector
-        return free | {f"slope_{side}_{i}": np.full(h, at) for i in trained for side, at in ends}
+            free = free_start(frame, self.depth, rng)
+        if self.train_slopes:  # they begin near the two ends of the sector
+            for i in range(self.depth):
+                free[f"slope_negative_{i}"] = np.full(h, -2.0)
+                free[f"slope_positive_{i}"] = np.full(h, 2.0)
+        return free
 
     def explicit(self, free: Free, slopes: Sector) -> list[Layer]:
-        layers: list[Layer] = []
-        for i in range(self.depth):
-            if self.certified:
-                v = free[f"direction_{i}"]
-                root = torch.linalg.cholesky(
-                    v.T @ v
-                )  # W = V R^{-T} has W^T W = I, and is cheap to differentiate
-                w = torch.linalg.solve_triangular(root, v.T, upper=False).T
-                b = -free[f"kink_{i}"] * w.norm(
-                    dim=1
-                )  # a neuron bends where its unit direction meets the kink
-                sector = layer_sector(*slopes, self.depth, 2)
-                after = w.T
-            else:
-                w = free[f"weight_{i}"]
-                b = free[f"bias_{i}"]
-                sector = slopes
-                after = free[f"weight_{self.depth}"]
-            between = i < self.depth - 1 and not self.certified
-            layers.append((w, b, *self._inside(free, i, sector, b), None if between else after))
-        return layers
+        return [self._layer(free, i, slopes) for i in range(self.depth)]
+
+    def _layer(self, free: Free, i: int, slopes: Sector) -> Layer:
+        """Weights, biases and slopes of layer i, and the weights that come after it."""
+        if not self.certified:
+            bias = free[f"bias_{i}"]
+            is_last = i == self.depth - 1
+            after = free[f"weight_{self.depth}"] if is_last else None
+            return (free[f"weight_{i}"], bias, *self._inside(free, i, slopes, bias), after)
+        v = free[f"direction_{i}"]
+        # W = V R^{-T} has W^T W = I, and is cheap to differentiate.
+        root = torch.linalg.cholesky(v.T @ v)
+        w = torch.linalg.solve_triangular(root, v.T, upper=False).T
+        # A neuron bends where its unit direction meets the kink.
+        bias = -free[f"kink_{i}"] * w.norm(dim=1)
+        sector = layer_sector(*slopes, self.depth, 2)
+        return (w, bias, *self._inside(free, i, sector, bias), w.T)
 
     def _inside(
         self, free: Free, layer: int, sector: Sector, like: Tensor
@@ -174,18 +163,41 @@ class Mlp(Trainable):
         return points, active @ (last * first), offsets - offsets[home]
 
     def frozen(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
-        ws, *rest, afters = zip(*explicit, strict=True)
-        joined = zip(
-            ws, (None, *afters[:-1]), strict=True
-        )  # with what comes after the layer before
-        weights = [
-            numbers(w) if before is None else numbers(w) @ numbers(before) for w, before in joined
-        ]
-        biases, negative, positive = (tuple(numbers(part) for part in parts) for parts in rest)
-        ends = {"negative_slopes": negative, "positive_slopes": positive}
-        return MlpScaffold(
-            network=Network(weights=(*weights, numbers(afters[-1])), biases=biases, **ends)
+        weights = []
+        before = None  # what comes after the layer before
+        for w, _, _, _, after in explicit:
+            weights.append(numbers(w) if before is None else numbers(w) @ numbers(before))
+            before = after
+        network = Network(
+            weights=(*weights, numbers(before)),
+            biases=tuple(numbers(bias) for _, bias, _, _, _ in explicit),
+            negative_slopes=tuple(numbers(low) for _, _, low, _, _ in explicit),
+            positive_slopes=tuple(numbers(high) for _, _, _, high, _ in explicit),
         )
+        return MlpScaffold(network=network)
+
+
+def certified_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
+    """Directions and kinks of each layer of a perceptron whose Jacobians stay in the sector."""
+    layers = [start_layer(frame.samples, frame.width, rng) for _ in range(depth)]
+    directions = {f"direction_{i}": weights for i, (weights, _) in enumerate(layers)}
+    kinks = {f"kink_{i}": values for i, (_, values) in enumerate(layers)}
+    return directions | kinks
+
+
+def free_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
+    """Weights and biases of a perceptron without constraints."""
+    h = frame.width
+    channels = frame.samples.shape[1]
+    directions, kinks = start_layer(frame.samples, h, rng)
+    free = {"weight_0": directions}
+    shapes = [(h, h)] * (depth - 1) + [(channels, h)]
+    for i, shape in enumerate(shapes, start=1):
+        free[f"weight_{i}"] = rng.normal(size=shape) / np.sqrt(shape[1])
+    free["bias_0"] = -kinks
+    for i in range(1, depth):
+        free[f"bias_{i}"] = 0.1 * rng.normal(size=h)
+    return free
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,18 +214,24 @@ class OneChannel(Trainable):
 
     def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:  # noqa: ARG002
         kinks = max(frame.width - 1, 1)
-        points = np.quantile(frame.samples[:, 0], (np.arange(kinks) + 0.5) / kinks)
-        layer = {"points": points, "jumps": np.zeros(kinks), "base": np.zeros(1)}
-        return {f"{name}_{i}": values for i in range(self.depth) for name, values in layer.items()}
+        ranks = (np.arange(kinks) + 0.5) / kinks
+        points = np.quantile(frame.samples[:, 0], ranks)
+        free = {}
+        for i in range(self.depth):
+            free[f"points_{i}"] = points
+            free[f"jumps_{i}"] = np.zeros(kinks)
+            free[f"base_{i}"] = np.zeros(1)
+        return free
 
     def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
-        (lower, upper), layers = layer_sector(*slopes, self.depth, channels=1), []
+        lower, upper = layer_sector(*slopes, self.depth, channels=1)
+        layers = []
         for i in range(self.depth):
             points, order = free[f"points_{i}"].sort(-1)
-            passed = torch.nn.functional.pad(
-                free[f"jumps_{i}"].gather(-1, order).cumsum(-1), (1, 0)
-            )
-            inside = lower + (upper - lower) * torch.sigmoid(free[f"base_{i}"] + JUMP_UNIT * passed)
+            jumps = free[f"jumps_{i}"].gather(-1, order)
+            passed = torch.nn.functional.pad(jumps.cumsum(-1), (1, 0))
+            logit = free[f"base_{i}"] + JUMP_UNIT * passed
+            inside = lower + (upper - lower) * torch.sigmoid(logit)
             layers.append((points, inside, scaffold.home_offsets(points, inside)))
         return layers
 
@@ -232,22 +250,23 @@ class OneChannel(Trainable):
 
     def frozen(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
         """First weights one, positive slopes `upper`; the last neuron is linear."""
-        (lower, upper), lasts, biases = layer_sector(*slopes, self.depth, channels=1), [], []
+        lower, upper = layer_sector(*slopes, self.depth, channels=1)
+        lasts = []
+        biases = []
         for pieces in explicit:
             points, inside, _ = (numbers(part) for part in pieces)
             bends = np.diff(inside) / (upper - lower)
-            lasts.append(np.append(bends, (inside[0] - lower * bends.sum()) / upper)[None, :])
+            straight = (inside[0] - lower * bends.sum()) / upper
+            lasts.append(np.append(bends, straight)[None, :])
             biases.append(np.append(-points, 0.0))
-        ones = [np.ones((len(b), 1)) for b in biases]
+        ones = [np.ones((len(bias), 1)) for bias in biases]
+        inner = [after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)]
+        negative = [np.append(np.full(len(bias) - 1, lower), upper) for bias in biases]
         network = Network(
-            weights=(
-                ones[0],
-                *(after @ last for last, after in zip(lasts[:-1], ones[1:], strict=True)),
-                lasts[-1],
-            ),
+            weights=(ones[0], *inner, lasts[-1]),
             biases=tuple(biases),
-            negative_slopes=tuple(np.append(np.full(len(b) - 1, lower), upper) for b in biases),
-            positive_slopes=tuple(np.full(len(b), upper) for b in biases),
+            negative_slopes=tuple(negative),
+            positive_slopes=tuple(np.full(len(bias), upper) for bias in biases),
         )
         return MlpScaffold(network=network)
 
@@ -276,18 +295,15 @@ def start_layer(
     With one input, neighbouring kinks bend in opposite directions: any region can then be made
     steeper or flatter.
     """
-    strata = (
-        np.arange(width) + rng.uniform(0.2, 0.8, size=width)
-    ) / width  # one rank of the samples for each neuron
+    neuron = np.arange(width)
+    ranks = (neuron + rng.uniform(0.2, 0.8, size=width)) / width  # one of the samples for each
     if inputs.shape[1] == 1:
-        signs = np.where((np.arange(width) + rng.integers(2)) % 2 == 0, 1.0, -1.0)
-        return signs[:, None], signs * np.quantile(inputs[:, 0], strata)
-    w = rng.normal(size=(width, inputs.shape[1]))
-    w /= np.linalg.norm(w, axis=1, keepdims=True)  # directions of unit length
-    kinks = np.array(
-        [
-            np.quantile(inputs @ row, rank)
-            for row, rank in zip(w, rng.permutation(strata), strict=True)
-        ]
-    )
-    return w, kinks
+        is_even = (neuron + rng.integers(2)) % 2 == 0
+        signs = np.where(is_even, 1.0, -1.0)
+        return signs[:, None], signs * np.quantile(inputs[:, 0], ranks)
+    directions = rng.normal(size=(width, inputs.shape[1]))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    kinks = []
+    for direction, rank in zip(directions, rng.permutation(ranks), strict=True):
+        kinks.append(np.quantile(inputs @ direction, rank))
+    return directions, np.array(kinks)

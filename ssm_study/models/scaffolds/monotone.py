@@ -38,39 +38,34 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
     slopes: Float[np.ndarray, "m h1"]
 
     def __post_init__(self) -> None:
+        channels, breaks = self.breakpoints.shape
         shapes = (self.breakpoints.shape, self.slopes.shape)
-        fits = self.slopes.shape == (self.breakpoints.shape[0], self.breakpoints.shape[1] + 1)
-        require(
-            fits,
-            "breakpoints, slopes",
-            shapes,
-            "need one slope more than break points",
-            "write model.json again",
-        )
-        ordered = bool((np.diff(self.breakpoints, axis=1) >= 0).all())
-        require(
-            ordered, "breakpoints", shapes[0], "the break points must not decrease", "sort them"
-        )
+        fits = self.slopes.shape == (channels, breaks + 1)
+        problem = "need one slope more than break points"
+        require(fits, "breakpoints, slopes", shapes, problem, "write model.json again")
+        is_sorted = bool((np.diff(self.breakpoints, axis=1) >= 0).all())
+        problem = "the break points must not decrease"
+        require(is_sorted, "breakpoints", shapes[0], problem, "sort them")
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
         out = np.empty_like(v)
-        for c, (t, s) in enumerate(zip(self.breakpoints, self.slopes, strict=True)):
-            # pieces s_j v + o_j: o_j is zero for the piece that holds v = 0, and continuous from
-            # there
-            home = int(np.searchsorted(t, 0.0, side="right"))
-            jumps = (s[:-1] - s[1:]) * t
-            left = -np.cumsum(jumps[:home][::-1])[::-1]
-            right = np.cumsum(jumps[home:])
-            piece = np.searchsorted(t, v[..., c], side="right")
-            out[..., c] = s[piece] * v[..., c] + np.concatenate([left, [0.0], right])[piece]
+        for c in range(len(self.breakpoints)):
+            breakpoints = self.breakpoints[c]
+            slopes = self.slopes[c]
+            offsets = piece_offsets(breakpoints, slopes)
+            piece = np.searchsorted(breakpoints, v[..., c], side="right")
+            out[..., c] = slopes[piece] * v[..., c] + offsets[piece]
         return out
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Square:
-        channels = zip(self.breakpoints, self.slopes, v, strict=True)
-        return np.diag([s[np.searchsorted(t, x, side="right")] for t, s, x in channels])
+        slopes_at = []
+        for breakpoints, slopes, value in zip(self.breakpoints, self.slopes, v, strict=True):
+            piece = np.searchsorted(breakpoints, value, side="right")
+            slopes_at.append(slopes[piece])
+        return np.diag(slopes_at)
 
     def bound(self) -> SlopeBound:
-        values = [Fraction(float(s)) for s in self.slopes.ravel()]
+        values = [Fraction(float(slope)) for slope in self.slopes.ravel()]
         return bound_from_interval(min(values), max(values), "construction")
 
     def centre(self) -> Square:
@@ -96,13 +91,26 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         if not breaks:
             return PortableMap(linear=np.diag(self.slopes[:, 0]), network=None)
         neurons = np.repeat(np.eye(channels), breaks, axis=0)
+        bends = np.diff(self.slopes, axis=1).ravel()
         network = Network(
-            weights=(neurons, neurons.T * np.diff(self.slopes, axis=1).ravel()),
+            weights=(neurons, neurons.T * bends),
             biases=(-self.breakpoints.ravel(),),
             negative_slopes=(np.zeros(channels * breaks),),
             positive_slopes=(np.ones(channels * breaks),),
         )
         return PortableMap(linear=np.diag(self.slopes[:, 0]), network=network)
+
+
+def piece_offsets(
+    breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
+) -> Float[np.ndarray, "h1"]:
+    """Offsets of the pieces `slope v + offset`: zero for the piece that holds v = 0, and such that
+    the map is continuous."""
+    home = int(np.searchsorted(breakpoints, 0.0, side="right"))
+    jumps = (slopes[:-1] - slopes[1:]) * breakpoints
+    left = -np.cumsum(jumps[:home][::-1])[::-1]
+    right = np.cumsum(jumps[home:])
+    return np.concatenate([left, [0.0], right])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +128,8 @@ class Monotone(Trainable):
         return {"points": points, "free": np.zeros((len(points), frame.width + 1))}
 
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Pieces:
-        points, (lower, upper) = free["points"].sort(dim=-1).values, slopes
+        lower, upper = slopes
+        points = free["points"].sort(dim=-1).values
         inside = lower + (upper - lower) * torch.sigmoid(free["free"])
         return points, inside, scaffold.home_offsets(points, inside)
 
@@ -128,10 +137,14 @@ class Monotone(Trainable):
         return scaffold.evaluate(explicit, v)
 
     def pieces(self, explicit: Pieces) -> Pieces | None:
-        return None if len(explicit[0]) > 1 else (explicit[0][0], explicit[1][0], explicit[2][0])
+        points, inside, offsets = explicit
+        if len(points) > 1:
+            return None
+        return points[0], inside[0], offsets[0]
 
     def roughness(self, explicit: Pieces) -> Float[Tensor, ""]:
         return scaffold.roughness(explicit[1]).sum(-1)
 
     def frozen(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
-        return MonotoneScaffold(breakpoints=numbers(explicit[0]), slopes=numbers(explicit[1]))
+        points, inside, _ = explicit
+        return MonotoneScaffold(breakpoints=numbers(points), slopes=numbers(inside))
