@@ -2,7 +2,7 @@
 epoch."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import lightning.pytorch as pl
 import numpy as np
@@ -13,29 +13,20 @@ from torch.func import functional_call
 
 from ssm_study.models.identified import Simulator
 from ssm_study.models.metrics import initial_state
-from ssm_study.models.spec import Pairs
 from ssm_study.models.torch_recurrence import forward_derivatives
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_of_error
 from ssm_study.training.optimisers import Levenberg, trainable
-from ssm_study.training.training import Training
-from ssm_study.training.windows import Cut, Windows
+from ssm_study.training.windows import Cut, Windows, padded
+
+if TYPE_CHECKING:
+    from ssm_study.training.training import Training
 
 POLISH_STEPS = 20  # they undo the rounding, not the optimum
 UNMOVED = (
     1e-12  # scaled units, squared: a state that never moves has no size to measure its defects by
 )
-
-
-def padded(pairs: Pairs) -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
-    """Records `(u, y)`, padded with zeros at the end to one length."""
-    most = max(len(u) for u, _ in pairs)
-    sides = zip(*pairs, strict=True)
-    u, y = (
-        np.stack([np.pad(one, ((0, most - len(one)), (0, 0))) for one in side]) for side in sides
-    )
-    return u, y
 
 
 class Records(nn.Module):
@@ -146,7 +137,7 @@ class Fit(pl.LightningModule):
     that of whole records. Raises `BadRequest` for settings that this model cannot have.
     """
 
-    def __init__(self, model: TorchModel, data: DataSet, settings: Training) -> None:
+    def __init__(self, model: TorchModel, data: DataSet, settings: "Training") -> None:
         super().__init__()
         self.automatic_optimization = False
         sorts = not isinstance(settings.optimiser, Levenberg)  # which differentiates forward

@@ -34,10 +34,10 @@ from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import DataSet
 from ssm_study.training.fit import Fit
 from ssm_study.training.metrics import Identification
-from ssm_study.training.training import Training
 
 if TYPE_CHECKING:
     from ssm_study.training.structured_fit import StructuredFit
+    from ssm_study.training.training import Training
 
 SEAL_BYTES = hashlib.sha256().digest_size
 LAST = "last.ckpt"
@@ -91,7 +91,7 @@ class DurableCheckpointIO(CheckpointIO):
 
 
 def trained(
-    settings: Training,
+    settings: "Training",
     spec: ModelSpec,
     data: DataSet,
     seed: int,
@@ -190,7 +190,7 @@ class OriginalSignals(Callback):
                 signal.signal(number, handler)
 
 
-def trainer_of(settings: Training, callbacks: list[Callback], folder: Path) -> pl.Trainer:
+def trainer_of(settings: "Training", callbacks: list[Callback], folder: Path) -> pl.Trainer:
     """Raises `BadRequest` for an accelerator that this machine does not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     told: Any = dict.fromkeys(

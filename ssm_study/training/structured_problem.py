@@ -15,8 +15,8 @@ from ssm_study.models.structured import codes
 from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
 from ssm_study.models.structured_spec import Pieces
 from ssm_study.refusal import require
-from ssm_study.training.fit import padded
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
+from ssm_study.training.windows import padded
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out,
 # x0.

@@ -3,9 +3,16 @@ next."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float
 
 from ssm_study.refusal import at_least, positive, require
 from ssm_study.signals import Trajectories, Trajectory
+
+if TYPE_CHECKING:
+    from ssm_study.models.spec import Pairs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,3 +77,16 @@ class Cut:
     @property
     def later(self) -> list[int]:
         return sorted(set(range(len(self.pieces))) - set(self.first))
+
+
+def padded(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
+    """Records `(u, y)`, padded with zeros at the end to one length."""
+    longest = max(len(u) for u, _ in pairs)
+    inputs = [with_zeros_behind(u, longest) for u, _ in pairs]
+    outputs = [with_zeros_behind(y, longest) for _, y in pairs]
+    return np.stack(inputs), np.stack(outputs)
+
+
+def with_zeros_behind(values: Float[np.ndarray, "T c"], samples: int) -> Float[np.ndarray, "T2 c"]:
+    """A signal with zeros at its end, so many samples long."""
+    return np.pad(values, ((0, samples - len(values)), (0, 0)))

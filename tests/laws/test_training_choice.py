@@ -100,7 +100,7 @@ def test_an_integrator_is_found_and_not_invented() -> None:
 
 
 def test_the_test_records_are_not_looked_at() -> None:
-    data = changed(data_set(noise=0.02, samples=400, records=4), answering_at_once)
+    data = changed(data_set(noise=0.02, samples=250, records=4), answering_at_once)
     other = replace(data, test=(replace(data.test[0], y=np.zeros_like(data.test[0].y)),))
     spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": "auto"})  # type: ignore[arg-type]
     assert choose_model(spec, data, 0, quiet) == choose_model(spec, other, 0, quiet)

@@ -168,6 +168,7 @@ class Mlp(Trainable):
         for w, _, _, _, after in explicit:
             weights.append(numbers(w) if before is None else numbers(w) @ numbers(before))
             before = after
+        assert before is not None  # nothing but weights comes after the last layer
         network = Network(
             weights=(*weights, numbers(before)),
             biases=tuple(numbers(bias) for _, bias, _, _, _ in explicit),
