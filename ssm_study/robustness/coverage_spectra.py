@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES, bands_of
-from ssm_study.robustness.mismatch import QUIET
+from ssm_study.robustness.record_errors import QUIET
 from ssm_study.robustness.return_to_rest import SURE
 from ssm_study.signals import Trajectory, repetition
 

@@ -19,8 +19,9 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import BAND, Mismatch, View, measure_mismatch
+from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import PEAK, noise_peak, predict, robustness_measure
+from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
