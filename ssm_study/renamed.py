@@ -390,7 +390,7 @@ class OldModules(MetaPathFinder):
 
 
 def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
-    """What the import would find without us: other hooks, that of the tests' shapes too, stay."""
+    """Module that other import hooks find, that of the tests' shapes among them."""
     for finder in sys.meta_path:
         if not isinstance(finder, OldModules):
             spec = finder.find_spec(fullname, path)

@@ -1,4 +1,4 @@
-"""What input and output of a log say about the plant: answer, integrator, loop, noise, in words.
+"""Dynamics of the plant as a log shows them: answer, integrator, loop, noise, in words.
 
 Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
 `dy`; a lag answers where its coefficient is `SURE` standard errors from zero.

@@ -195,7 +195,7 @@ def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
-    """What data that neither fit nor design has seen need of the proof, in words."""
+    """Words on how much of the proof data need that neither fit nor design has seen."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""

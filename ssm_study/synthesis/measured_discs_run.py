@@ -9,7 +9,7 @@ stored number is trusted. Source: docs/trust.md, "Covered".
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -104,6 +104,7 @@ def coverage_facts(
     return facts
 
 
+@runtime_checkable
 class MismatchRecords(Protocol):
     """A data set's records that show the mismatch."""
 
@@ -122,7 +123,7 @@ def fresh_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """What each fresh data set needs of the design's disc, over the need of `premise`, the run's
+    """Need of each fresh data set for the design's disc, over that of `premise`, the run's
     own; none without a coverage certificate whose premise the run's records give."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
