@@ -267,7 +267,7 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     ("sigma", "held_up_to", "passes"),
     [(0.9, 0.0, True), (1.1, 0.0, False), (1.1, 2.0, False), (1.1, 4.0, True)],
 )
-def test_noise_beyond_the_band_refuses_a_loop_that_answers_its_peaks(sigma, held_up_to, passes):
+def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     """Input and output simulated: the loop's own equations, white noise. The plant holds still up
     to an amplitude.
 
