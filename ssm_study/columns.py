@@ -27,6 +27,8 @@ ADDED_COLUMNS = frozenset(
         "noise_gain_model",
         "faster_than_open_loop",
         "swings_at_rest",
+        "piece_start",
+        "fit_test_other_start_percent",
     }
 )
 

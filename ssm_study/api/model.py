@@ -19,7 +19,7 @@ from ssm_study.data.arrays import signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.models.metrics import fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, at_rest
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
@@ -56,14 +56,14 @@ class Model:
     def facts(self) -> dict[str, Any]:
         """Columns of a run's table that speak of data and model."""
         data = self.data
-        validation = Simulation.of(self.simulator, data.validation, data.start_up_samples)
-        test = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        validation, test = simulate_parts(self.simulator, data)
         training = self.identification
         facts = dict(data_facts(data))
         facts |= training_facts(training.seconds, training.ended)
         facts |= size_facts(self.simulator)
         facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
         facts |= fit_facts(validation, test)
+        facts |= start_facts(self.simulator, data, test)
         if isinstance(self.simulator, SSM | StructuredSSM):
             facts |= bound_facts(self.simulator)
         return facts
@@ -252,7 +252,7 @@ class Model:
         from ssm_study.api.pictures.loop_response import label_of
 
         data = self.data
-        simulation = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        _, simulation = simulate_parts(self.simulator, data)
         longest = int(np.argmax([len(record) for record in data.test]))
         record = data.test[longest]
         simulated = {"model": simulation.simulated[longest]}
@@ -284,7 +284,7 @@ class Model:
 
         data = self.data
         start = data.start_up_samples
-        simulation = Simulation.of(self.simulator, data.test, start)
+        _, simulation = simulate_parts(self.simulator, data)
         pairs = zip(data.test, simulation.simulated, strict=True)
         errors = [record.y[start:] - simulated[start:] for record, simulated in pairs]
         inputs = [record.u[start:] for record in data.test]

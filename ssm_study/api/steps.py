@@ -12,7 +12,6 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, judge
-from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model as StateSpaceModel
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
@@ -63,8 +62,7 @@ def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
     """Judge what records and model allow to be said of the plant."""
-    validation = Simulation.of(model, data.validation, data.start_up_samples)
-    test = Simulation.of(model, data.test, data.start_up_samples)
+    validation, test = simulate_parts(model, data)
     return judge(data, model, validation, test, plant_mismatch)
 
 

@@ -107,11 +107,9 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     reading = log_reading(record)
     if reading:
         yield "evidence_reasons", "Log", reading
-    yield (
-        "fit_test_percent",
-        "Fit on the test record",
-        printed(record, "fit_test_percent", ".1f", " %"),
-    )
+    fit = printed(record, "fit_test_percent", ".1f", " %")
+    started = ", run from the log before it" if record.get("piece_start") == "past" else ""
+    yield "fit_test_percent", "Fit on the test record", fit + started
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
         number = name.removeprefix("score_test_")

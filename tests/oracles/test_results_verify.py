@@ -131,6 +131,8 @@ ABSENT = (
     "left_bound_first_s",
     "unsettled_as",
     "limited_rate",
+    "piece_start",
+    "fit_test_other_start_percent",
 )  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",
