@@ -15,12 +15,13 @@ from jaxtyping import Complex, Float
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import signal
+from ssm_study.data.arrays import check_index, signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.metrics import fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, at_rest
+from ssm_study.models.warm_start import simulate_parts, start_facts
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
@@ -102,6 +103,7 @@ class Model:
 
         A frame or series in gives a frame out, with its index.
         """
+        check_index(u, None, self.data.step_s)
         inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
         y = self.simulator.simulate(inputs)
         if not isinstance(u, pd.DataFrame | pd.Series):
@@ -128,6 +130,7 @@ class Model:
         self, u: Values, y: Values
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Outputs measured, and those simulated, of one record."""
+        check_index(u, y, self.data.step_s)
         measured = signal(y, "y", columns=self.output_names)[1]
         predicted = np.asarray(self.predict(u), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"

@@ -8,8 +8,7 @@ import numpy as np
 
 from ssm_study.evidence.finding import Case, Finding
 from ssm_study.models.metrics import free_run
-from ssm_study.models.warm_start import log_before
-from ssm_study.signals import Trajectory
+from ssm_study.models.warm_start import as_one_record, log_before
 
 BY_INPUT = 0.5  # share of the output's power that must follow from the input
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
@@ -47,7 +46,7 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
         for piece, own in zip(part, scored.simulated, strict=True):
             past = log_before(case.data, piece)
             if past is not None:
-                log = joined(past, piece)
+                log = as_one_record([past, piece])
                 carried = free_run(case.model, log, skip)[-len(piece) :]
                 sides = piece.y, piece.y - own, piece.y - carried
                 powers.append(
@@ -58,10 +57,3 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
                 )
     moved, *missed = np.sum(powers, axis=0) if powers else (0.0,)
     return (1 - missed[0] / moved, 1 - missed[1] / moved) if moved else None
-
-
-def joined(past: Trajectory, piece: Trajectory) -> Trajectory:
-    """The past and the piece as one record."""
-    u = np.concatenate([past.u, piece.u])
-    y = np.concatenate([past.y, piece.y])
-    return Trajectory(u=u, y=y, step_s=piece.step_s)

@@ -142,11 +142,33 @@ def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
         before = holders[0]
         joined.insert(0, before[: first - before.first])
         first = before.first
-    if not joined:
-        return None
-    u = np.concatenate([record.u for record in joined])
-    y = np.concatenate([record.y for record in joined])
-    return replace(joined[0], u=u, y=y)
+    return as_one_record(joined) if joined else None
+
+
+def log_stretches(data: DataSet) -> list[Trajectory]:
+    """The logs of a data set, put together again from its records, apart at holes."""
+    records = [*data.training, *data.validation, *data.test]
+    known = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
+    stretches: list[list[Trajectory]] = []
+    for record in known:
+        before = stretches[-1][-1] if stretches else None
+        follows = (
+            before is not None
+            and before.log == record.log
+            and before.first + len(before) == record.first
+        )
+        if follows:
+            stretches[-1].append(record)
+        else:
+            stretches.append([record])
+    return [as_one_record(stretch) for stretch in stretches]
+
+
+def as_one_record(pieces: Sequence[Trajectory]) -> Trajectory:
+    """Records that follow one another as one."""
+    u = np.concatenate([piece.u for piece in pieces])
+    y = np.concatenate([piece.y for piece in pieces])
+    return replace(pieces[0], u=u, y=y)
 
 
 def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
