@@ -13,6 +13,7 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.models.structured import Model as StateSpaceModel
+from ssm_study.models.warm_start import simulate_parts
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
