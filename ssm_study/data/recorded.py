@@ -210,7 +210,9 @@ class RecordedData(Columns, AroundRest):
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
         segments = [*rests, *(periodic if all(periodic) else [])]
-        return tuple(segment for found in segments for segment in found)
+        # A rest within the start-up window would be simulated and never scored.
+        least = self.start_up_samples + 1
+        return tuple(one for found in segments for one in found if len(one) > least)
 
     def _paths(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
         """The files of every log; two files of which one has the inputs and the other the outputs
