@@ -15,7 +15,7 @@ from ssm_study.data.clock_column import (
     find_clock,
     refuse_clock_as_signal,
 )
-from ssm_study.data.readers.reader import Reader, Table, read_table, reader_for
+from ssm_study.data.readers.reader import FOREIGN, Reader, Table, read_table, reader_for
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
@@ -305,7 +305,8 @@ def pieces_end(pieces: EvenRows) -> int:
 def with_look(error: BadRequest, path: Path) -> BadRequest:
     """The refusal, ending with the command that shows what is in the file."""
     remedy = error.remedy.rstrip(".")
-    if "look" in remedy or not path.is_file():
+    is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
+    if "look" in remedy or is_foreign or not path.is_file():
         return error
     return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
 
