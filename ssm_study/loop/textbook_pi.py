@@ -3,7 +3,6 @@ starts: what a certified design has to be better than."""
 
 import numpy as np
 
-from ssm_study.columns import Column
 from ssm_study.loop.peers.peer import without_neurons
 from ssm_study.loop.peers.pi import tyreus_luyben
 from ssm_study.loop.regulation import Loop
@@ -11,13 +10,6 @@ from ssm_study.loop.rollout import settling_times_s
 from ssm_study.models.structured import Model
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
-
-COLUMNS = (
-    Column("stable_count_pi", "Int64", word="InitialStates settled by a PI from the same model"),
-    Column(
-        "settling_time_pi_s", "Float64", word="Mean settling time, PI from the same model", unit="s"
-    ),
-)
 
 
 def pi_facts(

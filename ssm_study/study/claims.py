@@ -23,6 +23,7 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
+from ssm_study.loop.textbook_pi import pi_facts
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.warm_start import start_facts, states_from_past
 from ssm_study.refusal import BadRequest
@@ -254,6 +255,14 @@ def loop(run: RunFiles) -> Claims:
             yield agreement(name, of_rollouts(*pair), ITERATED, "stored model and gains give it")
 
 
+def textbook_pi(run: RunFiles) -> Claims:
+    """The PI that the textbook's rule tunes on the stored model, run again on the configured
+    plant."""
+    specification = run.specification
+    fitted = specification.loop.fitted(run.model)
+    yield Derived(pi_facts(specification.plant, run.model, fitted, specification.loop_seed))
+
+
 def loop_files(run: RunFiles) -> Iterator[Checked]:
     """Recordings of loops that are absent, or there although such a run closes no loop."""
     there = {name for name in LOOPS if (run.path / name).is_file()}
@@ -299,5 +308,6 @@ SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (
     certificate,
     fits,
     loop,
+    textbook_pi,
 )
 OF_A_BASELINE = (files, requested, status, data, model, fits)
