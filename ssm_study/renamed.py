@@ -96,7 +96,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.design.Request": "synthesis.design.DesignAttempt",
     "synthesis.design.broken_claims": "synthesis.design.failed_checks",
     "synthesis.integrated_error.at_rest": "models.structured.at_rest",
-    "synthesis.lmi.aim": "synthesis.objectives.aim",
+    "synthesis.lmi.aim": "synthesis.objectives.goal_and_constraints",
     "synthesis.lmi.solved": "certificates.semidefinite.solved",
     "synthesis.model_selection.FastestCertified": (
         "synthesis.model_selection.LargestCertifiableRate"

@@ -173,7 +173,7 @@ def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> 
     loops = []
     for trial in trials:
         if trial.closed_loop:
-            errors = RecordErrors.of(model, trial, unscored(trial, start_up_samples))
+            errors = RecordErrors.of(model, trial, unscored_samples(trial, start_up_samples))
             if errors.u.any() and swing(errors.output) > MOVING:
                 loops.append(errors)
     return loops
@@ -210,7 +210,7 @@ def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
     return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])
 
 
-def unscored(trial: Trajectory, start_up_samples: int) -> int:
+def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
     """Samples at the beginning of a trial in closed loop that tell its initial state: a third,
     `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
