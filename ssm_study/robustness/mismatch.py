@@ -90,10 +90,12 @@ class Mismatch:
 
     @property
     def gain(self) -> float:
+        """Total gain at the largest amplitude."""
         return self.views[-1].gain
 
     @property
     def rests(self) -> bool:
+        """Whether the plant comes to rest by itself, as far as a record says."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property

@@ -59,6 +59,7 @@ class RecordErrors:
 
     @classmethod
     def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
+        """Simulate the model on the record and take what it misses, scaled."""
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         start, period = repetition(record.u[scored]) or (0, None)

@@ -143,6 +143,7 @@ class Auto:
         faster_designs: list[Design] = []
 
         def certified_and_predicted(ranked: RankedPair) -> Design | None:
+            """The certified design of a pair, if it is predicted to be stable; None otherwise."""
             if faster_designs and not ranked.is_faster:
                 return None  # an idle controller, covered or not, while a faster one is predicted
             design = candidates.specification(ranked.pair).design(model, balls)
