@@ -436,4 +436,6 @@ def test_a_name_or_a_folder_that_cannot_be_says_what_to_do(
     data = [f"data.path={log}", "data.input=u", "data.output=y", "data.step_s=0.1"]
     assert main(["run", "data=recorded", f"results_dir={tmp_path}", *data, "--dry-run"]) == 2
     refusal = capsys.readouterr().err
-    assert refusal.endswith("export the columns as Parquet or CSV.\n")  # look does not read it either
+    assert refusal.endswith(
+        "export the columns as Parquet or CSV.\n"
+    )  # look does not read it either
