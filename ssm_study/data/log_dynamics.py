@@ -123,7 +123,7 @@ def lag_sentence(lag: int, word: str) -> str:
 def slow_sentence(lag: int, stride: int, word: str) -> str:
     """A lag of the answer, found in steps of several samples, in words."""
     if lag <= 1:
-        return f"{word} answers slowly, within {(lag + 1) * stride} samples: no longer dead time"
+        return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
         f"{word} answers after {lag * stride} to {(lag + 1) * stride} samples: dead time, or slow"
     )
