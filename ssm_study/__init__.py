@@ -12,6 +12,7 @@ _PUBLIC = {
     "BadRequest": "refusal",
     "Certification": "api.certifying",
     "Design": "api.design",
+    "Estimator": "api.estimator",
     "Model": "api.model",
     "certify": "api.certifying",
     "compare": "api.comparing",

@@ -26,7 +26,11 @@ ADDED_COLUMNS = frozenset(
         "fresh_sets",
         "noise_gain_model",
         "faster_than_open_loop",
+        "settling_time_pi_s",
+        "stable_count_pi",
         "swings_at_rest",
+        "piece_start",
+        "fit_test_other_start_percent",
     }
 )
 

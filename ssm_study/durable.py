@@ -2,7 +2,6 @@
 with us."""
 
 import errno
-import fcntl
 import hashlib
 import io
 import json
@@ -20,6 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.refusal import require
+
+try:
+    import fcntl
+except ModuleNotFoundError as absent:
+    raise ImportError("ssm-study runs on Linux and macOS, on Windows in WSL") from absent
 
 PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
 POLL_S = 0.02  # between two attempts to obtain a lock

@@ -96,7 +96,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.design.Request": "synthesis.design.DesignAttempt",
     "synthesis.design.broken_claims": "synthesis.design.failed_checks",
     "synthesis.integrated_error.at_rest": "models.structured.at_rest",
-    "synthesis.lmi.aim": "synthesis.objectives.aim",
+    "synthesis.lmi.aim": "synthesis.objectives.goal_and_constraints",
     "synthesis.lmi.solved": "certificates.semidefinite.solved",
     "synthesis.model_selection.FastestCertified": (
         "synthesis.model_selection.LargestCertifiableRate"
@@ -390,7 +390,7 @@ class OldModules(MetaPathFinder):
 
 
 def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
-    """What the import would find without us: other hooks, that of the tests' shapes too, stay."""
+    """Module that other import hooks find, that of the tests' shapes among them."""
     for finder in sys.meta_path:
         if not isinstance(finder, OldModules):
             spec = finder.find_spec(fullname, path)

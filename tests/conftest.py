@@ -53,7 +53,14 @@ WHOLE_RUNS = {
         "test_study_line",
         "test_study_refine",
     ),
-    *("test_table_columns", "test_cli_guard", "test_log_to_device"),
+    *(
+        "test_table_columns",
+        "test_cli_guard",
+        "test_log_to_device",
+        "test_api",
+        "test_verify_form",
+        "test_study_integrating",
+    ),
 }
 # Of these, whose tests look at the figures that a run draws.
 DRAWING = {"test_study_line", "test_docs_notebooks"}

@@ -13,7 +13,8 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.dc_motor import DCMotor
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.record_errors import View
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace

@@ -133,7 +133,8 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
 
     signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
     for name in ("validation", "test"):
-        write_mcap(run / f"{name}.mcap", tuple(group(*signal) for signal in signals), {})
+        written = tuple(group(*signal) for signal in signals)
+        write_mcap(run / f"{name}.mcap", written, {"step_s": "0.01"})
     records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
     write_mcap(run / "excitation.mcap", tuple(records), {})
     cases = []

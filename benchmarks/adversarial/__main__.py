@@ -29,8 +29,9 @@ from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.record_errors import View
 from ssm_study.signals import DataSet
 
 HERE = Path(__file__).resolve().parent

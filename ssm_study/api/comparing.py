@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.api.model import Model, Values
-from ssm_study.data.arrays import signal
+from ssm_study.data.arrays import check_index, signal
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
@@ -69,11 +69,12 @@ def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values)
     """
     named = dict(models) if isinstance(models, Mapping) else _name_models(models)
     require(bool(named), "models", "none", "there is nothing to compare", "give a list of models")
-    measured = signal(y, "y")[1]
     first = next(iter(named.values()))
+    measured = signal(y, "y", columns=first.output_names)[1]
     simulated = {}
     for name, model in named.items():
-        output = signal(model.predict(u), "y")[1]
+        check_index(u, y, model.data.step_s)
+        output = signal(model.predict(u), "y", columns=first.output_names)[1]
         problem = f"{name} answers with {output.shape}"
         remedy = "give the outputs of this input"
         require(output.shape == measured.shape, "y", measured.shape, problem, remedy)

@@ -16,7 +16,6 @@ from ssm_study.api.model import Model, Values, draw_or_refuse, html_table
 from ssm_study.api.scratch import new_folder
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
-from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
@@ -329,9 +328,8 @@ class Design:
 
         origin = self._origin_with_records()
         premise = measure_coverage_premise(self.model, origin.data, origin.mismatch)
-        part = self.certificate.extra_certificates.get(MeasuredDiscs.part)
         return draw_or_refuse(
-            "coverage_plot", lambda: coverage_picture(part, premise, self.model.step_s)
+            "coverage_plot", lambda: coverage_picture(self.certificate, premise, self.model.step_s)
         )
 
     def nyquist(self) -> Any:

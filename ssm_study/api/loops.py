@@ -36,7 +36,8 @@ def close_loop(
     controller: Controller | None = None,
 ) -> Rollouts:
     """Run the loop without noise from initial outputs `(N, p)` or `(N,)`."""
-    starts = signal(y0, "y0", len(plant.outputs))[1]
+    names = [channel.name for channel in plant.outputs]
+    starts = signal(y0, "y0", len(names), names)[1]
     loop: Loop = Parts(LOOP, overrides).build("loop").fitted(design.model)
     controller = controller or ObserverFeedback.of(design.model, design.certificate)
     noise = np.zeros((len(starts), loop.samples(plant.step_s), starts.shape[1]))

@@ -15,12 +15,13 @@ from jaxtyping import Complex, Float
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import signal
+from ssm_study.data.arrays import check_index, signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.models.metrics import fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, at_rest
+from ssm_study.models.warm_start import simulate_parts, start_facts
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
@@ -56,14 +57,14 @@ class Model:
     def facts(self) -> dict[str, Any]:
         """Columns of a run's table that speak of data and model."""
         data = self.data
-        validation = Simulation.of(self.simulator, data.validation, data.start_up_samples)
-        test = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        validation, test = simulate_parts(self.simulator, data)
         training = self.identification
         facts = dict(data_facts(data))
         facts |= training_facts(training.seconds, training.ended)
         facts |= size_facts(self.simulator)
         facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
         facts |= fit_facts(validation, test)
+        facts |= start_facts(self.simulator, data, test)
         if isinstance(self.simulator, SSM | StructuredSSM):
             facts |= bound_facts(self.simulator)
         return facts
@@ -102,6 +103,7 @@ class Model:
 
         A frame or series in gives a frame out, with its index.
         """
+        check_index(u, None, self.data.step_s)
         inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
         y = self.simulator.simulate(inputs)
         if not isinstance(u, pd.DataFrame | pd.Series):
@@ -128,6 +130,7 @@ class Model:
         self, u: Values, y: Values
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Outputs measured, and those simulated, of one record."""
+        check_index(u, y, self.data.step_s)
         measured = signal(y, "y", columns=self.output_names)[1]
         predicted = np.asarray(self.predict(u), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"
@@ -254,7 +257,7 @@ class Model:
         from ssm_study.api.pictures.loop_response import label_of
 
         data = self.data
-        simulation = Simulation.of(self.simulator, data.test, data.start_up_samples)
+        _, simulation = simulate_parts(self.simulator, data)
         longest = int(np.argmax([len(record) for record in data.test]))
         record = data.test[longest]
         simulated = {"model": simulation.simulated[longest]}
@@ -286,7 +289,7 @@ class Model:
 
         data = self.data
         start = data.start_up_samples
-        simulation = Simulation.of(self.simulator, data.test, start)
+        _, simulation = simulate_parts(self.simulator, data)
         pairs = zip(data.test, simulation.simulated, strict=True)
         errors = [record.y[start:] - simulated[start:] for record, simulated in pairs]
         inputs = [record.u[start:] for record in data.test]

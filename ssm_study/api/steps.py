@@ -12,13 +12,13 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, judge
-from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model as StateSpaceModel
+from ssm_study.models.warm_start import simulate_parts
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
 from ssm_study.signals import DataSet, input_limits
-from ssm_study.synthesis.input_inversion import shown_to
+from ssm_study.synthesis.input_inversion import mismatch_for_law
 
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
@@ -60,8 +60,7 @@ def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
     """Judge what records and model allow to be said of the plant."""
-    validation = Simulation.of(model, data.validation, data.start_up_samples)
-    test = Simulation.of(model, data.test, data.start_up_samples)
+    validation, test = simulate_parts(model, data)
     return judge(data, model, validation, test, plant_mismatch)
 
 
@@ -90,7 +89,7 @@ def design_controller(
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
-    relevant_mismatch = shown_to(synthesis, model, data, plant_mismatch)
+    relevant_mismatch = mismatch_for_law(synthesis, model, data, plant_mismatch)
     lower, upper = input_limits(*limits, data.applied)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:

@@ -257,10 +257,12 @@ class Design:
 
     @property
     def certified(self) -> bool:
+        """Whether both sides are there and hold in exact arithmetic."""
         return self.state_feedback.certified and self.observer.certified
 
     @property
     def feasible(self) -> bool:
+        """Whether both sides are there."""
         return not any(
             isinstance(part, Infeasible) for part in (self.state_feedback, self.observer)
         )
@@ -341,12 +343,14 @@ class Design:
         return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
     def save(self, path: Path) -> None:
+        """Write the design as JSON."""
         path.write_text(
             json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
         )
 
     @classmethod
     def load(cls, path: Path) -> "Design":
+        """Read a design from JSON; raises `BadRequest` for a file that holds none."""
         return cls.from_json(json.loads(path.read_text(encoding="utf-8")))
 
 

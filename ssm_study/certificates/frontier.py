@@ -44,6 +44,7 @@ class Frontier:
 
     @property
     def rate_limit(self) -> float:
+        """`1 - contraction_limit^2`."""
         return 1 - self.contraction_limit**2
 
 

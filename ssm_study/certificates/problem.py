@@ -103,6 +103,7 @@ class Problem:
 
     @property
     def contraction(self) -> float:
+        """`sqrt(1 - rate)`, the factor per step."""
         return float(np.sqrt(1 - self.rate))
 
     @property

@@ -56,26 +56,22 @@ def largest_mismatch(
     Gramian. Raises `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop
     that does not rest at these slopes.
     """
-    (order, width), m, enter = (
-        loop.shape,
-        len(into_u),
-        seen.shape[1],
-    )  # (xi, p, e) enter, neurons stand beside
-    right, moved, w, z = _unit_sizes(
-        loop[:, :enter] + loop[:, enter:] @ seen / 2, into_u, seen, into_w, beta
-    )
-    scale = scipy.linalg.block_diag(
-        right, np.diag([*np.full(m, moved), *np.ones(enter - order - m), *z])
-    )
+    order, width = loop.shape
+    m = len(into_u)
+    enter = seen.shape[1]  # (xi, p, e) enter, neurons stand beside
+    at_half_slopes = loop[:, :enter] + loop[:, enter:] @ seen / 2
+    right, moved, w, z = _unit_sizes(at_half_slopes, into_u, seen, into_w, beta)
+    sizes_of_signals = [*np.full(m, moved), *np.ones(enter - order - m), *z]
+    scale = scipy.linalg.block_diag(right, np.diag(sizes_of_signals))
     one = np.eye(width)
     state = one[:order]
-    disturbed = one[order : order + m]
-    known = one[order + m : enter]
+    uncertainty = one[order : order + m]
+    mismatch = one[order + m : enter]
     neurons = one[enter:]
     step = np.linalg.solve(right, loop @ scale)
-    met = (seen @ scale[:enter]) / z[:, None]
-    drawn = beta / moved * into_u @ scale[:order]
-    read = into_w @ scale[:order] / w
+    neuron_inputs = (seen @ scale[:enter]) / z[:, None]
+    input_rows = beta / moved * into_u @ scale[:order]
+    weighted_rows = into_w @ scale[:order] / w
     p = cp.Variable((order, order), symmetric=True)
     weights = cp.Variable(len(z))
     lambda_p = cp.Variable()
@@ -84,12 +80,10 @@ def largest_mismatch(
     given = cp.Parameter()
 
     def room(mu: Any) -> cp.Expression:
-        sectors = neurons.T @ cp.diag(weights) @ (neurons - met)
-        supply = (
-            lambda_p * (disturbed.T @ disturbed - drawn.T @ drawn)
-            - mu * (read.T @ read)
-            + known.T @ known
-        )
+        sectors = neurons.T @ cp.diag(weights) @ (neurons - neuron_inputs)
+        ball = lambda_p * (uncertainty.T @ uncertainty - input_rows.T @ input_rows)
+        gain = mu * (weighted_rows.T @ weighted_rows)
+        supply = ball - gain + mismatch.T @ mismatch
         return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
 
     solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
@@ -113,20 +107,17 @@ def _unit_sizes(
 ) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
     """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the
     neurons see in it."""
-    (order, width), m, moved = (
-        middle.shape,
-        len(into_u),
-        0.0,
-    )  # p: none at first, then what e alone makes of u
+    order, width = middle.shape
+    m = len(into_u)
+    moved = 0.0  # of p: none at first, then what e alone makes of u
     for _ in range(2):
         into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
         gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
-        right = np.linalg.cholesky(
-            symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
-        )
-        u, w, z = (
-            np.linalg.norm(rows[:, :order] @ right, axis=1) for rows in (into_u, into_w, seen)
-        )
+        least = FLOOR * np.trace(gramian) / order * np.eye(order)
+        right = np.linalg.cholesky(symmetric(gramian) + least)
+        u = np.linalg.norm(into_u[:, :order] @ right, axis=1)
+        w = np.linalg.norm(into_w[:, :order] @ right, axis=1)
+        z = np.linalg.norm(seen[:, :order] @ right, axis=1)
         moved = float(u.max()) * max(beta, LEAST_BALL)
         if not moved > 0:
             raise NoSolution("the mismatch does not reach the input")

@@ -2,6 +2,7 @@
 request was wrong."""
 
 import argparse
+import errno
 import os
 import re
 import select
@@ -79,11 +80,18 @@ def _told(error: Exception, arguments: list[str]) -> BadRequest:
     return BadRequest("command", " ".join(arguments), problem, remedy)
 
 
+REMEDIES = {
+    errno.EACCES: "ask its owner for access, or choose a folder of your own",
+    errno.EROFS: "choose a folder that you may write to",
+    errno.ENAMETOOLONG: "choose shorter names",
+}
+
+
 def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
     """The sentence for a disk that is full or a folder that is not ours; `field` names what was
     asked."""
     problem = error.strerror or type(error).__name__
-    remedy = "make room, or choose a folder that you may write to"
+    remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
     return BadRequest(field, error.filename or otherwise, problem, remedy)
 
 

@@ -10,12 +10,14 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from ssm_study.data.clock import AGREEMENT, HOLE
 from ssm_study.data.recording import plain_name
 from ssm_study.refusal import BadRequest, require
 
 INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
 # From so many on, a table that is wider than long lies on its side.
 FEWEST_SAMPLES = 20
+LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 
 def logged(
@@ -135,27 +137,58 @@ def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> N
 
 
 def check_index(u: Any, y: Any, step_s: float | None) -> None:
-    """Refuse series or frames whose indexes differ, or show another sampling time than is given."""
-    indexes = [one.index for one in (u, y) if isinstance(one, pd.Series | pd.DataFrame)]
-    if len(indexes) == 2 and len(indexes[0]) == len(indexes[1]):
-        same = indexes[0].equals(indexes[1])
+    """Refuse series or frames whose indexes differ, or show another sampling time than is given, or
+    no even one."""
+    sides = (("u", u), ("y", y))
+    indexed = [
+        (name, one.index) for name, one in sides if isinstance(one, pd.Series | pd.DataFrame)
+    ]
+    if len(indexed) == 2 and len(indexed[0][1]) == len(indexed[1][1]):
+        (_, first), (_, second) = indexed
         problem = "their indexes differ: the samples are not of the same times"
-        require(same, "u, y (index)", indexes[1][0], problem, "align them: y.reindex(u.index)")
-    for index in indexes[:1]:
-        period_s = index_period_s(index)
-        agrees = step_s is None or period_s is None or abs(step_s - period_s) <= 1e-3 * period_s
-        problem = f"the index shows {period_s or 0:.6g} s"
+        same = first.equals(second)
+        require(same, "u, y (index)", second[0], problem, "align them: y.reindex(u.index)")
+    for name, index in indexed[:1]:
+        times_s = index_times_s(index)
+        if times_s is None:
+            continue
+        refuse_uneven_index(times_s, name)
+        period_s = float(times_s[-1] - times_s[0]) / (len(times_s) - 1)
+        agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
+        problem = f"the index of {name} shows {period_s:.6g} s"
         require(agrees, "step_s", step_s, problem, "correct one of them")
 
 
-def index_period_s(index: Any) -> float | None:
-    """Period of an index of times or of numbers that are no counter of rows, None of others."""
-    if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex) and len(index) > 2:
+def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
+    """Refuse an index of times that runs backwards, has a hole, or is no even clock."""
+    steps = np.diff(times_s)
+    median_s = float(np.median(steps))
+    where = f"{name} (index)"
+    backwards = np.flatnonzero(steps <= 0)
+    row = int(backwards[0]) + 1 if len(backwards) else 0
+    problem = "is not later than the row before"
+    require(not len(backwards), where, f"row {row}", problem, f"sort it: {name}.sort_index()")
+    holes = np.flatnonzero(steps > HOLE * median_s)
+    row = int(holes[0]) if len(holes) else 0
+    problem = f"the times have a hole behind it, of {steps[row]:.4g} s among {median_s:.4g} s"
+    require(not len(holes), where, f"row {row}", problem, INTERPOLATE_OR_CUT)
+    late = np.abs(times_s - np.linspace(times_s[0], times_s[-1], len(times_s))) / median_s
+    row = int(late.argmax())
+    problem = f"is {late[row]:.2g} periods off an even clock"
+    remedy = f"put it on one: {name}.resample(...).interpolate()"
+    require(late[row] <= LATEST, where, f"row {row}", problem, remedy)
+
+
+def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
+    """Times of an index in seconds; None of one that counts rows or names them."""
+    if len(index) < 3:
+        return None
+    if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
         kind = "datetime64[ns]" if isinstance(index, pd.DatetimeIndex) else "timedelta64[ns]"
         nanoseconds = index.to_numpy().astype(kind).astype(np.int64)
-        return float(1e-9 * (nanoseconds[-1] - nanoseconds[0]) / (len(index) - 1))
-    if index.dtype.kind == "f" and len(index) > 2:
-        steps = np.diff(index.to_numpy())
-        even = float(steps.min()) > 0 and float(np.ptp(steps)) < 0.1 * float(steps.mean())
-        return float(steps.mean()) if even else None
-    return None
+        return np.asarray(1e-9 * (nanoseconds - nanoseconds[0]), dtype=np.float64)
+    if index.dtype.kind != "f":
+        return None
+    times_s = index.to_numpy().astype(np.float64)
+    forwards = bool(np.isfinite(times_s).all() and (np.diff(times_s) > 0).all())
+    return times_s if forwards else None

@@ -1,4 +1,4 @@
-"""What input and output of a log say about the plant: answer, integrator, loop, noise, in words.
+"""Dynamics of the plant as a log shows them: answer, integrator, loop, noise, in words.
 
 Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
 `dy`; a lag answers where its coefficient is `SURE` standard errors from zero.
@@ -123,7 +123,7 @@ def lag_sentence(lag: int, word: str) -> str:
 def slow_sentence(lag: int, stride: int, word: str) -> str:
     """A lag of the answer, found in steps of several samples, in words."""
     if lag <= 1:
-        return f"{word} answers slowly, within {(lag + 1) * stride} samples: no longer dead time"
+        return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
         f"{word} answers after {lag * stride} to {(lag + 1) * stride} samples: dead time, or slow"
     )

@@ -18,15 +18,16 @@ from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Trajectory
 
+MOST_SKIPPED = 6  # entries that are listed one by one
 HELD = 0.5  # share of samples at which a column that holds levels does not change
 HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
 INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
                "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
-               "current", "us", "setting", "throttle", "pump", "ph")  # fmt: skip
+               "current", "us", "setting", "inputdata", "throttle", "pump", "ph")  # fmt: skip
 OUTPUT_WORDS = ("y", "out", "output", "speed", "temperature", "temp", "position", "level", "angle",
                 "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured", "ti",
-                "pressure", "height")  # fmt: skip
+                "pressure", "height", "outputdata")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,9 +109,20 @@ class LogLook:
 
     def __str__(self) -> str:
         lines = [f"{self.path.name}", *(column.line() for column in self.columns)]
-        lines += [f"  {name}: skipped, {why}" for name, why in self.skipped.items()]
+        lines += skipped_lines(self.skipped)
         lines += [f"- {sentence}" for sentence in self.sentences]
         return "\n".join([*lines, "", self.command])
+
+
+def skipped_lines(skipped: dict[str, str]) -> list[str]:
+    """What was skipped and why; of a long list those that hold numbers, and how many others."""
+    worth = skipped
+    if len(skipped) > MOST_SKIPPED:
+        worth = {name: why for name, why in skipped.items() if "samples" in why}
+        worth = {name: why for name, why in worth.items() if not why.startswith("has 1 ")}
+    lines = [f"  {name}: skipped, {why}" for name, why in worth.items()]
+    others = len(skipped) - len(worth)
+    return lines + ([f"  {others} texts, empty and single values skipped"] if others else [])
 
 
 def look(

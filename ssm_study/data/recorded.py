@@ -195,7 +195,7 @@ class RecordedData(Columns, AroundRest):
             [piece for pieces in cuts for piece in pieces[k]] for k in range(3)
         )
         if self.test_path is not None:
-            tested = self._read_logs("test_path", "test_output_path")
+            tested = self._read_logs("test_path", "test_output_path", before=len(logs))
             test = [piece for log in tested for piece in log.pieces]
         about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
         about["reading"] = ". ".join(dict.fromkeys(log.remark for log in logs))
@@ -210,7 +210,9 @@ class RecordedData(Columns, AroundRest):
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
         segments = [*rests, *(periodic if all(periodic) else [])]
-        return tuple(segment for found in segments for segment in found)
+        # A rest within the start-up window would be simulated and never scored.
+        least = self.start_up_samples + 1
+        return tuple(one for found in segments for one in found if len(one) > least)
 
     def _paths(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
         """The files of every log; two files of which one has the inputs and the other the outputs
@@ -226,15 +228,15 @@ class RecordedData(Columns, AroundRest):
         apart = not alone and has_columns(second, measured, settings)
         return [(first, second)] if apart else files
 
-    def _read_logs(self, field: str, outputs: str) -> "list[_Log]":
-        """Every log; with the input that the set point makes, and its share, where set point or PI
-        are known."""
+    def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
+        """Every log, counted from the number of those before it; with the input that the set point
+        makes, and its share, where set point or PI are known."""
         source = self
         if self.reference is not None:
             columns = [*listed(self.input), *listed(self.reference)]
             source = replace(self, input=columns, input_unit="", reference=None)
         logs = []
-        for number, files in enumerate(self._paths(field, outputs), start=1):
+        for number, files in enumerate(self._paths(field, outputs), start=before + 1):
             pieces, remark = source.read_pieces(*files)
             numbered = [replace(piece, log=number) for piece in pieces]
             logs.append(_Log(pieces=numbered, remark=remark))
@@ -259,7 +261,7 @@ class RecordedData(Columns, AroundRest):
                 remark=log.remark,
                 share_by_set_point=share,
             )
-            for number, log in enumerate(logs, start=1)
+            for number, log in enumerate(logs, start=logs[0].pieces[0].log)
         ]
 
     def _split(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import EvenRows, on_even_clock, without_missing
+from ssm_study.data.clock import EvenRows, on_even_clock, require_agreement, without_missing
 from ssm_study.data.clock_column import (
     clock_seconds,
     counts_in_first_column,
     find_clock,
     refuse_clock_as_signal,
 )
-from ssm_study.data.readers.reader import Reader, Table, read_table, reader_for
+from ssm_study.data.readers.reader import FOREIGN, Reader, Table, read_table, reader_for
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
@@ -169,13 +169,16 @@ class Columns:
 
     def _on_clock(self, path: Path, output_path: Path) -> tuple[EvenRows, list[str]]:
         """The rows on an even clock, and how the files were read, in words."""
-        time_s, values, remarks = self._read(path, output_path)
+        time_s, stated_s, values, remarks = self._read(path, output_path)
         if time_s is None:
-            if self.step_s is None:
+            period_s = stated_s if self.step_s is None else self.step_s
+            if period_s is None:
                 problem = "the sampling time is unknown"
                 remedy = "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
-            rows = EvenRows(values=[values], starts=[0], step_s=self.step_s, remarks=[])
+            if stated_s is not None:
+                require_agreement(self.step_s, stated_s, path.name)
+            rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
             pieces = without_missing(rows)
         else:
             pieces = on_even_clock(
@@ -193,8 +196,9 @@ class Columns:
 
     def _read(
         self, path: Path, output_path: Path
-    ) -> tuple[Float[np.ndarray, "T"] | None, Float[np.ndarray, "T2 c"], list[str]]:
-        """Times, inputs beside outputs, and remarks; the rows of two files must go together."""
+    ) -> tuple[Float[np.ndarray, "T"] | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
+        """Times, the sampling time that a file states, inputs beside outputs, and remarks; the rows
+        of two files must go together."""
         sides = [
             (path, listed(self.input), self.inputs),
             (output_path, listed(self.output), self.measured),
@@ -215,7 +219,8 @@ class Columns:
         if len(logs) > 1 and times:
             self._refuse_apart(times, [log.table for log in logs.values()], output_path, len(u))
         remarks = [remark for log in logs.values() for remark in log.remarks]
-        return times[0] if times else None, np.hstack([u, y]), remarks
+        stated_s = next((log.table.step_s for log in logs.values() if log.table.step_s), None)
+        return times[0] if times else None, stated_s, np.hstack([u, y]), remarks
 
     def _refuse_apart(
         self, times: list[np.ndarray], tables: list[Table], output_path: Path, rows: int
@@ -305,7 +310,8 @@ def pieces_end(pieces: EvenRows) -> int:
 def with_look(error: BadRequest, path: Path) -> BadRequest:
     """The refusal, ending with the command that shows what is in the file."""
     remedy = error.remedy.rstrip(".")
-    if "look" in remedy or not path.is_file():
+    is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
+    if "look" in remedy or is_foreign or not path.is_file():
         return error
     return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
 

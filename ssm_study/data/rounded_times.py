@@ -6,6 +6,8 @@ to all of these intervals, so the smallest and the largest possible `h` are two 
 `(t_0, h)`.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy
 from jaxtyping import Float
@@ -47,12 +49,12 @@ def possible_periods_s(
     bounds = np.concatenate([errors + scaled, errors - scaled])
     limits_s = []
     for sign in (1.0, -1.0):
-        problem = scipy.optimize.linprog(
+        solution: Any = scipy.optimize.linprog(
             [0.0, sign], A_ub=np.vstack([clock, -clock]), b_ub=bounds, bounds=(None, None)
         )
-        if not problem.success:
+        if not solution.success:
             return None
-        limits_s.append(float(problem.x[1]) * span_s / rows)
+        limits_s.append(float(solution.x[1]) * span_s / rows)
     return min(limits_s), max(limits_s)
 
 

@@ -267,7 +267,12 @@ def is_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
 def refuse_shifted_names(
     path: Path, cells: list[list[str]], above: list[list[str]], columns: int
 ) -> None:
-    """Refuse a last row above the numbers that has one name too many or too few."""
+    """Refuse a last row above the numbers that has one name too many or too few, and a trace whose
+    variables stand one below the other."""
+    stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
+    remedy = "export a table with one column a variable"
+    problem = "is a trace of keys and values, its variables one below the other"
+    require(not stacked, "data.path", path, problem, remedy)
     if cells and not above and columns > 2 and abs(len(cells[-1]) - columns) == 1:
         names = f"{len(cells[-1])} names"
         problem = f"the rows have {columns} cells"

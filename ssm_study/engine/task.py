@@ -187,6 +187,9 @@ class RunStages(Store):
         return Store(self.root)
 
 
+PLAIN_NAME = "use letters, digits, '.', '_' and '-', at most 200 of them"
+
+
 def folder_of(settings: Mapping[str, Any]) -> Path:
     """`results_dir/study/run`; raises `BadRequest` for names that would leave the results
     folder."""
@@ -197,9 +200,7 @@ def folder_of(settings: Mapping[str, Any]) -> Path:
             key == "results_dir"
             or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
         )
-        require(
-            is_plain, key, name, "not a plain folder name", "use letters, digits, '.', '_' and '-'"
-        )
+        require(is_plain, key, name, "not a plain folder name", PLAIN_NAME)
     return Path(*names.values())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ssm_study.evidence.finding import Case, Finding
 from ssm_study.models.metrics import free_run
-from ssm_study.signals import Trajectory
+from ssm_study.models.warm_start import as_one_record, log_before
 
 BY_INPUT = 0.5  # share of the output's power that must follow from the input
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
@@ -44,7 +44,9 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
     scale = case.data.scale.output_scale
     for part, scored in ((case.data.validation, case.validation), (case.data.test, case.test)):
         for piece, own in zip(part, scored.simulated, strict=True):
-            if len(log := _up_to(case, piece)) > len(piece):
+            past = log_before(case.data, piece)
+            if past is not None:
+                log = as_one_record([past, piece])
                 carried = free_run(case.model, log, skip)[-len(piece) :]
                 sides = piece.y, piece.y - own, piece.y - carried
                 powers.append(
@@ -55,19 +57,3 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
                 )
     moved, *missed = np.sum(powers, axis=0) if powers else (0.0,)
     return (1 - missed[0] / moved, 1 - missed[1] / moved) if moved else None
-
-
-def _up_to(case: Case, piece: Trajectory) -> Trajectory:
-    """The log from its beginning to the end of the piece, as far back as it is known."""
-    known = [
-        one
-        for part in (case.data.training, case.data.validation, case.data.test)
-        for one in part
-        if one.log
-    ]
-    joined = [piece]
-    by_end = {(one.log, one.first + len(one)): one for one in known}
-    while (before := by_end.get((piece.log, joined[0].first))) is not None:
-        joined.insert(0, before)
-    u, y = (np.concatenate([getattr(one, side) for one in joined]) for side in "uy")
-    return Trajectory(u=u, y=y, step_s=piece.step_s)

@@ -14,8 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
+from ssm_study.data.log_dynamics import input_shares
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.models.spec import arx, scaled
+from ssm_study.models.warm_start import log_stretches
 from ssm_study.signals import DataSet
 
 PAST = 20
@@ -144,12 +146,32 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
             level="cannot judge", sentence=f"{told}: log its loop with the set point as the input."
         )
         return
+    if closed or integrated:
+        return
     lasts = alike and min(modes) > 1 - REMEMBERED / samples
-    if lasts and by_input > MOVED_BY_INPUT and not closed and not integrated:
-        yield doubt(
-            f"The output integrates its input ({mode}, and {100 * by_input:.0f} % of its rise "
-            "follow a static map of the input): use model.integrating_output=true."
-        )
+    reason = ""
+    if lasts and by_input > MOVED_BY_INPUT:
+        reason = f"{mode}, and {100 * by_input:.0f} % of its rise follow a static map of the input"
+    else:
+        share = integrated_share(whole)
+        if share is not None:
+            reason = (
+                f"the input's mean explains {100 * share:.0f} % of its changes, and it forgets none"
+            )
+    if reason:
+        remedy = "use model.integrating_output=true"
+        yield doubt(f"The output integrates its input ({reason}): {remedy}.")
+
+
+def integrated_share(data: DataSet) -> float | None:
+    """Share of the output's changes that its one input's mean explains, where the longest stretch
+    of a log shows an integrator; None elsewhere."""
+    stretches = log_stretches(data)
+    if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
+        return None
+    longest = max(stretches, key=len)
+    shares = input_shares(longest.u[:, 0], longest.y[:, 0])
+    return shares.change if shares.is_integrator else None
 
 
 def growth(data: DataSet) -> tuple[float, float]:

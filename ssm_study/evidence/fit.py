@@ -6,6 +6,7 @@ from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, graded, note
 from ssm_study.models.metrics import Simulation
+from ssm_study.models.warm_start import other_start
 from ssm_study.signals import fit_of_error, fit_percent, lagged
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
@@ -17,6 +18,7 @@ MOST_OWED = (
     0.4  # shares of the output's power that the residual owes to the input: a doubt, no judgement
 )
 SMALL_ERROR = 0.02  # rms error as a share of the output's range, below which a fit says little
+STARTS_APART = 10.0  # points of fit between two starts of a test record that a doubt states
 LAGS = 40
 FEW = 300  # samples below which the fits of two parts are not compared
 
@@ -38,6 +40,7 @@ def findings(case: Case) -> list[Finding]:
             f"by {test:.0f} %"
         )
         found = [doubt(f"{sentence}: raise model.order or training.starts.")]
+    found += starts_apart(case)
     owed = owed_to_input(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
     return found + graded(
@@ -66,6 +69,22 @@ def poor_fit(case: Case) -> list[Finding]:
         ]
     remedy = "record more of what moves the output, or another input."
     return graded(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
+
+
+def starts_apart(case: Case) -> list[Finding]:
+    """A doubt with both fits where the start of a test record decides by more than ten points."""
+    other = other_start(case.model, case.data, case.test)
+    if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
+        return []
+    from_past = any(state is not None for state in case.test.starts)
+    words = ("from its first samples", "from the log before it")
+    sentence = (
+        "The fit depends on the state in which a test record begins: "
+        f"{case.test.fit_percent:.1f} % {words[from_past]} (which pieces of the training and "
+        f"validation records prefer), {other.fit_percent:.1f} % {words[not from_past]}. Test on a "
+        "longer record."
+    )
+    return [doubt(sentence)]
 
 
 def linear_fit(case: Case) -> float:

@@ -25,9 +25,9 @@ BEYOND = "Beyond the certified bound on the plant"
 
 COLUMNS = (
     Column("loop_on", "string", word="Closed loop on"),
-    Column("initial_conditions", "Int64", word="InitialStates tried"),
-    Column("stable_count", "Int64", "high", "stable", "InitialStates settled"),
-    Column("stable_fraction", "Float64", "high", "stable", "InitialStates settled", "share"),
+    Column("initial_conditions", "Int64", word="Initial states tried"),
+    Column("stable_count", "Int64", "high", "stable", "Initial states settled"),
+    Column("stable_fraction", "Float64", "high", "stable", "Initial states settled", "share"),
     Column("unsettled_as", "string", word="What the other starts do"),
     Column("judged_noise_free", "boolean", word="Judged without the noise"),
     Column(
@@ -56,6 +56,10 @@ COLUMNS = (
         word="Swing that settled loops keep up without noise",
         unit="settling bands",
     ),
+    Column("stable_count_pi", "Int64", word="Initial states settled by a PI from the same model"),
+    Column(
+        "settling_time_pi_s", "Float64", word="Mean settling time, PI from the same model", unit="s"
+    ),
     Column("overshoot_worst", "Float64", "low", word="Worst overshoot", unit="share of the start"),
     Column("input_peak_v", "Float64", "low", "peak u", "Input peak", "unit of the input"),
     Column("control_energy", "Float64", "low", "energy", "Control energy", "squared input, s"),
@@ -67,7 +71,7 @@ COLUMNS = (
         unit="squared output, s",
     ),
     Column("final_error_worst", "Float64", "low", word="Worst remaining error", unit="output unit"),
-    Column("left_bound_count", "Int64", "low", word="InitialStates stopped at the bound"),
+    Column("left_bound_count", "Int64", "low", word="Initial states stopped at the bound"),
     Column("left_bound_first_s", "Float64", word="First stop at the bound", unit="s"),
     Column(
         "noise_gain_measured",

@@ -13,7 +13,7 @@ from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.reference import Reference, Rest
 from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import equilibrium, inverse
 from ssm_study.models.structured import Model, StructuredSSM, at_rest
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
@@ -85,8 +85,8 @@ class IdentifiedPlant(Plant):
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
         """States in which a constant input would hold `y0`: the model released from a set point.
 
-        Where no input holds it (neurons may rectify or saturate), the smallest state that the
-        linear part reads as it.
+        Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
+        few outputs), the smallest state that the linear part reads as it.
         """
         return np.stack([self._state_at(y) for y in y0])
 
@@ -95,10 +95,13 @@ class IdentifiedPlant(Plant):
         try:
             return equilibrium(self.model, y)[0]
         except BadRequest:
-            if not isinstance(self.model, StructuredSSM):
+            fewer_inputs = self.model.scale.inputs < self.model.scale.outputs
+            if not isinstance(self.model, StructuredSSM) and not fewer_inputs:
                 raise
             scaled_output = self.model.scale.scaled_output(y)
-            return np.linalg.pinv(self.model.c) @ scaled_output
+            if not isinstance(self.model, StructuredSSM):
+                scaled_output = inverse(self.model.scaffold_out, scaled_output[None])[0]
+            return np.linalg.pinv(self.model.linear.c) @ scaled_output
 
     def advance(
         self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]

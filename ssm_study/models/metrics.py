@@ -55,6 +55,13 @@ COLUMNS = (
     ),
     Column("fit_validation_percent", "Float64", "high", "fit val", "Fit on validation record", "%"),
     Column("fit_test_percent", "Float64", "high", "fit %", "Fit on test record", "%", shown=True),
+    Column("piece_start", "string", word="Start of a test record"),
+    Column(
+        "fit_test_other_start_percent",
+        "Float64",
+        word="Fit on test record from the other start",
+        unit="%",
+    ),
     Column("rmse_test", "Float64", "low", "rmse", "RMSE on test record", "output unit"),
     Column(
         "fit_baseline_percent",
@@ -73,17 +80,31 @@ COLUMNS = (
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
     """Records beside their free runs, both physical; the first `start_up_samples` of each are not
-    scored."""
+    scored. `starts` has the state from which a record's run began, None where its first samples
+    gave it."""
 
     records: Trajectories
     simulated: tuple[Float[np.ndarray, "_ p"], ...]
     start_up_samples: int
+    starts: tuple[Any, ...] = ()
 
     @classmethod
-    def of(cls, model: Simulator, records: Trajectories, start_up_samples: int) -> "Simulation":
-        """Every record simulated by `model`, see `free_run`."""
-        simulated = tuple(free_run(model, record, start_up_samples) for record in records)
-        return cls(records=records, simulated=simulated, start_up_samples=start_up_samples)
+    def of(
+        cls,
+        model: Simulator,
+        records: Trajectories,
+        start_up_samples: int,
+        starts: tuple[Any, ...] = (),
+    ) -> "Simulation":
+        """Every record simulated by `model`, from the states given or as `free_run` says."""
+        states = starts or (None,) * len(records)
+        simulated = tuple(
+            free_run(model, record, start_up_samples, state)
+            for record, state in zip(records, states, strict=True)
+        )
+        return cls(
+            records=records, simulated=simulated, start_up_samples=start_up_samples, starts=states
+        )
 
     @property
     def fit_percent(self) -> float:
@@ -129,12 +150,16 @@ Gramian = Float[np.ndarray, "n n"]
 GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the first
 
 
-def free_run(model: Any, record: Trajectory, start_up_samples: int) -> Float[np.ndarray, "T p"]:
-    """The simulated output `(T, p)`, physical: from rest if every sample is scored, else from the
-    estimated state.
+def free_run(
+    model: Any, record: Trajectory, start_up_samples: int, start: Any = None
+) -> Float[np.ndarray, "T p"]:
+    """The simulated output `(T, p)`, physical: from `start` where it is given, from rest if every
+    sample is scored, else from the estimated state.
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
+    if start is not None:
+        return model.simulate(record.u, np.asarray(start, dtype=np.float64))
     if start_up_samples == 0:
         return model.simulate(record.u)
     if not isinstance(model, ScaffoldedModel):

@@ -108,11 +108,9 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     reading = log_reading(record)
     if reading:
         yield "evidence_reasons", "Log", reading
-    yield (
-        "fit_test_percent",
-        "Fit on the test record",
-        printed(record, "fit_test_percent", ".1f", " %"),
-    )
+    fit = printed(record, "fit_test_percent", ".1f", " %")
+    started = ", run from the log before it" if record.get("piece_start") == "past" else ""
+    yield "fit_test_percent", "Fit on the test record", fit + started
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", printed(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):
@@ -207,7 +205,7 @@ def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
-    """What data that neither fit nor design has seen need of the proof, in words."""
+    """Words on how much of the proof data need that neither fit nor design has seen."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""
@@ -251,7 +249,21 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     mean = printed(record, "settling_time_mean_s", ".3f", " s")
     times = f"{mean}, uncontrolled {open_loop_s or 0:.3f} s{ratio}"
     yield "settling_time_open_loop_s", "Mean settling time", times
+    yield "stable_count_pi", "A PI from the same model", pi_words(record)
     yield "noise_gain_model", "Sensor noise", noise_words(record)
+
+
+def pi_words(record: Mapping[str, Any]) -> str:
+    """How a textbook's PI does from the same starts, and whether it is the better controller."""
+    count = printed(record, "stable_count_pi", ".0f")
+    starts = printed(record, "initial_conditions", ".0f")
+    pi_time_s = record.get("settling_time_pi_s")
+    own_time_s = record.get("settling_time_mean_s")
+    words = f"{printed(record, 'settling_time_pi_s', '.3f', ' s')}, {count} of {starts}"
+    all_settle = record.get("stable_count_pi") == record.get("initial_conditions")
+    if all_settle and pi_time_s is not None and (own_time_s is None or pi_time_s < own_time_s):
+        return f"{words}: faster than the certified controller"
+    return words
 
 
 def noise_words(record: Mapping[str, Any]) -> str:

@@ -14,7 +14,6 @@ from ssm_study.api.pictures.picture import NothingToShow, Picture
 from ssm_study.api.pictures.poles import pole_groups, poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.robustness.coverage import measure_premise
@@ -62,11 +61,10 @@ def show_nyquist(run: RunFolder) -> Picture:
 def show_coverage(run: RunFolder) -> Picture:
     """Coverage by band."""
     model, design, mismatch = present(run, "any_model", "design", "mismatch")
-    part = design.extra_certificates.get(MeasuredDiscs.part)
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
     )
-    return coverage_picture(part, premise, model.step_s)
+    return coverage_picture(design, premise, model.step_s)
 
 
 def show_bode(run: RunFolder) -> Picture:

@@ -31,7 +31,7 @@ from ssm_study.robustness.coverage_spectra import (
     line_spectrum,
     noise_power_of,
 )
-from ssm_study.robustness.mismatch import MOVING, Mismatch, unscored
+from ssm_study.robustness.mismatch import MOVING, Mismatch, unscored_samples
 from ssm_study.robustness.return_to_rest import is_return, swing
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
@@ -174,7 +174,7 @@ def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> 
     loops = []
     for record in trials:
         if record.closed_loop:
-            run = ScoredRun.of(model, record, unscored(record, start_up_samples))
+            run = ScoredRun.of(model, record, unscored_samples(record, start_up_samples))
             if run.u.any() and swing(run.e + run.m) > MOVING:
                 loops.append(run)
     return loops

@@ -16,7 +16,7 @@ from ssm_study.robustness.coverage_spectra import (
     Powers,
     power_of,
 )
-from ssm_study.robustness.mismatch import EXCITED
+from ssm_study.robustness.record_errors import EXCITED
 from ssm_study.robustness.return_to_rest import SURE
 
 GROUPS = (2, 4, 8, 16)  # neighbouring bands that are also covered together

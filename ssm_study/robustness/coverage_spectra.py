@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES, bands_of
-from ssm_study.robustness.mismatch import QUIET
+from ssm_study.robustness.record_errors import QUIET
 from ssm_study.robustness.return_to_rest import SURE
 from ssm_study.signals import Trajectory, repetition
 
@@ -47,6 +47,7 @@ class MismatchSpectrum:
 
     @property
     def model_power(self) -> Powers:
+        """Power of the model's output in the second period."""
         return power_of(self.model[1])
 
 
@@ -89,6 +90,7 @@ class ScoredRun:
 
     @classmethod
     def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "ScoredRun":
+        """Simulate the model on the record and take what it misses, scaled."""
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         start, period = repetition(record.u[scored]) or (0, None)

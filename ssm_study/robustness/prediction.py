@@ -33,7 +33,8 @@ from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,

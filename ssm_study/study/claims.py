@@ -23,7 +23,9 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
+from ssm_study.loop.textbook_pi import pi_facts
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
+from ssm_study.models.warm_start import start_facts, states_from_past
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
@@ -149,6 +151,7 @@ def data(run: RunFiles) -> Claims:
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
         names += [name for name in run.record if name.startswith("score_test_")]
+        names += ["piece_start", "fit_test_other_start_percent"]
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
         yield NotChecked(dict.fromkeys(names, reason))
     else:
@@ -166,6 +169,13 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         pairs = of_records(kept.records, made)
         pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
+        if any(state is not None for state in kept.starts):
+            again = states_from_past(run.model, records, made)
+            states = {str(i): pair for i, pair in enumerate(zip(kept.starts, again, strict=True))}
+            yield agreement(
+                f"{split}.mcap start_states", states, ITERATED, "the log's past gives it"
+            )
+    yield Derived(start_facts(run.model, records, run.simulated.test))
     if records.mismatch_records or run.trials:
         pairs = of_records(run.trials, records.mismatch_records)
         yield agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
@@ -207,7 +217,7 @@ def fits(run: RunFiles) -> Claims:
     again = {}
     for split in ("validation", "test"):
         kept = getattr(run.simulated, split)
-        made = Simulation.of(run.model, kept.records, kept.start_up_samples)
+        made = Simulation.of(run.model, kept.records, kept.start_up_samples, kept.starts)
         pairs = {
             str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))
         }
@@ -243,6 +253,14 @@ def loop(run: RunFiles) -> Claims:
     for name, pair in pairs.items():
         if pair != (None, None):
             yield agreement(name, of_rollouts(*pair), ITERATED, "stored model and gains give it")
+
+
+def textbook_pi(run: RunFiles) -> Claims:
+    """The PI that the textbook's rule tunes on the stored model, run again on the configured
+    plant."""
+    specification = run.specification
+    fitted = specification.loop.fitted(run.model)
+    yield Derived(pi_facts(specification.plant, run.model, fitted, specification.loop_seed))
 
 
 def loop_files(run: RunFiles) -> Iterator[Checked]:
@@ -290,5 +308,6 @@ SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (
     certificate,
     fits,
     loop,
+    textbook_pi,
 )
 OF_A_BASELINE = (files, requested, status, data, model, fits)

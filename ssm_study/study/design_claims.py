@@ -29,7 +29,7 @@ from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agree
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import starts_at_rest
 from ssm_study.synthesis.design import failed_checks
-from ssm_study.synthesis.input_inversion import shown_behind
+from ssm_study.synthesis.input_inversion import mismatch_behind_map
 from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.systems import System
@@ -128,7 +128,7 @@ def stored_starts(part: UnlimitedStart, starts: np.ndarray | None) -> Checked:
 def mismatch_again(run: RunFiles) -> Any:
     """The mismatch that the run's own recordings show to its design."""
     validation = run.simulated.validation
-    measure = shown_behind if run.design.inverts else measure_mismatch
+    measure = mismatch_behind_map if run.design.inverts else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 

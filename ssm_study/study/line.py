@@ -149,8 +149,13 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages.loop import LOOP
         from ssm_study.study.stages.mismatch import MISMATCH
         from ssm_study.study.stages.synthesis import SYNTHESIS
+        from ssm_study.study.stages.textbook_pi import TEXTBOOK_PI
 
         loop = request.loop
+        plant = ("plant",) if request.plant else ()
+        loop_inputs = request.select("loop", "loop_seed", *plant)
+        if request.plant is not None and not request.plant.real:
+            stages.run_stage(TEXTBOOK_PI, *loop_inputs, bounded)
         mismatch = stages.run_stage(MISMATCH, {}, {}, data, bounded)
         judgement = stages.run_stage(EVIDENCE, {}, {}, data, bounded, mismatch)
         has_limits = loop.input_lower is not None or loop.input_upper is not None
@@ -162,12 +167,10 @@ class Study(Task["Specification"]):
         }
         inputs = request.select("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
-        plant = ("plant",) if request.plant else ()
         if with_fresh_data:
             inputs = request.select("data", "seed", *plant)
             stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)
-        inputs = request.select("loop", "loop_seed", *plant)
-        closed = stages.run_stage(LOOP, *inputs, data, bounded, design)
+        closed = stages.run_stage(LOOP, *loop_inputs, data, bounded, design)
         return design, closed
 
     def identified(

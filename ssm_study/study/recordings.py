@@ -1,6 +1,7 @@
 """Recordings of a run folder, written and read back: simulations beside measured outputs,
 trials."""
 
+import json
 import re
 from collections import defaultdict
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from jaxtyping import Float
 
 from ssm_study.data.mcap import SignalGroup, read_mcap, write_mcap
 from ssm_study.models.metrics import Simulation
-from ssm_study.refusal import require
+from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, DataSet, Trajectories, Trajectory
 
 TRIALS = "trials.mcap"  # the records that serve the mismatch alone
@@ -179,9 +180,36 @@ def read_simulation(path: Path) -> Simulation:
     recording = RecordedCases.of(path)
     simulated = tuple(signal.values for signal in recording.signals("simulated"))
     start_up_samples = int(recording.about["start_up_samples"])
+    states = states_from_text(recording.about.get("start_states", ""), len(simulated))
     return Simulation(
-        records=recording.records, simulated=simulated, start_up_samples=start_up_samples
+        records=recording.records,
+        simulated=simulated,
+        start_up_samples=start_up_samples,
+        starts=states,
     )
+
+
+def states_to_text(states: Sequence[Any]) -> str:
+    """Start states as JSON, null for a record that starts from its first samples."""
+    return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
+
+
+def states_from_text(text: str, records: int) -> tuple[Any, ...]:
+    """Start states of so many records; none where the file has none.
+
+    Raises `BadRequest` for what is no list of them.
+    """
+    if not text:
+        return (None,) * records
+    try:
+        states = [
+            None if one is None else np.array(one, dtype=np.float64) for one in json.loads(text)
+        ]
+    except (TypeError, ValueError) as error:
+        raise BadRequest("start_states", text[:40], "no list of states", "run again") from error
+    sound = len(states) == records and all(one is None or one.ndim == 1 for one in states)
+    require(sound, "start_states", text[:40], f"not one state for {records} records", "run again")
+    return tuple(states)
 
 
 def of_records(stored: Trajectories, made: Trajectories) -> Pairs:

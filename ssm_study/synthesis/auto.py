@@ -27,7 +27,7 @@ from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, ExpectedResponse, RankedPair
-from ssm_study.synthesis.input_inversion import designed
+from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.systems import Balls
 
@@ -128,7 +128,9 @@ class Auto:
         The mismatch is that of the validation records unless given.
         """
         if self.invert_input:
-            return designed(replace(self, invert_input=False), model, validation, mismatch)
+            return design_with_inverted_input(
+                replace(self, invert_input=False), model, validation, mismatch
+            )
         candidates = self.candidates(model, balls)
         if candidates is None:
             return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
@@ -141,6 +143,7 @@ class Auto:
         faster_designs: list[Design] = []
 
         def certified_and_predicted(ranked: RankedPair) -> Design | None:
+            """The certified design of a pair, if it is predicted to be stable; None otherwise."""
             if faster_designs and not ranked.is_faster:
                 return None  # an idle controller, covered or not, while a faster one is predicted
             design = candidates.specification(ranked.pair).design(model, balls)

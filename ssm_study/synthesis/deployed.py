@@ -55,33 +55,38 @@ def with_gain_certificates(
     it commands.
     """
     model, balls = of_commands(design, model, balls)
-    limits = None if design.inverts else limits
+    certificates: dict[str, Theorem | None] = {}
+    sides = {"state_feedback": design.state_feedback, "observer": design.observer}
+    for side, part in sides.items():
+        if not isinstance(part, Infeasible) and part.certified:
+            certificates[f"{side}_deployed"] = within_reach(partial(at_largest_rate, part))
+    certificates["tolerance"] = tolerance_certificate(design, model, balls)
+    extra = {name: part for name, part in certificates.items() if part is not None}
+    design = replace(design, extra_certificates=extra)
+    if limits is None or design.inverts:
+        return design
+    limited = with_limits(model, design, *limits)
+    return replace(design, extra_certificates=extra | limited)
+
+
+def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
+    """The largest mismatch on the input under which the loop converges; None for sides of another
+    class, and where none is found."""
     feedback = design.state_feedback
     observer = design.observer
-    found: dict[str, Theorem | None] = {}
-    for side, part in (("state_feedback", feedback), ("observer", observer)):
-        if not isinstance(part, Infeasible) and part.certified:
-            found[f"{side}_deployed"] = within_reach(partial(at_largest_rate, part))
-    linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
-    if isinstance(feedback, StateFeedback) and (linear or isinstance(observer, StructuredObserver)):
-        controlled = controlled_system(model, feedback)
-        context = VerificationContext(
-            system=model.system, controlled=controlled, balls=balls, gains=design.gains
-        )
-        found["tolerance"] = within_reach(
-            partial(
-                largest_tolerance,
-                context,
-                np.eye(len(feedback.k)),
-                theorem=Tolerance if linear else StructuredTolerance,
-            )
-        )
-    extra = {name: part for name, part in found.items() if part is not None}
-    design = replace(design, extra_certificates=extra)
-    if limits is None:
-        return design
-    within = with_limits(model, design, *limits)
-    return replace(design, extra_certificates=extra | within)
+    is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
+    has_neurons = isinstance(observer, StructuredObserver)
+    if not isinstance(feedback, StateFeedback) or not (is_linear or has_neurons):
+        return None
+    context = VerificationContext(
+        system=model.system,
+        controlled=controlled_system(model, feedback),
+        balls=balls,
+        gains=design.gains,
+    )
+    theorem = Tolerance if is_linear else StructuredTolerance
+    constant_weight = np.eye(len(feedback.k))
+    return within_reach(partial(largest_tolerance, context, constant_weight, theorem=theorem))
 
 
 def at_largest_rate(part: Side) -> Side | None:
@@ -102,28 +107,27 @@ def at_largest_rate(part: Side) -> Side | None:
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
     """Certificates with limited inputs; none for neurons, without a certificate, or for limits not
     around rest."""
+    extra = design.extra_certificates
     parts = (
         design.state_feedback,
-        *(
-            design.extra_certificates.get(f"state_feedback_{more}")
-            for more in ("deployed", "limited")
-        ),
+        extra.get("state_feedback_deployed"),
+        extra.get("state_feedback_limited"),
     )
-    known = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
+    feedbacks = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
     limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
-    if (
-        not known
-        or not isinstance(model, SSM)
-        or not ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
-    ):
+    hold_rest = ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
+    if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
-    found = {EVERYWHERE: within_reach(partial(from_everywhere, known[0]))}
-    known += [part for part in found.values() if isinstance(part, StateFeedbackOfBall)]
+    everywhere = within_reach(partial(from_everywhere, feedbacks[0]))
+    certificates: dict[str, Any] = {EVERYWHERE: everywhere}
+    if isinstance(everywhere, StateFeedbackOfBall):
+        feedbacks.append(everywhere)
     corners = rest_corners(model)
     if corners is not None:
-        corners = np.pad(corners, ((0, known[0].k.shape[1] - model.order), (0, 0)))
-        found[SETS] = within_reach(partial(unlimited, known, corners, limits))
-    return {label: part for label, part in found.items() if part is not None}
+        internal_states = feedbacks[0].k.shape[1] - model.order
+        corners = np.pad(corners, ((0, internal_states), (0, 0)))
+        certificates[SETS] = within_reach(partial(unlimited, feedbacks, corners, limits))
+    return {label: part for label, part in certificates.items() if part is not None}
 
 
 def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
@@ -140,11 +144,11 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     if model.linear.d.any() or inverse is None or not tells_state:
         return None
     signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=outputs - 1)]).T
-    couples = inverse.matrix is not None and np.count_nonzero(
-        inverse.matrix - np.diag(np.diagonal(inverse.matrix))
-    )
-    read = inverse.matrix @ signs if inverse.matrix is not None and couples else signs
-    corners: Float[np.ndarray, "n j"] = rest @ np.linalg.pinv(gain) @ read
+    if inverse.matrix is not None:
+        off_diagonal = inverse.matrix - np.diag(np.diagonal(inverse.matrix))
+        if np.count_nonzero(off_diagonal):
+            signs = inverse.matrix @ signs
+    corners: Float[np.ndarray, "n j"] = rest @ np.linalg.pinv(gain) @ signs
     return corners
 
 
@@ -155,9 +159,8 @@ def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.nda
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
     share = np.abs(starts).max() / np.abs(corners).max()
-    padded: Float[np.ndarray, "s j"] = np.pad(
-        share * corners, ((0, len(starts) - len(corners)), (0, 0))
-    )
+    internal_states = len(starts) - len(corners)
+    padded: Float[np.ndarray, "s j"] = np.pad(share * corners, ((0, internal_states), (0, 0)))
     return padded
 
 

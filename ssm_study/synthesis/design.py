@@ -40,7 +40,7 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
-from ssm_study.synthesis.input_inversion import designed
+from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem, System
 
 ILL = 1e6  # a metric of a smaller condition number gains nothing from fewer states
@@ -75,7 +75,7 @@ class DesignAttempt:
                 "raise the slope floor (model.slope_lower) or use a scaffolding with slopes "
                 "bounded by construction"
             )
-            return self.nothing(reason, "not asked", proved=True)
+            return self.infeasible(reason, "not asked", proved=True)
         if self.rate >= limit:
             by = self.frontier.decided_by
             floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
@@ -86,10 +86,10 @@ class DesignAttempt:
             reason += (
                 f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
             )
-            return self.nothing(reason, "not asked", proved=True)
+            return self.infeasible(reason, "not asked", proved=True)
         return None
 
-    def nothing(self, reason: str, status: str, proved: bool = False) -> Infeasible:
+    def infeasible(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """The request without a certificate."""
         asked: Any = {
             "theorem": self.theorem.name(),
@@ -124,8 +124,8 @@ class DesignAttempt:
             try:
                 with within_floats():
                     best = self.verified(problem, attempt())
-            except NoSolution as nothing:
-                status = str(nothing)
+            except NoSolution as error:
+                status = str(error)
                 continue
             if best.certified:
                 return best
@@ -135,7 +135,7 @@ class DesignAttempt:
                 f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati "
                 "or a lower rate"
             )
-            return self.nothing(reason, status)
+            return self.infeasible(reason, status)
         fewer = "drop states (reduction.truncate_to) or " * (best.condition > ILL)
         number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
@@ -143,7 +143,7 @@ class DesignAttempt:
                 f"{inside} its metric needs more digits than floats have: its condition number "
                 f"is {number}"
             )
-            return self.nothing(reason, best.solver_status)
+            return self.infeasible(reason, best.solver_status)
         told = f"not positive definite in exact arithmetic, condition number {number}"
         return replace(best, solver_status=f"{best.solver_status}; {told}")
 
@@ -294,7 +294,9 @@ class Synthesis(ABC):
         """Both parts, independently; of the model's `system` where it has one, else of its linear
         recurrence."""
         if self.invert_input:
-            return designed(replace(self, invert_input=False), model, validation, shown)
+            return design_with_inverted_input(
+                replace(self, invert_input=False), model, validation, shown
+            )
         system = getattr(model, "system", model.linear)
         controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
         feedback = self.state_feedback(controlled, balls.input)

@@ -28,7 +28,7 @@ INVERTED = {
 }
 
 
-def commanded(model: Model) -> Model:
+def model_behind_map(model: Model) -> Model:
     """The model with input v. Raises `BadRequest` where `S_u` has no inverse by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
@@ -41,32 +41,34 @@ def commanded(model: Model) -> Model:
     return replace(model, scaffold_in=LinearScaffold.identity(channels), scale=scaled)
 
 
-def behind(model: Model, records: Trajectories) -> Trajectories:
+def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
     """The records with v for their input."""
     return tuple(replace(record, u=model.lift(record.u)) for record in records)
 
 
-def shown_behind(
+def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
     """Mismatch that the records show, relative to v."""
     return measure_mismatch(
-        commanded(model), behind(model, records), start_up_samples, behind(model, mismatch_records)
+        model_behind_map(model),
+        records_behind_map(model, records),
+        start_up_samples,
+        records_behind_map(model, mismatch_records),
     )
 
 
-def shown_to(law: Any, model: Model, data: DataSet, shown: Mismatch) -> Mismatch:
-    """Mismatch relative to the input that a design, or a specification, commands; `shown` is
+def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
+    """Mismatch relative to the input that a design, or a specification, commands; `mismatch` is
     relative to u."""
-    undone = law.inverts if isinstance(law, Design) else law.invert_input
-    return (
-        shown_behind(model, data.validation, data.start_up_samples, data.mismatch_records)
-        if undone
-        else shown
-    )
+    inverts = law.inverts if isinstance(law, Design) else law.invert_input
+    if not inverts:
+        return mismatch
+    records = data.validation, data.start_up_samples, data.mismatch_records
+    return mismatch_behind_map(model, *records)
 
 
-def inverting(design: Design) -> Design:
+def as_inverting(design: Design) -> Design:
     """The same gains, found for the model with input v, as those of a law that undoes `S_u`."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
@@ -87,18 +89,20 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
     """Model and balls that a design is about: the model itself, or with input v."""
     if not design.inverts:
         return model, balls
-    made = commanded(model)
-    return made, certified_balls(made)
+    inner_model = model_behind_map(model)
+    return inner_model, certified_balls(inner_model)
 
 
-def designed(plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None) -> Design:
+def design_with_inverted_input(
+    plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
+) -> Design:
     """The design of `plain`, a specification without the option, for the model with input v; marked
     as such."""
-    made = commanded(model)
-    if (
-        getattr(plain, "limits", None) is not None
-    ):  # scaled inputs; a falling S_u exchanges the ends
-        plain = replace(
-            plain, limits=tuple(np.sort([model.scaffold_in(end) for end in plain.limits], axis=0))
-        )
-    return inverting(plain.design(made, certified_balls(made), behind(model, validation), shown))
+    inner_model = model_behind_map(model)
+    limits = getattr(plain, "limits", None)
+    if limits is not None:
+        ends = [model.scaffold_in(end) for end in limits]
+        plain = replace(plain, limits=tuple(np.sort(ends, axis=0)))  # a falling S_u exchanges them
+    balls = certified_balls(inner_model)
+    records = records_behind_map(model, validation)
+    return as_inverting(plain.design(inner_model, balls, records, shown))

@@ -24,7 +24,7 @@ from ssm_study.certificates.theorem import Blocks, full
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest, one_of
 from ssm_study.synthesis.design import DesignAttempt, Synthesis
-from ssm_study.synthesis.objectives import Goal, aim
+from ssm_study.synthesis.objectives import Goal, goal_and_constraints
 from ssm_study.systems import JacobianBall, StateSpace
 
 OBJECTIVES = ("feasibility", "largest_margin", "smallest_gain", "guaranteed_cost")
@@ -67,7 +67,9 @@ class CompiledLmi:
             goal, constraints = _smallest_gain(upper, p, y, x)
         else:
             root = np.real(scipy.linalg.sqrtm(state_weight))
-            goal, constraints = aim(objective, upper, p, 1, [root @ y, np.sqrt(input_weight) * x])
+            goal, constraints = goal_and_constraints(
+                objective, upper, p, 1, [root @ y, np.sqrt(input_weight) * x]
+            )
         self.problem = cp.Problem(cp.Minimize(goal), constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
@@ -156,5 +158,5 @@ def paper_lmi(
     try:
         problem = method.problem(linear, ball, theorem.observes)
         return request.verified(problem, method.solve(problem))
-    except (NoSolution, BadRequest) as nothing:
-        return request.nothing("the solver returned no matrices", str(nothing))
+    except (NoSolution, BadRequest) as error:
+        return request.infeasible("the solver returned no matrices", str(error))

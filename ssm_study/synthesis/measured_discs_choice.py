@@ -19,7 +19,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
-from ssm_study.synthesis.measured_discs_run import excluded
+from ssm_study.synthesis.measured_discs_run import exclusion_reason
 from ssm_study.systems import Balls, StructuredSystem
 
 LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60)  # places in the order, of one layer
@@ -62,7 +62,7 @@ def prefer_covered(
         if design is None:
             continue
         first = first or design
-        if premise is None or not judged or excluded(design, model):
+        if premise is None or not judged or exclusion_reason(design, model):
             return first, PREDICTED
         coverage = coverage_by_frequency(design, model, balls, premise, target)
         if coverage >= target:

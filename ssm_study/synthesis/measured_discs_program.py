@@ -55,7 +55,7 @@ class LoopForms:
         cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
         """Without filters: of the weights only their squared gains enter."""
-        of, counts = bare(theorem, context)
+        of, counts = loop_without_filters(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
         names = [(name, i) for name, count in counts.items() for i in range(count)]
@@ -117,7 +117,9 @@ class FormsAtAngles:
         )
 
 
-def bare(theorem: type[MeasuredDiscs], context: VerificationContext) -> tuple[Any, dict[str, int]]:
+def loop_without_filters(
+    theorem: type[MeasuredDiscs], context: VerificationContext
+) -> tuple[Any, dict[str, int]]:
     """The loop's numbers with filters of order zero and multipliers zero, and how many multipliers
     there are of each name."""
     loop = theorem.loop_of(context)

@@ -9,7 +9,7 @@ stored number is trusted. Source: docs/trust.md, "Covered".
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -44,7 +44,7 @@ def is_coverage_sought(model: Model, synthesis: Any) -> bool:
 
 def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
     """The design with its coverage certificate beside the others; as it is where there is none."""
-    if not design.feasible or excluded(design, model) or premise.missing(0.0) is not None:
+    if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
 
@@ -68,7 +68,7 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
     return replace(design, extra_certificates=extra)
 
 
-def excluded(design: Design, model: Model) -> str | None:
+def exclusion_reason(design: Design, model: Model) -> str | None:
     """Why the theorem does not speak of such a loop; None where it does."""
     if design.inverts:
         return INVERTS
@@ -88,7 +88,7 @@ def coverage_facts(
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs):
         unproved = UNPROVED if isinstance(model, SSM) else UNSOUGHT
-        reason = excluded(design, model) or premise.missing(0.0) or unproved
+        reason = exclusion_reason(design, model) or premise.missing(0.0) or unproved
         return {"coverage": None, "coverage_reason": reason}
     missing = premise.missing(part.centre)
     if missing is not None:
@@ -104,6 +104,7 @@ def coverage_facts(
     return facts
 
 
+@runtime_checkable
 class MismatchRecords(Protocol):
     """A data set's records that show the mismatch."""
 
@@ -122,7 +123,7 @@ def fresh_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """What each fresh data set needs of the design's disc, over the need of `premise`, the run's
+    """Need of each fresh data set for the design's disc, over that of `premise`, the run's
     own; none without a coverage certificate whose premise the run's records give."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:

@@ -79,11 +79,11 @@ def largest_kappa(
         forms = LoopForms.of(theorem, context, (centre,))
         for inside in INSIDE:
             scaled = nu * inside**2
-            multipliers, margin = _with_margin(theorem, forms, weights, centre, scaled, multipliers)
+            multipliers, margin = _with_margin(forms, weights, centre, scaled, multipliers)
             numbers = _numbers(forms, weights, centre, scaled**0.5, multipliers)
-            found = certified(theorem, context, numbers, margin, started)
-            if found is not None:
-                return found
+            proof = certified(theorem, context, numbers, margin, started)
+            if proof is not None:
+                return proof
     except NoSolution:
         return None
     return None
@@ -104,16 +104,26 @@ def fixed_optimum(
         goal[0] = 1.0
         x, _ = program.maximise(goal)
         lowest = program.smallest_eigenvalues(x)
-        near = np.argsort(lowest)[:4]
-        order = np.sort(grid.angles)
-        fresh = list[np.ndarray]()
-        for angle in grid.angles[near]:
-            at = int(np.searchsorted(order, angle))
-            ends = order[max(at - 1, 0)], order[min(at + 1, len(order) - 1)]
-            fresh.append(np.linspace(*ends, 41))
-        grid = grid.joined(forms.at(np.setdiff1d(np.concatenate(fresh), grid.angles)))
+        deciding = grid.angles[np.argsort(lowest)[:4]]
+        fresh = angles_around(deciding, grid.angles)
+        grid = grid.joined(forms.at(np.setdiff1d(fresh, grid.angles)))
     unscaled = x / scale
     return float(unscaled[0]), np.maximum(unscaled[1:], 0.0)
+
+
+def angles_around(
+    deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
+) -> Float[np.ndarray, "N"]:
+    """A finer grid between the neighbours of each deciding angle."""
+    ascending = np.sort(angles)
+    last = len(ascending) - 1
+    fine = []
+    for angle in deciding:
+        place = int(np.searchsorted(ascending, angle))
+        lower = ascending[max(place - 1, 0)]
+        upper = ascending[min(place + 1, last)]
+        fine.append(np.linspace(lower, upper, 41))
+    return np.concatenate(fine)
 
 
 def _fixed_program(
@@ -135,7 +145,6 @@ def _fixed_program(
 
 
 def _with_margin(
-    theorem: type[MeasuredDiscs],
     forms: LoopForms,
     weights: Weights,
     centre: float,
@@ -144,7 +153,6 @@ def _with_margin(
 ) -> tuple[Float[np.ndarray, "A"], float]:
     """Multipliers of the largest margin at this kappa, and the margin: in units of each free
     signal's own weight."""
-    del theorem
     grid = forms.at(forms.angles)
     own = own_weights(forms, centre, multipliers)
     reference = weights.on_output(grid.angles)[:, None, None] * grid.model
@@ -198,14 +206,14 @@ def certified(
     ball = context.balls.input
     whole = theorem.loop_of(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
     for p in metrics(theorem, whole, margin):
-        found: MeasuredDiscs = theorem.proved(
+        proof: MeasuredDiscs = theorem.proved(
             whole | {"p": p},
             started=started,
             status="one convex program, one Riccati equation",
             method="measured discs",
         )
-        if found.certified:
-            return found
+        if proof.certified:
+            return proof
     return None
 
 
@@ -284,7 +292,7 @@ def _largest_for(
     theorem = theorem_of(context)
     forms = LoopForms.of(theorem, context, tuple(items))
     grid = forms.at(forms.angles)
-    found = list[tuple[float, Any, WeightProgram]]()
+    optima = list[tuple[float, Any, WeightProgram]]()
     for centre, some in items.items():
         program = WeightProgram(
             forms=forms, grid=grid, centre=centre, items=tuple(some), basis=basis
@@ -294,14 +302,14 @@ def _largest_for(
         except NoSolution:
             continue
         if nu > SMALLEST:
-            found.append((nu, unknowns, program))
-    found.sort(key=lambda one: -one[0])
-    for nu, unknowns, program in found:
+            optima.append((nu, unknowns, program))
+    optima.sort(key=lambda optimum: -optimum[0])
+    for nu, unknowns, program in optima:
         if nu >= LARGEST:
             return Coverage(certificate=None, coverage=None, reason="no mismatch has an effect")
-        made = _proved(context, theorem, program, nu, unknowns, started)
-        if made is not None:
-            return made
+        coverage = _proved(context, theorem, program, nu, unknowns, started)
+        if coverage is not None:
+            return coverage
     return Coverage(certificate=None, coverage=None, reason="nothing is proved at these gains")
 
 

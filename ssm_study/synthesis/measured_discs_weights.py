@@ -58,8 +58,11 @@ class WeightBasis:
 
     def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
         """`|den|^2`."""
-        factors = [np.abs(1 - pole * np.exp(-1j * angles)) ** 2 for pole in self.poles]
-        return np.asarray(np.prod(factors, axis=0)) if factors else np.ones(len(angles))
+        if not self.poles:
+            return np.ones(len(angles))
+        delay = np.exp(-1j * angles)
+        factors = [np.abs(1 - pole * delay) ** 2 for pole in self.poles]
+        return np.asarray(np.prod(factors, axis=0))
 
     def at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
         """Each basis function at each angle."""
@@ -80,8 +83,9 @@ class WeightBasis:
         numerator = spectral_factor(coefficients)
         denominator = np.real(np.poly(self.poles)) if self.poles else np.ones(1)
         size = max(len(numerator), len(denominator))
-        padded = np.pad(denominator, (0, size - len(denominator)))
-        a, b, c, d = scipy.signal.tf2ss(np.pad(numerator, (0, size - len(numerator))), padded)
+        numerator = np.pad(numerator, (0, size - len(numerator)))
+        denominator = np.pad(denominator, (0, size - len(denominator)))
+        a, b, c, d = scipy.signal.tf2ss(numerator, denominator)
         return np.block([[a, b], [c, d]])
 
 

@@ -207,7 +207,7 @@ def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch)
     """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair
     on the plant.
 
-    `mismatch` is relative to what the law commands (`synthesis.commanded.shown_behind`).
+    `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
     model, balls = of_commands(design, model, balls)
     feedback = design.state_feedback

@@ -11,7 +11,7 @@ from ssm_study.certificates.theorem import Blocks, full
 Goal = tuple[cp.Expression, list[cp.Constraint]]
 
 
-def aim(
+def goal_and_constraints(
     objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
 ) -> Goal:
     """Goal and constraints of an inequality with this upper triangle, linear in P and other

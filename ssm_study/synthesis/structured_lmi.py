@@ -22,7 +22,7 @@ from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solutio
 from ssm_study.certificates.semidefinite import solved
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
-from ssm_study.synthesis.objectives import aim
+from ssm_study.synthesis.objectives import goal_and_constraints
 from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 
 Rows = Float[np.ndarray, "_ _"]
@@ -36,10 +36,10 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 class StructuredLmi:
     """One problem with neurons, ready to be solved at any rate.
 
-    `objective` as in `objectives.aim`; a state feedback's cost stands beside the state, an
-    observer's noise where the step arrives. With `fixed` the gains are that solution's, and only
-    the metric and the multipliers are sought; `of.k` holds the gain, so that one program proves
-    many.
+    `objective` as in `objectives.goal_and_constraints`; a state feedback's cost stands beside the
+    state, an observer's noise where the step arrives. With `fixed` the gains are that solution's,
+    and only the metric and the multipliers are sought; `of.k` holds the gain, so that one program
+    proves many.
     """
 
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
@@ -63,7 +63,7 @@ class StructuredLmi:
             upper = [[upper[i][j - i] for j in rows if j >= i] for i in rows]
         root = np.real(scipy.linalg.sqrtm(problem.state_weight))
         weighted = [root @ p, np.sqrt(problem.input_weight) * of.x]
-        goal, constraints = aim(
+        goal, constraints = goal_and_constraints(
             objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted
         )
         self.program = cp.Problem(cp.Minimize(goal), constraints)

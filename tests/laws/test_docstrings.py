@@ -22,7 +22,8 @@ SOURCE = re.compile(r"\[Z26\]|docs/(?:theory|trust)\.md|\b(?:19|20)\d\d\b")
 REFUSAL = re.compile(r"BadRequest|[Rr]efus|[Rr]aises|NoSolution")
 ARRAY = re.compile(r"(?<!\[)\b(?:np\.ndarray|torch\.Tensor|Tensor)\b")
 UNIT = re.compile(
-    r"_(?:s|v|a|h|hz|ohm|nm|cm2|rad_per_s|kgm2|variance|v_per_cm|cm3_per_vs|nm_per_a|nms_per_rad|nm_per_rad)$"
+    r"_(?:s|v|a|h|hz|ohm|nm|cm2|rad_per_s|kgm2|variance|v_per_cm|cm3_per_vs|nm_per_a"
+    r"|nms_per_rad|nm_per_rad)$"
 )
 
 Public = ast.FunctionDef | ast.ClassDef

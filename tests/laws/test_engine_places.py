@@ -48,3 +48,13 @@ def test_a_users_own_style_of_figures_does_not_end_a_run(tmp_path: Path) -> None
     )
     assert ended.returncode == 0, ended.stderr
     assert (tmp_path / "figure.png").is_file()
+
+
+def test_where_files_cannot_be_locked_the_import_says_on_what_it_runs() -> None:
+    """Windows has no fcntl: the error named that module alone."""
+    program = "import sys; sys.modules['fcntl'] = None; import ssm_study.durable"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1] == (
+        "ImportError: ssm-study runs on Linux and macOS, on Windows in WSL"
+    )

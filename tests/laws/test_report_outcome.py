@@ -8,7 +8,7 @@ from typing import Any
 import report_tables
 from rich.console import Console
 
-from ssm_study.report.outcome import print_outcome
+from ssm_study.report.outcome import pi_words, print_outcome
 
 RADIUS = "spectral radius of the controller"
 TABLE = report_tables.table(30).astype(object)
@@ -215,3 +215,13 @@ def test_cannot_judge_stands_first() -> None:
     text = " ".join(printed(settled_run(evidence="cannot judge")).split())
     outcome = text.partition("Outcome ")[2]
     assert outcome.startswith("cannot judge: the evidence allows no judgement")
+
+
+def test_a_pi_that_is_faster_is_said_to_be() -> None:
+    record = {"stable_count_pi": 4, "initial_conditions": 4, "settling_time_pi_s": 0.05}
+    assert pi_words(record | {"settling_time_mean_s": 0.1}).endswith(
+        "faster than the certified controller"
+    )
+    assert pi_words(record | {"settling_time_mean_s": 0.04}) == "0.050 s, 4 of 4"
+    lost = record | {"stable_count_pi": 3, "settling_time_mean_s": 0.1}
+    assert pi_words(lost) == "0.050 s, 3 of 4"

@@ -12,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 
 from ssm_study.data.readers.mat import MatReader, parse
+from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
 KINDS = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", ">f8"]
@@ -126,3 +127,24 @@ def test_refused(tmp_path: Path, content: bytes) -> None:
         BadRequest, match=r"a\.mat: not a complete MAT file: .*; save it again with -v7"
     ):
         MatReader().read(tmp_path / "a.mat", ["x"])
+
+
+def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
+    """`Ts` of iddata, in its unit; a step_s that contradicts it is refused; two that differ are no
+    sampling time."""
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((400, 1))
+    log = {"InputData": u, "OutputData": np.cumsum(u, axis=0), "Ts": 20.0}
+    path = tmp_path / "log.mat"
+    fields: dict[str, object] = {"path": str(path), "input": "id.InputData"}
+    fields["output"] = "id.OutputData"
+    for unit, step_s in (("seconds", 20.0), ("milliseconds", 0.02), ("", 20.0)):
+        scipy.io.savemat(path, {"id": log | {"TimeUnit": unit}})
+        pieces, remark = RecordedData(**fields).read_pieces(path)
+        assert pieces[0].step_s == pytest.approx(step_s)
+        assert f"its Ts is {step_s:g} s" in remark
+    with pytest.raises(BadRequest, match=r"the times of log.mat show 20 s"):
+        RecordedData(**fields, step_s=0.1).read_pieces(path)
+    scipy.io.savemat(path, {"id": log, "other": log | {"Ts": 1.0}})
+    with pytest.raises(BadRequest, match="the sampling time is unknown"):
+        RecordedData(**(fields | {"output": "other.OutputData"})).read_pieces(path)

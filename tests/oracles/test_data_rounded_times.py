@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.rounded_times import possible_periods_s, rounded_period_s, written_resolution
 from ssm_study.refusal import BadRequest
@@ -77,3 +78,20 @@ def test_a_file_without_names_that_counts_its_rows(tmp_path: Path) -> None:
     path.write_text("\n".join([",u,y", *rows]))
     with pytest.raises(BadRequest, match="the first column counts the rows"):
         RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+
+
+def test_a_column_that_stands_twice_and_a_separator_at_the_end(tmp_path: Path) -> None:
+    """Equal columns of one name are one; unequal ones are ambiguous; nothing stands behind a last
+    separator; a trace of keys and values is no table."""
+    path = tmp_path / "log.csv"
+    rows = [f"{0.1 * k:.1f},{k % 7},{k % 5},{k % 5}," for k in range(80)]
+    path.write_text("\n".join(["t,u,y,y,", *rows]))
+    source = RecordedData(path=str(path), input="u", output="y")
+    assert len(source.read_pieces(path)[0][0]) == 80
+    assert [column.name for column in look(path).columns] == ["t", "u", "y"]
+    path.write_text("\n".join(["t,u,y,y,", *rows[:-1], "7.9,2,4,3,"]))
+    with pytest.raises(BadRequest, match="the header has it 2 times"):
+        source.read_pieces(path)
+    path.write_text("[key]; [value]\nName; trace\n" + "\n".join(f"; {k}; 25" for k in range(60)))
+    with pytest.raises(BadRequest, match="its variables one below the other"):
+        look(path)

@@ -91,6 +91,13 @@ def test_holes_of_the_clock_cut_the_record(truth: np.ndarray) -> None:
     assert len({record.first for record in data.training}) > 1
 
 
+def test_a_rest_within_the_start_up_window_is_no_record_of_the_mismatch() -> None:
+    """The log ends with a hold of eleven samples, of which a window of twenty leaves none."""
+    assert read("plain.txt").mismatch_records != ()
+    windowed = read("plain.txt", start_up_samples=20).mismatch_records
+    assert all(len(record) > 21 for record in windowed)
+
+
 def test_rounded_times_are_called_so() -> None:
     """Times of three digits fit one even clock; a time that stands twice fits several."""
     reading = read("three_digits.csv").metadata["reading"]

@@ -1,5 +1,6 @@
 """Reasons that were false, each with its smallest case, beside the case in which it is true."""
 
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,10 +12,14 @@ import scipy.signal
 from test_evidence_response import LEVELS, WHITE, answer, case
 
 from ssm_study.data.assembly import assemble
+from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence import feedback, fit, records
 from ssm_study.evidence.finding import Case
 from ssm_study.models.metrics import Simulation
 from ssm_study.signals import Channel, DataSet, Trajectory
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from log_kinds import kind_named
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "logs_small"
 RNG = np.random.default_rng(7)
@@ -190,3 +195,24 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     assert "runs away" not in told
     if "sweep" in path.name:
         assert "use model.integrating_output=true" in told
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
+    """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""
+    sums = list(feedback.runs_away(kind_of_log(tmp_path, "position_dead_zone", seed), closed=False))
+    assert [finding.level for finding in sums] == ["doubt"]
+    assert "integrates its input" in sums[0].sentence
+    assert "model.integrating_output=true" in sums[0].sentence
+
+
+@pytest.mark.parametrize("name", ["slow_coarse", "bilinear", "dead_time", "saturating", "drifting"])
+def test_what_settles_does_not_integrate(tmp_path: Path, name: str):
+    assert not list(feedback.runs_away(kind_of_log(tmp_path, name, 0), closed=False))
+
+
+def kind_of_log(folder: Path, name: str, seed: int) -> DataSet:
+    """A log of `benchmarks/log_kinds.py`, read as a run reads it."""
+    path = folder / "log.csv"
+    kind_named(name).log(seed).to_csv(path, index=False)
+    return RecordedData(path=str(path), input="u", output="y", start_up_samples=20).build(0)

@@ -24,7 +24,7 @@ from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.deployed import with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.input_inversion import commanded, shown_behind
+from ssm_study.synthesis.input_inversion import mismatch_behind_map, model_behind_map
 from ssm_study.synthesis.integrated_error import relative_areas
 
 ASKED = RiccatiSynthesis(
@@ -86,7 +86,7 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     """Sample by sample, from the same states: the same estimates and outputs."""
     stand, _, design = made
     law = ObserverFeedback.of(stand, design)
-    other = ObserverFeedback(model=commanded(stand), gains=design.pair)
+    other = ObserverFeedback(model=model_behind_map(stand), gains=design.pair)
     asked = Loop(initial_conditions=3, horizon_s=60 * stand.step_s, measurement_noise_variance=0.0)
     runs = []
     for controller in (law, other):
@@ -126,7 +126,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     y = stand.simulate(u) + 0.05 * rng.standard_normal((400, 1))
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
     size = np.linalg.norm(stand.scale.scaled_input(u)) / np.linalg.norm(stand.lift(u))
-    assert shown_behind(stand, (record,), 0, ()).gain == pytest.approx(
+    assert mismatch_behind_map(stand, (record,), 0, ()).gain == pytest.approx(
         measure_mismatch(stand, (record,)).gain * size, rel=1e-9
     )
 
@@ -139,4 +139,4 @@ def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None
         breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.0, 0.9]])
     )
     with pytest.raises(BadRequest, match="not strictly monotone in each channel"):
-        commanded(replace(stand, scaffold_in=flat_map))
+        model_behind_map(replace(stand, scaffold_in=flat_map))

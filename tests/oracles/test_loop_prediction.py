@@ -19,8 +19,9 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import BAND, Mismatch, View, measure_mismatch
+from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import PEAK, noise_peak, predict, robustness_measure
+from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
@@ -266,9 +267,7 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     ("sigma", "held_up_to", "passes"),
     [(0.9, 0.0, True), (1.1, 0.0, False), (1.1, 2.0, False), (1.1, 4.0, True)],
 )
-def test_noise_that_leaves_the_band_refuses_where_the_plant_answers_its_peaks(
-    sigma, held_up_to, passes
-):
+def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     """Input and output simulated: the loop's own equations, white noise. The plant holds still up
     to an amplitude.
 

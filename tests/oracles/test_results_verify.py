@@ -85,7 +85,7 @@ NUMBERS = {
         ),
         ONE_FORMULA,
     ),
-    **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop")},
+    **{f"settling_time_{which}_s": ONE_FORMULA for which in ("mean", "worst", "open_loop", "pi")},
     **dict.fromkeys(("integral_squared_error", "final_error_worst", "empirical_rate"), ONE_FORMULA),
     **dict.fromkeys(
         (
@@ -108,6 +108,7 @@ COUNTS = (
     "states",
     "initial_conditions",
     "stable_count",
+    "stable_count_pi",
     "left_bound_count",
     "certified_bound_violations",
 )
@@ -131,6 +132,8 @@ ABSENT = (
     "left_bound_first_s",
     "unsettled_as",
     "limited_rate",
+    "piece_start",
+    "fit_test_other_start_percent",
 )  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",

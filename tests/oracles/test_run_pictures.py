@@ -17,8 +17,9 @@ from ssm_study.bounds.frequency import frequency_response
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.margin_by_frequency import margin_curves
-from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import sensitivity
 from ssm_study.signals import Trajectory
 

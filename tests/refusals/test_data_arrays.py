@@ -4,7 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ssm_study.data.arrays import logged, signal
+import ssm_study as st
+from ssm_study.data.arrays import check_index, logged, signal
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -32,7 +33,7 @@ INDEX = pd.date_range("2026-01-01", periods=T, freq="10ms")
         (INDEX, Y, "holds times, not a signal"),
         (np.stack([U, Y]), Y, r"has more channels than samples; transpose it: u.T"),
         (pd.Series(U, name="u", index=INDEX), pd.Series(Y, name="y", index=INDEX[::-1]), "differ"),
-        (pd.Series(U, name="u", index=INDEX), Y, "step_s = 0.1: the index shows 0.01 s"),
+        (pd.Series(U, name="u", index=INDEX), Y, "step_s = 0.1: the index of u shows 0.01 s"),
     ],
 )
 def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # type: ignore[no-untyped-def]
@@ -55,3 +56,56 @@ def test_frames_are_matched_by_the_names_of_their_columns() -> None:
     assert np.array_equal(by_place, np.stack([Y, U], axis=1))
     with pytest.raises(BadRequest, match=r"u \(columns\) = b, c: the model's channels are a, b"):
         signal(frame.set_axis(["b", "c"], axis=1), "u", 2, ["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("index", "says"),
+    [
+        (
+            INDEX.delete(300).append(INDEX[-1:] + pd.Timedelta("10ms")),
+            "row 299: the times have a h",
+        ),
+        (INDEX.to_series().sample(frac=1, random_state=0).index, r"sort it: u.sort_index\(\)"),
+        (INDEX[:1000].append(INDEX[1000:] + pd.Timedelta("8ms")), "row 999: the times have a hole"),
+        (np.arange(T) * 0.010011, "the index of u shows 0.010011 s"),
+    ],
+)
+def test_an_index_that_is_no_even_clock_of_the_sampling_time(tmp_path, index, says: str) -> None:  # type: ignore[no-untyped-def]
+    u = pd.Series(U, index=index, name="u")
+    with pytest.raises(BadRequest, match=says):
+        logged(u, pd.Series(Y, index=index, name="y"), tmp_path, 0.01)
+
+
+def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
+    for index in (INDEX, np.arange(T) * 0.010009, np.arange(T), list("abcd") * (T // 4)):
+        check_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
+
+
+def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Two inputs of unlike effect on two outputs."""
+    u = np.repeat(RNG.uniform(-1, 1, (60, 2)), 10, axis=0)
+    y = np.zeros((601, 2))
+    for k in range(600):
+        y[k + 1] = 0.9 * y[k] + u[k] @ np.array([[0.1, -0.2], [0.3, 0.05]])
+    index = pd.timedelta_range("0s", periods=600, freq="100ms")
+    return pd.DataFrame(u, index, ["a", "b"]), pd.DataFrame(y[:600], index, ["c", "d"])
+
+
+def test_predict_score_simulate_and_compare_take_frames_by_name_and_at_their_times() -> None:
+    u, y = two_inputs()
+    model = st.fit(u, y, 0.1, model="linear", order=2, progress=False)
+    swapped_u = u[["b", "a"]]
+    swapped_y = y[["d", "c"]]
+    assert model.score(swapped_u, swapped_y) == model.score(u, y) > 95
+    assert model.predict(swapped_u).equals(model.predict(u))
+    assert st.simulate(model, swapped_u).equals(st.simulate(model, u))
+    ours = st.compare([model], swapped_u, swapped_y).table
+    assert ours.equals(st.compare([model], u, y).table)
+    slower = u.set_axis(pd.timedelta_range("0s", periods=600, freq="1s"))
+    for call in (model.predict, lambda frame: st.simulate(model, frame)):
+        with pytest.raises(BadRequest, match="the index of u shows 1 s"):
+            call(slower)
+    with pytest.raises(BadRequest, match="their indexes differ"):
+        model.score(u, y.shift(freq="100ms"))
+    with pytest.raises(BadRequest, match="the model's channels are c, d"):
+        model.score(u, y.rename(columns={"d": "e"}))

@@ -420,3 +420,22 @@ def test_a_flag_is_true_or_false(
 ) -> None:
     assert main(["run", "experiment=smoke", f"results_dir={tmp_path}", word]) == 2
     assert "is neither true nor false; write true or false." in capsys.readouterr().err
+
+
+def test_a_name_or_a_folder_that_cannot_be_says_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A name of 255 letters was called no plain name, one that is too long a full disk."""
+    words = ["run", "experiment=smoke", "--dry-run"]
+    assert main([*words, f"results_dir={tmp_path}", f"study={'x' * 255}"]) == 2
+    assert "use letters, digits, '.', '_' and '-', at most 200 of them." in capsys.readouterr().err
+    assert main([*words, f"results_dir={tmp_path / ('x' * 256)}"]) == 2
+    assert "File name too long; choose shorter names." in capsys.readouterr().err
+    log = tmp_path / "log.h5"
+    log.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(300))
+    data = [f"data.path={log}", "data.input=u", "data.output=y", "data.step_s=0.1"]
+    assert main(["run", "data=recorded", f"results_dir={tmp_path}", *data, "--dry-run"]) == 2
+    refusal = capsys.readouterr().err
+    assert refusal.endswith(
+        "export the columns as Parquet or CSV.\n"
+    )  # look does not read it either

@@ -4,6 +4,7 @@ import numpy as np
 
 from ssm_study import style
 from ssm_study.api.pictures.picture import GuideLine, NothingToShow, Picture, PicturePanel, Series
+from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
@@ -12,14 +13,15 @@ from ssm_study.synthesis.measured_discs_run import weights_of
 HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
-def coverage_picture(part: MeasuredDiscs | None, premise: Premise, step_s: float) -> Picture:
+def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture:
     """Proved over needed radius of each band, a line per record, rule at 1, the deciding band
     marked.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. Raises `NothingToShow` without a certificate or a premise.
     """
-    if part is None:
+    part = design.extra_certificates.get(MeasuredDiscs.part)
+    if not isinstance(part, MeasuredDiscs):
         raise NothingToShow("No proof speaks of the model error of these gains.")
     missing = premise.missing(part.centre)
     if missing is not None:

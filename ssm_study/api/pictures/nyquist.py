@@ -11,7 +11,8 @@ from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel,
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.robustness.bands import ANGLES
-from ssm_study.robustness.mismatch import Mismatch, View
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.record_errors import View
 from ssm_study.robustness.sensitivity import FINE_ANGLES, sensitivity
 from ssm_study.systems import Gains
 

@@ -78,6 +78,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
+        """Rows of what the neurons add to the output."""
         return of.h @ (rows.w if letter == "w" else rows.d_w)
 
     @classmethod

@@ -70,20 +70,12 @@ from ssm_study.systems import JacobianBall, StateSpace, error_input_matrix
 # Frequencies (rad/sample) of the search, beside those of the loop's own modes; then as many again
 # around the worst.
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 400)])
-MULTIPLIERS = np.geomspace(
-    1e-8, 1e8, 65
-)  # lambda_p over the gain from e to u: the coarse search, then a line search
-INSIDE = (
-    1e-3,
-    3e-3,
-    1e-2,
-    3e-2,
-    0.1,
-)  # of the largest s, in order of trial; the equation is solved half way there
-SLACKS = (
-    1e-7,
-    1e-10,
-)  # of the inequality, as shares of its supply, where the loop's Gramian is the identity
+# lambda_p over the gain from e to u: the coarse search, then a line search.
+MULTIPLIERS = np.geomspace(1e-8, 1e8, 65)
+# Shares of the largest s, in order of trial; the equation is solved half way there.
+INSIDE = (1e-3, 3e-3, 1e-2, 3e-2, 0.1)
+# Of the inequality, as shares of its supply, where the loop's Gramian is the identity.
+SLACKS = (1e-7, 1e-10)
 # directions of the loop that no signal reaches keep this share of the mean in these coordinates
 FLOOR = 1e-10
 Into = Float[np.ndarray, "m x"]
@@ -114,27 +106,25 @@ class Tolerance(Theorem):
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:  # of the class: it says what is `seen`
-        (loop, into_u, *neurons), into_w = cls.matrices(of), cls.seen(of)
-        storage = (
-            of.p
-            - of.lambda_p * of.beta * of.beta * (into_u.T @ into_u)
-            - of.s * of.s * (into_w.T @ into_w)
-        )
-        supply = stacked(
-            full(
-                [[storage, 0, 0], [of.lambda_p * np.eye(of.b.shape[1]), 0], [np.eye(of.c.shape[0])]]
-            )
-        )
-        for met in neurons:  # none, or what `structured_tolerance` adds
+        loop, into_u, *neurons = cls.matrices(of)
+        into_w = cls.seen(of)
+        ball = of.lambda_p * of.beta * of.beta * (into_u.T @ into_u)
+        storage = of.p - ball - of.s * of.s * (into_w.T @ into_w)
+        of_ball = of.lambda_p * np.eye(of.b.shape[1])
+        of_mismatch = np.eye(of.c.shape[0])
+        supply = stacked(full([[storage, 0, 0], [of_ball, 0], [of_mismatch]]))
+        for neuron_inputs in neurons:  # none, or what `structured_tolerance` adds
             weights = diagonal(of.lambda_)
-            supply = stacked(full([[supply, -1.0 * (weights @ met).T], [2.0 * weights]]))
+            coupling = -1.0 * (weights @ neuron_inputs).T
+            supply = stacked(full([[supply, coupling], [2.0 * weights]]))
         positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "s")}
         return {"inequality": [[supply - loop.T @ of.p @ loop]], **positive}
 
     @staticmethod
     def matrices(of: Any) -> Any:
         """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
-        (s, m), (p, n) = of.b.shape, of.c.shape
+        s, m = of.b.shape
+        p, n = of.c.shape
         w = of.weight.shape[0] - m
         k_x = of.k[:, :n]
         none = np.zeros((s, w))
@@ -165,13 +155,13 @@ class Tolerance(Theorem):
     def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
         """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear
         output map."""
-        names = [part.name for part in fields(cls) if part.name in DUAL]
-        out = context.balls.output
-        given = {
-            name: getattr(context.system if name in ("c", "h") else context.controlled, name)
-            for name in names
-        }
-        return {**given, **context.gains, "alpha_out": np.nan if out.beta > 0 else out.alpha}
+        numbers: dict[str, Any] = {}
+        for name in (part.name for part in fields(cls) if part.name in DUAL):
+            system = context.system if name in ("c", "h") else context.controlled
+            numbers[name] = getattr(system, name)
+        output = context.balls.output
+        alpha_out = np.nan if output.beta > 0 else output.alpha
+        return {**numbers, **context.gains, "alpha_out": alpha_out}
 
     @classmethod
     def candidates(
@@ -187,18 +177,16 @@ class Tolerance(Theorem):
         if np.abs(np.linalg.eigvals(loop[:, : len(loop)])).max() >= 1:
             return
         lambda_p, largest = _search(loop, beta * into_u, into_w)
-        for inside, slack in product(INSIDE, SLACKS if largest < np.inf else ()):
+        if not largest < np.inf:
+            return
+        scaled_u = lambda_p**0.5 * beta * into_u
+        for inside, slack in product(INSIDE, SLACKS):
             s = largest * (1 - inside)
-            said = f"{inside:.1%} inside the largest at this multiplier"
-            p = _energy(
-                loop,
-                lambda_p**0.5 * beta * into_u,
-                largest * (1 - inside / 2) * into_w,
-                lambda_p,
-                slack,
-            )
+            half_way = largest * (1 - inside / 2) * into_w
+            p = _energy(loop, scaled_u, half_way, lambda_p, slack)
             if p is not None and s > 0:
-                yield {"s": s, "lambda_p": lambda_p, "p": p, "status": said}
+                status = f"{inside:.1%} inside the largest at this multiplier"
+                yield {"s": s, "lambda_p": lambda_p, "p": p, "status": status}
 
     @staticmethod
     def ball(context: VerificationContext) -> JacobianBall:
@@ -220,13 +208,15 @@ def largest_tolerance(
     started = time.perf_counter()
     if context.balls.output.beta > 0:
         return None
-    given = theorem.loop_of(context) | vars(context.balls.input) | {"weight": weight}
-    of = SimpleNamespace(**given)
+    data = theorem.loop_of(context) | vars(context.balls.input) | {"weight": weight}
+    of = SimpleNamespace(**data)
     for numbers in theorem.candidates(theorem.seen(of), of.beta, *theorem.matrices(of)):
-        told: Any = {"status": numbers.pop("status"), "method": "tolerance", "started": started}
-        found: Tolerance = theorem.proved(given | numbers, **told)
-        if found.certified:
-            return found
+        status = numbers.pop("status")
+        proof: Tolerance = theorem.proved(
+            data | numbers, status=status, method="tolerance", started=started
+        )
+        if proof.certified:
+            return proof
     return None
 
 
@@ -249,16 +239,21 @@ def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple
         return float(_inverse_squares(response, m, log_multiplier).max())
 
     best = int(np.argmin([peak(log) for log in logs]))
-    around = logs[max(best - 1, 0)], logs[min(best + 1, len(logs) - 1)]
+    around = _neighbours(logs, best)
     refined = float(scipy.optimize.minimize_scalar(peak, bounds=around, method="bounded").x)
     log = min((float(logs[best]), refined), key=peak)
     worst = int(np.argmax(_inverse_squares(response, m, log)))
-    near = np.linspace(
-        angles[max(worst - 1, 0)], angles[min(worst + 1, len(angles) - 1)], len(ANGLES)
-    )
+    near = np.linspace(*_neighbours(angles, worst), len(ANGLES))
     between = float(_inverse_squares(frequency_response(system, near), m, log).max())
     highest = max(peak(log), between)
-    return float(np.exp(log)), highest**-0.5 if highest > 0 else np.inf
+    largest = highest**-0.5 if highest > 0 else np.inf
+    return float(np.exp(log)), largest
+
+
+def _neighbours(values: Float[np.ndarray, "K"], at: int) -> tuple[float, float]:
+    """The values before and after one of a row, or itself at an end."""
+    last = len(values) - 1
+    return values[max(at - 1, 0)], values[min(at + 1, last)]
 
 
 def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Float[np.ndarray, "F"]:
@@ -273,10 +268,17 @@ def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Flo
     scaled[:, :, :m] /= root  # the first input is p, the others e
     first = root * scaled[:, :m]
     second = scaled[:, m:]
-    room = np.eye(scaled.shape[2]) - np.conj(first.transpose(0, 2, 1)) @ first
-    through = second @ np.linalg.solve(room, np.conj(second.transpose(0, 2, 1)))
-    largest = np.linalg.eigvalsh((through + np.conj(through.transpose(0, 2, 1))) / 2)[:, -1]
-    return np.where(np.linalg.eigvalsh(room)[:, 0] > 0, largest, np.inf)
+    room = np.eye(scaled.shape[2]) - _adjoint(first) @ first
+    through = second @ np.linalg.solve(room, _adjoint(second))
+    hermitian = (through + _adjoint(through)) / 2
+    largest = np.linalg.eigvalsh(hermitian)[:, -1]
+    has_room = np.linalg.eigvalsh(room)[:, 0] > 0
+    return np.where(has_room, largest, np.inf)
+
+
+def _adjoint(matrices: np.ndarray) -> np.ndarray:
+    """Conjugate transpose of each matrix."""
+    return np.conj(matrices.transpose(0, 2, 1))
 
 
 def _energy(
@@ -290,13 +292,16 @@ def _energy(
     b = loop[:, order:].copy()
     b[:, :m] /= lambda_p**0.5  # sqrt(lambda_p) p then has unit weight, as e has
     gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
-    right = np.linalg.cholesky(
-        symmetric(gramian) + FLOOR * np.trace(gramian) / order * np.eye(order)
-    )
+    one = np.eye(order)
+    least = FLOOR * np.trace(gramian) / order * one
+    right = np.linalg.cholesky(symmetric(gramian) + least)
     left = np.linalg.inv(right)
-    energy = (into_u @ right).T @ (into_u @ right) + (into_w @ right).T @ (into_w @ right)
-    scaled = left @ b
-    p = doubled(
-        left @ a @ right, -scaled @ scaled.T, energy + slack * np.trace(energy) * np.eye(order)
-    )
-    return None if p is None else symmetric(left.T @ p @ left)
+    scaled_u = into_u @ right
+    scaled_w = into_w @ right
+    energy = scaled_u.T @ scaled_u + scaled_w.T @ scaled_w
+    scaled_b = left @ b
+    slack_of_energy = slack * np.trace(energy) * one
+    p = doubled(left @ a @ right, -scaled_b @ scaled_b.T, energy + slack_of_energy)
+    if p is None:
+        return None
+    return symmetric(left.T @ p @ left)

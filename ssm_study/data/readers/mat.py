@@ -40,13 +40,23 @@ FIRST_NUMERIC_CLASS = 6
 LAST_NUMERIC_CLASS = 15
 COMPLEX = 0x0800
 V4_KINDS = {"U": CLASSES[4], "c": "complex"}  # of NumPy
+TEXT = 4
 CELL = 1
 STRUCT = 2
 OBJECT = 3
 OPAQUE = 17
 MOST_BYTES = 1 << 27  # of all decompressed variables
 
+SECONDS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "minutes": 60.0,
+           "hours": 3600.0, "days": 86400.0}  # fmt: skip
+
 Value = np.ndarray | str  # a string says what it is instead of a real matrix
+
+
+class Text(str):
+    """A text of a file, shown as what it is; `content` is what it says."""
+
+    content: str = ""
 
 
 def _must(condition: bool, otherwise: str) -> None:
@@ -63,7 +73,8 @@ class MatReader(Reader, names=(".mat",)):
     """
 
     def read(self, path: Path, names: list[str]) -> Table:
-        columns, skipped = numbers_of(path)
+        columns, skipped, texts = numbers_of(path)
+        owners: list[str] = []
         where = f"{path.name} (variable)"
         places = list(columns)
         chosen = {}
@@ -79,14 +90,34 @@ class MatReader(Reader, names=(".mat",)):
                 raise BadRequest(where, name, problem, f"name one as {own[0]} or {own[-1]}")
             check_named(where, [title], sorted(places))
             chosen[name] = columns[title]
-        return Table(columns=chosen)
+            owners.append(title.rpartition(".")[0])
+        step_s = stated_step_s(columns, texts, owners)
+        remark = f"its Ts is {step_s:g} s" if step_s is not None else ""
+        return Table(columns=chosen, step_s=step_s, remark=remark)
 
     def contents(self, path: Path) -> Table:
-        columns, skipped = numbers_of(path)
+        columns, skipped, _ = numbers_of(path)
         length = max(map(len, columns.values()), default=0)
         for name in [name for name, values in columns.items() if len(values) != length]:
             skipped[name] = f"has {len(columns.pop(name))} samples, others {length}"
         return Table(columns=columns, skipped=skipped)
+
+
+def stated_step_s(
+    columns: dict[str, Float[np.ndarray, "_"]], texts: dict[str, str], owners: list[str]
+) -> float | None:
+    """Sampling time in seconds that the objects of these columns state (`Ts` of `iddata`); None
+    where none does, or they differ."""
+    steps = set()
+    for owner in owners:
+        ts = columns.get(f"{owner}.Ts", np.empty(0))
+        if not owner or len(ts) != 1:
+            continue
+        unit = SECONDS.get(texts.get(f"{owner}.TimeUnit", "seconds") or "seconds")
+        if unit is None or not ts[0] > 0:
+            return None
+        steps.add(float(ts[0]) * unit)
+    return steps.pop() if len(steps) == 1 else None
 
 
 def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
@@ -94,9 +125,11 @@ def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
     return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
 
 
-def numbers_of(path: Path) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str]]:
-    """Vectors by name, matrices by columns, and why other objects were skipped; raises `BadRequest`
-    where the file is not whole."""
+def numbers_of(
+    path: Path,
+) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
+    """Vectors by name, matrices by columns, why other objects were skipped, and texts; raises
+    `BadRequest` where the file is not whole."""
     try:
         contents = parse(path)
     except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
@@ -105,9 +138,11 @@ def numbers_of(path: Path) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str,
         raise BadRequest("data.path", path, problem, "save it again with -v7") from error
     columns: dict[str, np.ndarray] = {}
     skipped: dict[str, str] = {}
+    texts: dict[str, str] = {}
     for name, value in contents.items():
         if isinstance(value, str):
             skipped[name] = f"is {value}, not real numbers"
+            texts[name] = value.content if isinstance(value, Text) else ""
         elif value.ndim > 2 or value.size == 0:
             skipped[name] = f"has shape {value.shape}"
         elif min(value.shape, default=1) <= 1:
@@ -116,7 +151,7 @@ def numbers_of(path: Path) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str,
             tall = value if value.shape[0] >= value.shape[1] else value.T
             for j, column in enumerate(tall.T, start=1):
                 columns[f"{name}:{j}"] = np.ascontiguousarray(column, dtype=np.float64)
-    return columns, skipped
+    return columns, skipped, texts
 
 
 def parse(path: Path) -> dict[str, Value]:
@@ -224,7 +259,10 @@ def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
     shape = tuple(int(n) for n in np.frombuffer(parts[1][1], order + "i4"))
     kind = flags & 0xFF
     if not FIRST_NUMERIC_CLASS <= kind <= LAST_NUMERIC_CLASS:
-        return CLASSES.get(kind, f"of class {kind}")
+        word = Text(CLASSES.get(kind, f"of class {kind}"))
+        if kind == TEXT and len(parts) >= 4:
+            word.content = parts[3][1].replace(b"\0", b"").decode("utf-8", errors="replace")
+        return word
     if flags & COMPLEX:
         return "complex"
     _must(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")

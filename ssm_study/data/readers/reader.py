@@ -34,9 +34,9 @@ class Table:
     """Columns of one length; row k is `row_word` number `first_row + k`, or `row_numbers[k]`.
 
     `columns[name] (T,)`, NaN where a value is missing; `units[name]` where the file states one.
-    `time_s` are the times the file itself gives its samples (MCAP). `remark` is how the file was
-    read; `skipped` says why a column was not, `dated` holds dates and times, `nameless` means that
-    columns go by their numbers.
+    `time_s` are the times the file itself gives its samples (MCAP), `step_s` the sampling time that
+    it states (an `iddata` object). `remark` is how the file was read; `skipped` says why a column
+    was not, `dated` holds dates and times, `nameless` means that columns go by their numbers.
     """
 
     columns: dict[str, Float[np.ndarray, "_"]]
@@ -45,6 +45,7 @@ class Table:
     first_row: int = 0
     row_numbers: Sequence[int] | None = None
     time_s: Float[np.ndarray, "T"] | None = None
+    step_s: float | None = None
     remark: str = ""
     skipped: dict[str, str] = field(default_factory=dict)
     dated: frozenset[str] = frozenset()

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -41,7 +42,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     def read(self, path: Path, names: list[str]) -> Table:
         layout, table = self._table(path)
-        titles = titles_of(layout)
+        titles = without_copies(titles_of(layout), table)
         places = {name: place_of(path, name, titles, self.settings.header) for name in names}
         columns = {}
         for name, place in places.items():
@@ -72,6 +73,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
                 skipped[title] = problem
             else:
                 columns[title] = values
+        drop_empty_end(columns, titles[-1], layout.names is None)
         return Table(
             columns=columns,
             units={title: units[places[title]] for title in columns},
@@ -89,6 +91,23 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
             layout = find_layout(path, path.read_bytes(), self.settings)
             self._parsed = (path, layout, parse_rows(path, layout))
         return self._parsed[1:]
+
+
+def without_copies(titles: list[str], table: pa.Table) -> list[str]:
+    """The titles, without those of columns that repeat an earlier one under the same name."""
+    kept = list(titles)
+    for place, title in enumerate(titles):
+        first = titles.index(title)
+        if first < place and table.column(first).equals(table.column(place)):
+            kept[place] = ""
+    return kept
+
+
+def drop_empty_end(columns: dict[str, Any], title: str, nameless: bool) -> None:
+    """Leave out an empty column that a separator at the end of every row makes."""
+    is_last = (title == "" or nameless) and len(columns) > 1 and title in columns
+    if is_last and not np.isfinite(columns[title]).any():
+        del columns[title]
 
 
 def titles_of(layout: TextLayout) -> list[str]:

@@ -50,16 +50,7 @@ class Identified:
     @cached_property
     def without_neurons(self) -> SSM:
         """Linear model for a textbook's design: neurons count by their slopes at rest."""
-        model = self.model
-        if isinstance(model, SSM):
-            return model
-        return SSM(
-            linear=at_rest(model),
-            scaffold_in=model.scaffold_in,
-            scaffold_out=model.scaffold_out,
-            scale=model.scale,
-            step_s=model.step_s,
-        )
+        return without_neurons(self.model)
 
     @cached_property
     def mismatch(self) -> Mismatch:
@@ -71,6 +62,19 @@ class Identified:
     def chosen(self, synthesis: "Auto") -> Design:
         """Design that `auto` chooses from model, balls, validation records and mismatch."""
         return synthesis.design(self.model, self.balls, self.validation, self.mismatch)
+
+
+def without_neurons(model: Model) -> SSM:
+    """Model of one layer: neurons by their slopes at rest, within A, B, C and D."""
+    if isinstance(model, SSM):
+        return model
+    return SSM(
+        linear=at_rest(model),
+        scaffold_in=model.scaffold_in,
+        scaffold_out=model.scaffold_out,
+        scale=model.scale,
+        step_s=model.step_s,
+    )
 
 
 class Peer(Family):

@@ -1,4 +1,4 @@
-"""What the records can show: how often each input amplitude was visited (left; where none was
+"""Coverage of the records: how often each input amplitude was visited (left; where none was
 visited, slopes come from the initial weights, not from data), at which frequencies the input has
 power, and of which order it is persistently exciting (right)."""
 

@@ -1,4 +1,5 @@
-"""What the network learned of the motor: S_u scaled to volts over the true dead-zone (left), and
+"""Nonlinearity that the network learned of the motor: S_u scaled to volts over the true dead-zone
+(left), and
 its local slope inside the certified interval (right). Coulomb friction widens the dead-zone seen at
 rest; the dotted line includes it."""
 

@@ -9,5 +9,17 @@ from ssm_study.study.stages.loop import LOOP
 from ssm_study.study.stages.mismatch import MISMATCH
 from ssm_study.study.stages.model import MODEL
 from ssm_study.study.stages.synthesis import SYNTHESIS
+from ssm_study.study.stages.textbook_pi import TEXTBOOK_PI
 
-STAGES = (DATASET, MODEL, SCORE, BOUNDS, MISMATCH, EVIDENCE, SYNTHESIS, FRESH_DATA, LOOP)
+STAGES = (
+    DATASET,
+    MODEL,
+    SCORE,
+    BOUNDS,
+    TEXTBOOK_PI,
+    MISMATCH,
+    EVIDENCE,
+    SYNTHESIS,
+    FRESH_DATA,
+    LOOP,
+)

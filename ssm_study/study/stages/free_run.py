@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.data.metrics import benchmark_rmse
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.metrics import Simulation, fit_facts
+from ssm_study.models.warm_start import simulate_parts, start_facts
 from ssm_study.signals import DataSet
-from ssm_study.study.recordings import read_simulation, write_records
+from ssm_study.study.recordings import read_simulation, states_to_text, write_records
 from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.model import Trained, read_model
 from ssm_study.training.metrics import mean_fit
@@ -48,12 +49,13 @@ def compute_simulated(
     """
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
-    start_up = str(data.start_up_samples)
-    for name in ("validation", "test"):
-        records = getattr(data, name)
-        simulated = Simulation.of(model, records, data.start_up_samples).simulated
+    validation, test = simulate_parts(model, data)
+    for name, run in (("validation", validation), ("test", test)):
+        about = {"start_up_samples": str(data.start_up_samples)}
+        if any(state is not None for state in run.starts):
+            about["start_states"] = states_to_text(run.starts)
         path = folder / f"{name}.mcap"
-        write_records(path, data, records, simulated=simulated, start_up_samples=start_up)
+        write_records(path, data, run.records, simulated=run.simulated, **about)
 
 
 def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
@@ -61,7 +63,8 @@ def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
     score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}
-    return train | fit_facts(simulated.validation, simulated.test, scores)
+    fits = fit_facts(simulated.validation, simulated.test, scores)
+    return train | fits | start_facts(simulated.model, data, simulated.test)
 
 
 SCORE = Stage("score", compute_simulated, ModelRun, measure_score, SIMULATED)

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ssm_study.engine.stages import Stage
-from ssm_study.robustness.mismatch import Mismatch, View, measure_mismatch
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.record_errors import View
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.free_run import ModelRun
 

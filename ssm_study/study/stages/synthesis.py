@@ -11,7 +11,7 @@ from ssm_study.evidence.metrics import Judgement, withheld
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.input_inversion import shown_to
+from ssm_study.synthesis.input_inversion import mismatch_for_law
 from ssm_study.synthesis.metrics import design_facts, opinion_facts
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def compute_synthesis(
     model = bounded.model
     balls = certified_balls(model)
     premise = measured_premise(model, data, shown)
-    mismatch = shown_to(synthesis, model, data, shown)
+    mismatch = mismatch_for_law(synthesis, model, data, shown)
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
@@ -90,7 +90,7 @@ def measure_synthesis(
 
     model = bounded.model
     balls = certified_balls(model)
-    mismatch = shown_to(design, model, data, shown)
+    mismatch = mismatch_for_law(design, model, data, shown)
     premise = measured_premise(model, data, shown)
     fresh = fresh_premise(model, data, shown)
     facts = design_facts(design, model, balls, mismatch)

@@ -1,0 +1,119 @@
+"""`fit` as an estimator in scikit-learn's conventions, so that its searches choose the settings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+
+from ssm_study.api.fitting import Signals, fit
+from ssm_study.api.model import Model, Values
+from ssm_study.data.arrays import signal
+from ssm_study.models.metrics import Simulation
+from ssm_study.refusal import BadRequest, at_least, require
+from ssm_study.signals import Trajectory
+
+FEWEST_SCORED = 2  # samples
+
+
+@dataclass(kw_only=True, eq=False)
+class Estimator:
+    """Identification with settings that can be searched: `fit(u, y)`, `predict(u)`, `score(u, y)`.
+
+    The parameters are those of `fit`; `settings` are further fields of the model. A fold of a
+    search begins in the middle of a motion, so the first `start_up_samples` of what is scored
+    estimate the initial state and are not scored. Folds must be stretches of time: use
+    `TimeSeriesSplit`, or `KFold` without shuffling.
+
+    >>> import numpy as np, ssm_study as st
+    >>> rng = np.random.default_rng(0)
+    >>> u = np.repeat(rng.uniform(-3, 3, 100), 8)
+    >>> y = np.zeros(801)
+    >>> for k in range(800): y[k + 1] = 0.9 * y[k] + 0.2 * u[k]
+    >>> estimator = st.Estimator(step_s=0.1, model="arx").set_params(seed=1)
+    >>> estimator.fit(u[:600], y[:600]).score(u[600:], y[600:800]) > 95
+    True
+    """
+
+    step_s: float = 1.0
+    model: str = "log"
+    order: int | str | None = None
+    neurons: int | None = None
+    slopes: tuple[float, float] | None = None
+    feedthrough: bool | str | None = None
+    seed: int | None = None
+    settings: Mapping[str, Any] | None = None
+    overrides: tuple[str, ...] = ()
+    start_up_samples: int = 20
+    model_: Model = field(init=False, repr=False)
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
+        """Parameters by name; none of them has parameters of its own."""
+        return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+
+    def set_params(self, **parameters: Any) -> "Estimator":
+        """Change parameters. Raises `BadRequest` for a name that is none."""
+        names = self.get_params()
+        for name, value in parameters.items():
+            known = ", ".join(names)
+            require(name in names, name, value, "is no parameter", f"use one of {known}")
+            setattr(self, name, value)
+        return self
+
+    def fit(self, u: Signals, y: Signals) -> "Estimator":
+        """Identify the model, `model_`. Raises `BadRequest` for whatever `st.fit` refuses."""
+        self.model_ = fit(
+            u,
+            y,
+            self.step_s,
+            *self.overrides,
+            model=self.model,
+            order=self.order,
+            neurons=self.neurons,
+            slopes=self.slopes,
+            feedthrough=self.feedthrough,
+            seed=self.seed,
+            progress=False,
+            **dict(self.settings or {}),
+        )
+        return self
+
+    def predict(self, u: Values) -> Values:
+        """Simulate from rest at the equilibrium. Raises `BadRequest` before `fit`."""
+        return self._fitted().predict(u)
+
+    def score(self, u: Values, y: Values) -> float:
+        """Fit in percent of a free run whose initial state the first samples estimate.
+
+        Raises `BadRequest` before `fit`, and for a record that is no longer than its start.
+        """
+        model = self._fitted()
+        at_least(0, "start_up_samples", self.start_up_samples, "use 20")
+        inputs = signal(u, "u", len(model.data.inputs), model.input_names)[1]
+        outputs = signal(y, "y", len(model.data.outputs), model.output_names)[1]
+        scored = len(outputs) - self.start_up_samples
+        remedy = "give a longer record, or fewer start_up_samples"
+        require(scored >= FEWEST_SCORED, "y", len(outputs), "nothing is left to score", remedy)
+        moves = bool(np.ptp(outputs[self.start_up_samples :], axis=0).any())
+        problem = "is constant, and the score compares the error with its deviation from the mean"
+        require(moves, "y", "one value", problem, "score a record in which it moves")
+        record = Trajectory(u=inputs, y=outputs, step_s=model.data.step_s)
+        simulation = Simulation.of(model.simulator, (record,), self.start_up_samples)
+        return simulation.fit_percent
+
+    def _fitted(self) -> Model:
+        """The identified model. Raises `BadRequest` where there is none yet."""
+        if not hasattr(self, "model_"):
+            raise BadRequest("estimator", "Estimator", "is not fitted", "call fit(u, y) first")
+        return self.model_
+
+    def __sklearn_tags__(self) -> Any:
+        """Description that scikit-learn asks for; it is imported only then."""
+        from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True, multi_output=True),
+            regressor_tags=RegressorTags(),
+            input_tags=InputTags(),
+        )

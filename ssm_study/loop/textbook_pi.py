@@ -1,0 +1,34 @@
+"""A PI controller tuned by a textbook rule from the same model, on the same plant from the same
+starts: what a certified design has to be better than."""
+
+import numpy as np
+
+from ssm_study.loop.peers.peer import without_neurons
+from ssm_study.loop.peers.pi import tyreus_luyben
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.rollout import settling_times_s
+from ssm_study.models.structured import Model
+from ssm_study.plants.plant import Plant
+from ssm_study.refusal import BadRequest
+
+
+def pi_facts(
+    plant: Plant | None, model: Model, loop: Loop, seed: int
+) -> dict[str, float | int | None]:
+    """Columns of Tyreus and Luyben's PI (`loop.peers.pi`) on a simulated plant.
+
+    The same starts, noise, reference, disturbance and limits as for the certified design. None for
+    a log, a device (which is not run again), several inputs or outputs, and where the rule has no
+    answer.
+    """
+    if plant is None or plant.real:
+        return {}
+    try:
+        controller = tyreus_luyben(without_neurons(model))
+    except BadRequest:
+        return {}
+    runs = loop.on_plant(plant, controller, seed)
+    all_times_s = settling_times_s(runs.judged, runs.settling_band)
+    times_s = [time_s for time_s in all_times_s if time_s is not None]
+    mean_s = float(np.mean(times_s)) if times_s else None
+    return {"stable_count_pi": len(times_s), "settling_time_pi_s": mean_s}

@@ -1,0 +1,205 @@
+"""Start of a free run on a piece of a log: from its first samples, or from the log's past.
+
+A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
+piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the
+piece give another start (`models.metrics.initial_state`). Neither is better everywhere: a slow mode
+is badly seen in twenty samples, a drift of the plant is not in the past's inputs. So both are tried
+on pieces of the training and validation records that have a past, and the one that predicts them
+better is taken for every piece.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.identified import SSM, ScaffoldedModel
+from ssm_study.models.metrics import Simulation, initial_state
+from ssm_study.signals import DataSet, Trajectories, Trajectory
+
+PAST = "past"
+SAMPLES = "samples"
+PIECES = 10  # of the training and validation records, at most, on which the starts are compared
+SHORTEST_PAST = 2  # start-up windows that the past has to last
+CAPPED = 1.0  # largest share of a piece's power that an error counts for
+
+State = Float[np.ndarray, "n"]
+States = tuple[State | None, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PieceStarts:
+    """Which start of a piece predicts better, and both starts of the validation and test records.
+
+    `choice` is None where no record has a past: then its first samples are all there is.
+    """
+
+    choice: str | None
+    validation: States
+    test: States
+
+    def chosen(self, part: str) -> States:
+        """Start states of "validation" or "test" under the choice; None takes the first samples."""
+        from_past: States = getattr(self, part)
+        return from_past if self.choice == PAST else (None,) * len(from_past)
+
+
+def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
+    """Compare the two starts on pieces of the training and validation records.
+
+    Nothing of the test records is used but the inputs and outputs that precede them in their logs.
+    """
+    none = PieceStarts(
+        choice=None, validation=(None,) * len(data.validation), test=(None,) * len(data.test)
+    )
+    if data.start_up_samples == 0 or not isinstance(model, ScaffoldedModel):
+        return none
+    validation = states_from_past(model, data, data.validation)
+    test = states_from_past(model, data, data.test)
+    if all(state is None for state in (*validation, *test)):
+        return none
+    return PieceStarts(choice=better_start(model, data), validation=validation, test=test)
+
+
+def better_start(model: Any, data: DataSet) -> str:
+    """The start that predicts pieces of the training and validation records better.
+
+    Of every piece the error's power counts as a share of the piece's own, at most one: one
+    divergent piece must not decide.
+    """
+    pieces = comparison_pieces(data)
+    from_past = states_from_past(model, data, pieces)
+    pairs = zip(pieces, from_past, strict=True)
+    with_past = [(piece, state) for piece, state in pairs if state is not None]
+    if not with_past:
+        return SAMPLES
+    records = tuple(piece for piece, _ in with_past)
+    states = tuple(state for _, state in with_past)
+    missed = {
+        PAST: capped_error(model, data, records, states),
+        SAMPLES: capped_error(model, data, records, (None,) * len(records)),
+    }
+    return PAST if missed[PAST] < missed[SAMPLES] else SAMPLES
+
+
+def comparison_pieces(data: DataSet) -> Trajectories:
+    """Training and validation records, the long ones cut into pieces as long as a test record."""
+    records = [record for record in (*data.training, *data.validation) if record.log]
+    tested = max((len(record) for record in data.test), default=0)
+    total = sum(len(record) for record in records)
+    length = max(tested, total // PIECES, 4 * data.start_up_samples)
+    pieces: list[Trajectory] = []
+    for record in records:
+        count = max(round(len(record) / length), 1)
+        edges = np.linspace(0, len(record), count + 1).round().astype(int)
+        pieces += [record[a:b] for a, b in pairwise(edges)]
+    return tuple(piece for piece in pieces if len(piece) > 2 * data.start_up_samples)
+
+
+def capped_error(model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]) -> float:
+    """Mean over the records of the error's share of the output's power, each at most one."""
+    scale = data.scale.output_scale
+    run = Simulation.of(model, records, data.start_up_samples, tuple(states))
+    shares = []
+    for record, simulated in zip(records, run.simulated, strict=True):
+        y = (record.y / scale)[data.start_up_samples :]
+        error = y - (simulated / scale)[data.start_up_samples :]
+        power = float(((y - y.mean(axis=0)) ** 2).sum())
+        missed = float((error**2).sum())
+        shares.append(min(missed / power, CAPPED) if power > 0 and np.isfinite(missed) else CAPPED)
+    return float(np.mean(shares))
+
+
+def states_from_past(model: Any, data: DataSet, pieces: Trajectories) -> States:
+    """State of the model at the beginning of each piece, run there from the beginning of its log;
+    None of a piece without a past of two start-up windows."""
+    return tuple(state_from_past(model, data, piece) for piece in pieces)
+
+
+def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | None:
+    """State of the model after the log up to the piece, from the log's own first samples."""
+    past = log_before(data, piece)
+    if past is None or len(past) < SHORTEST_PAST * data.start_up_samples:
+        return None
+    start = initial_state(model, past, data.start_up_samples)
+    _, states = model.run(model.lift(past.u), start)
+    return np.asarray(states if isinstance(model, SSM) else states[-1], dtype=np.float64)
+
+
+def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
+    """The log up to the piece, as far back as its samples follow one another; None without."""
+    records = [*data.training, *data.validation, *data.test]
+    known = [record for record in records if record.log and record.log == piece.log]
+    joined: list[Trajectory] = []
+    first = piece.first
+    while first > 0:
+        holders = [one for one in known if one.first < first <= one.first + len(one)]
+        if not holders:
+            break
+        before = holders[0]
+        joined.insert(0, before[: first - before.first])
+        first = before.first
+    return as_one_record(joined) if joined else None
+
+
+def log_stretches(data: DataSet) -> list[Trajectory]:
+    """The logs of a data set, put together again from its records, apart at holes."""
+    records = [*data.training, *data.validation, *data.test]
+    known = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
+    stretches: list[list[Trajectory]] = []
+    for record in known:
+        before = stretches[-1][-1] if stretches else None
+        follows = (
+            before is not None
+            and before.log == record.log
+            and before.first + len(before) == record.first
+        )
+        if follows:
+            stretches[-1].append(record)
+        else:
+            stretches.append([record])
+    return [as_one_record(stretch) for stretch in stretches]
+
+
+def as_one_record(pieces: Sequence[Trajectory]) -> Trajectory:
+    """Records that follow one another as one."""
+    u = np.concatenate([piece.u for piece in pieces])
+    y = np.concatenate([piece.y for piece in pieces])
+    return replace(pieces[0], u=u, y=y)
+
+
+def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
+    """Free runs of the validation and of the test records, from the better start."""
+    starts = choose_piece_starts(model, data)
+    window = data.start_up_samples
+    validation = Simulation.of(model, data.validation, window, starts.chosen("validation"))
+    test = Simulation.of(model, data.test, window, starts.chosen("test"))
+    return validation, test
+
+
+def other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
+    """Free run of the test records from the start that was not taken; None where they have none."""
+    if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
+        return None
+    states: States = (None,) * len(data.test)
+    if all(state is None for state in test.starts):
+        states = states_from_past(model, data, data.test) if data.start_up_samples else states
+        if all(state is None for state in states):
+            return None
+    return Simulation.of(model, data.test, data.start_up_samples, states)
+
+
+def start_facts(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
+    """The columns `piece_start` and `fit_test_other_start_percent`; null where no test record has a
+    past."""
+    other = other_start(model, data, test)
+    if other is None:
+        return {"piece_start": None, "fit_test_other_start_percent": None}
+    from_past = any(state is not None for state in test.starts)
+    return {
+        "piece_start": PAST if from_past else SAMPLES,
+        "fit_test_other_start_percent": other.fit_percent,
+    }

@@ -1,0 +1,231 @@
+"""Errors of the model in one record, and what they show of the mismatch: a `View`.
+
+Two periods of one input tell what repeats from noise; of an input that does not repeat there are
+Welch's averages, in which noise counts as mismatch; a trial in closed loop has its own rule.
+Source: docs/trust.md, "What is measured for it".
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from ssm_study.models.metrics import free_run
+from ssm_study.models.structured import Model
+from ssm_study.robustness.bands import ANGLES, banded, bands_of, divided, power, welch
+from ssm_study.robustness.return_to_rest import SURE
+from ssm_study.signals import Trajectory, repetition
+
+# A band with less than this share of the input's mean power is not excited: g is measured there,
+# and uncertain.
+EXCITED = 0.01
+# quantile of the bands of e that is taken for white noise in a closed loop where no record measured
+# it
+QUIET = 0.25
+BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
+Spectra = tuple[
+    Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Mismatch seen in the records of one amplitude, scaled units, at `ANGLES`: see the module for
+    `linear` (Q) and `rest`.
+
+    `amplitude` is the input's rms; `response` the output's power over the model's, one where they
+    agree, zero where the plant holds still.
+    """
+
+    amplitude: float
+    gain: float
+    by_frequency: Float[np.ndarray, "F"]
+    linear: Complex[np.ndarray, "F"]
+    rest: Float[np.ndarray, "F"]
+    response: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordErrors:
+    """One record: scaled input, the model's output, what it misses; `period` samples repeat from
+    `start`, twice."""
+
+    u: Float[np.ndarray, "T m"]
+    model: Float[np.ndarray, "T p"]
+    e: Float[np.ndarray, "T p"]
+    start: int = 0
+    period: int | None = None
+
+    @classmethod
+    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
+        """Simulate the model on the record and take what it misses, scaled."""
+        simulated = free_run(model, record, start_up_samples)
+        scored = slice(start_up_samples, None)
+        start, period = repetition(record.u[scored]) or (0, None)
+        error = (record.y - simulated) / model.scale.output_scale
+        return cls(
+            u=model.scale.scaled_input(record.u)[scored],
+            model=model.scale.scaled_output(simulated)[scored],
+            e=error[scored],
+            start=start,
+            period=period,
+        )
+
+    @property
+    def output(self) -> Float[np.ndarray, "T p"]:
+        """The measured output, scaled."""
+        return self.e + self.model
+
+    def strength(self) -> float:
+        """Mean square of the input."""
+        return float((self.u**2).mean())
+
+    def spread(self) -> float:
+        """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS`
+        pieces."""
+        errors = np.array_split(self.e, BLOCKS)
+        inputs = np.array_split(self.u, BLOCKS)
+        ratios = []
+        for e, u in zip(errors, inputs, strict=True):
+            if np.any(u) and np.any(e):
+                ratios.append(float((e**2).sum() / (u**2).sum()))
+        if len(ratios) < 2:
+            return 0.0
+        standard_error = np.std(np.log(ratios)) / np.sqrt(len(ratios))
+        return 0.5 * float(standard_error)  # half: of g, not of g^2
+
+    def spectra(self) -> Spectra:
+        """Fourier transforms of both periods of e, and of input and model over the second."""
+        assert self.period is not None
+        middle = self.start + self.period
+        first = slice(self.start, middle)
+        second = slice(middle, middle + self.period)
+        both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
+        drive = np.fft.rfft(self.u[second], axis=0)
+        model = np.fft.rfft(self.model[second], axis=0)
+        return both, drive, model
+
+
+def view_of_averages(records: list[RecordErrors]) -> View:
+    """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is
+    split off."""
+    inputs = [record.u for record in records]
+    errors = [record.e for record in records]
+    input_energy = float(sum((u**2).sum() for u in inputs))
+    error_energy = float(sum((e**2).sum() for e in errors))
+    power_u = welch(inputs)
+    power_e = welch(errors)
+    bands = np.linspace(0, np.pi, len(power_u))
+    without_input = np.where(power_e > 0, np.inf, 0.0)
+    ratio = np.divide(power_e, power_u, out=without_input, where=power_u > 0)
+    by_frequency = np.interp(ANGLES, bands, np.sqrt(ratio))
+    return _sizes(records, by_frequency, float(np.sqrt(error_energy / input_energy)))
+
+
+def _sizes(records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float) -> View:
+    """The view of records of which only sizes are known."""
+    amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
+    linear = np.zeros(len(ANGLES), dtype=complex)
+    return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
+
+
+def view_in_loop(records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None) -> View:
+    """Mismatch seen in trials in closed loop: the largest of any, since a large swing would hide a
+    small one in their mean."""
+    gains = [_gains_in_loop(record, noise) for record in records]
+    by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
+    total = max(gain for _, gain in gains)
+    return _sizes(records, by_frequency, total)
+
+
+def _gains_in_loop(
+    record: RecordErrors, noise: Float[np.ndarray, "F"] | None
+) -> tuple[Float[np.ndarray, "F"], float]:
+    """Gain of the error over the input, by frequency and in total, counting what exceeds the noise
+    by `SURE` standard errors.
+
+    Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
+    Welch's average over N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment
+    (Hann's window, half overlapping); by frequency the gain is raised by as many of them, since
+    what a loop that failed shows must refute it.
+    """
+    power_u = welch([record.u])
+    power_e = welch([record.e])
+    bands = np.linspace(0, np.pi, len(power_u))
+    samples = len(record.u)
+    sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
+    if noise is None:
+        one_sided = np.quantile(power_e[1:-1], QUIET) / 2
+    else:
+        one_sided = samples * np.interp(bands, ANGLES, noise)
+    noise_power = sides * one_sided
+    largest_share = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
+    counted = np.maximum(power_e - largest_share * noise_power, 0.0)
+    gains = np.sqrt(divided(largest_share * counted, power_u))
+    total_gain = float(np.sqrt(counted.sum() / power_u.sum()))
+    return np.interp(ANGLES, bands, gains), total_gain
+
+
+def noise_of(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
+    """Noise power of a sample in each band, from what does not repeat: the same at all amplitudes,
+    so the median of the records serves all."""
+    powers = []
+    for record in records:
+        first, second = record.spectra()[0]
+        powers.append(banded(power(first - second) / 2) / record.period)
+    return np.asarray(np.median(powers, axis=0))
+
+
+def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
+    """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias:
+    noise is independent.
+
+    In a band that the input does not excite nothing is subtracted: the gain is the one measured,
+    noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
+    Below the largest amplitude only what exceeds `SURE` of its standard deviations counts.
+    """
+    both, drive, model = record.spectra()
+    first, second = both
+    noise_power = noise * record.period
+    _, lines = bands_of(len(drive))
+    power_u = banded(power(drive))
+    power_model = banded(power(model))
+    repeats = banded((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
+    doubt: Any = 0.0
+    if not sure:
+        variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
+        doubt = SURE * np.sqrt(variance)
+    linear = _linear_part((first + second) / 2, model)
+    least = (1 + (0.0 if sure else SURE**2)) * noise_power / 2 / lines
+    is_known = power_model * np.abs(linear) ** 2 > least
+    is_scalar = (record.e.shape[1] == 1) & (record.u.shape[1] == 1)
+    linear = np.where(is_known & is_scalar, linear, 0.0)
+    explained = power_model * np.abs(linear) ** 2
+    whole = np.maximum(repeats - doubt, 0.0)
+    rest = np.maximum(repeats - explained - doubt, 0.0)
+    # Little or no input: by chance nothing repeats there, or anything.
+    unexcited = power_u < EXCITED * power_u.mean()
+    measured = banded((power(first) + power(second)) / 2)
+    whole = np.where(unexcited, measured, whole)
+    rest = np.where(unexcited, measured, rest)
+    linear = np.where(unexcited, 0.0, linear)
+    answered = (power_model * np.abs(1 + linear) ** 2 + rest).sum()
+    return View(
+        amplitude=float(np.sqrt((record.u**2).mean())),
+        gain=float(np.sqrt(whole.sum() / power_u.sum())),
+        by_frequency=np.sqrt(divided(whole, power_u)),
+        linear=linear,
+        rest=np.sqrt(divided(rest, power_u)),
+        response=float(answered / max(power_model.sum(), np.finfo(float).tiny)),
+    )
+
+
+def _linear_part(
+    error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
+) -> Complex[np.ndarray, "F"]:
+    """`S_(e, y_model) / S_(y_model)` in each band; e is the mean of both periods, which halves the
+    noise's variance."""
+    cross = (error * model.conj()).sum(axis=1)
+    banded_cross = banded(cross.real) + 1j * banded(cross.imag)
+    return divided(banded_cross, banded(power(model)))

@@ -1,0 +1,33 @@
+"""A PI controller tuned by a textbook rule from the model, on the simulated plant."""
+
+from pathlib import Path
+from typing import Any
+
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.loop.regulation import Loop
+from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.free_run import ModelRun
+
+FILE = "textbook_pi.json"
+
+
+def compute_textbook_pi(
+    folder: Path, bounded: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
+) -> None:
+    """Run the PI from the starts of the certified design, and write its columns."""
+    facts = pi_facts(plant, bounded.model, loop.fitted(bounded.model), loop_seed)
+    write_json(folder / FILE, facts)
+
+
+def read_textbook_pi(folder: Path) -> Facts:
+    """The columns, as they were measured."""
+    return dict(read_json(folder / FILE))
+
+
+def measure_textbook_pi(facts: Facts, *_: Any) -> Facts:
+    """The columns themselves: they have no other source."""
+    return facts
+
+
+TEXTBOOK_PI = Stage("textbook_pi", compute_textbook_pi, read_textbook_pi, measure_textbook_pi)

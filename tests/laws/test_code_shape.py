@@ -1,0 +1,156 @@
+"""Shape of the code: limits that hold everywhere, and a ratchet on density for each room.
+
+A statement with many tokens holds several ideas; `benchmarks/code_shape.py` counts them. The target
+is at most 10.6 tokens a statement and at most 4 % of statements with 30 or more. A room that is not
+there yet has the numbers that it had when it was last measured: they may fall, never rise. The
+counter only warns; what is readable, a reader judges.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "ssm_study"
+TARGET = (10.6, 4.0)
+# Tokens a statement, and percent of long statements, of the rooms that are above the target.
+DENSITY = {
+    "ssm_study/api": (12.1, 3.6),
+    "ssm_study/bounds": (14.3, 7.2),
+    "ssm_study/certificates": (13.3, 7.8),
+    "ssm_study/cli": (11.7, 3.0),
+    "ssm_study/conformance": (14.3, 7.6),
+    "ssm_study/data": (12.9, 5.0),
+    "ssm_study/engine": (11.3, 2.8),
+    "ssm_study/evidence": (12.9, 7.4),
+    "ssm_study/export": (12.2, 4.5),
+    "ssm_study/loop": (12.6, 2.6),
+    "ssm_study/models": (14.0, 7.6),
+    "ssm_study/report": (12.9, 5.7),
+    "ssm_study/robustness": (15.6, 10.5),
+    "ssm_study/study": (10.8, 2.0),
+    "ssm_study/synthesis": (12.6, 5.6),
+    "ssm_study/table": (11.8, 1.5),
+    "ssm_study/training": (13.2, 6.5),
+    "tests": (14.8, 8.0),
+}
+LONGEST_FILE = 400  # lines
+LONGEST_BODY = 40  # lines of a function, its docstring left out
+MOST_PACKED = 250  # assignments of several values to several names
+# Files and functions that are still longer. A name that is short enough by now has to go.
+LONG_FILES = frozenset(
+    {
+        "ssm_study/cli/main.py",
+        "ssm_study/renamed.py",
+        "ssm_study/robustness/coverage.py",
+        "ssm_study/robustness/mismatch.py",
+        "tests/laws/test_report_page.py",
+        "tests/laws/test_results_table.py",
+        "tests/laws/test_training_structured.py",
+        "tests/oracles/test_bounds_slopes.py",
+        "tests/oracles/test_results_verify.py",
+        "tests/oracles/test_synthesis_deployed.py",
+        "tests/oracles/test_synthesis_frontier.py",
+        "tests/refusals/test_study_requests.py",
+    }
+)
+LONG_BODIES = frozenset(
+    {
+        "ssm_study/api/pictures/free_run.py: free_run_picture",
+        "ssm_study/api/pictures/margin.py: margin_picture",
+        "ssm_study/certificates/semidefinite.py: largest_mismatch",
+        "ssm_study/cli/run.py: run",
+        "ssm_study/data/assembly.py: assemble",
+        "ssm_study/data/recorded.py: __post_init__",
+        "ssm_study/data/text_layout.py: find_layout",
+        "ssm_study/evidence/records.py: _rest",
+        "ssm_study/models/structured_kernel.py: _sensitivities",
+        "ssm_study/models/structured_spec.py: __post_init__",
+        "ssm_study/models/torch_recurrence.py: backward",
+        "ssm_study/report/figures/feasibility_map.py: draw",
+        "ssm_study/report/figures/peers.py: draw",
+        "ssm_study/report/page/charts.py: specification",
+        "ssm_study/report/page/data.py: page_data",
+        "ssm_study/robustness/coverage.py: repeating_items",
+        "ssm_study/synthesis/metrics.py: _of_side",
+        "ssm_study/training/saving.py: trained",
+        "tests/oracles/test_loop_prediction.py: test_noise_beyond_the_band_refuses_a_loop",
+        "tests/oracles/test_measured_discs.py: at_the_edge",
+        "tests/oracles/test_study_line.py: test_a_record_of_the_user_runs_the_same_line",
+        "tests/report_tables.py: _row",
+        "tests/structured_adjoint.py: _derivatives",
+    }
+)
+
+
+def load_counter() -> ModuleType:
+    """The counter, which is a script and in no package."""
+    name = "code_shape"
+    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+code_shape = load_counter()
+ROOMS = sorted(path.parent for path in PACKAGE.glob("*/__init__.py"))
+FOLDERS = [*ROOMS, ROOT / "tests"]
+SOURCES = [*code_shape.read_sources(PACKAGE), *code_shape.read_sources(ROOT / "tests")]
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=name_of)
+def test_no_room_is_denser_than_it_was(folder: Path) -> None:
+    facts = code_shape.density_facts(code_shape.read_sources(folder))
+    tokens, long_percent = DENSITY.get(name_of(folder), TARGET)
+    assert facts["tokens_a_statement"] <= tokens
+    assert facts["long_statements_percent"] <= long_percent
+
+
+def test_files_are_short() -> None:
+    lengths = {name_of(source.path): len(source.text.splitlines()) for source in SOURCES}
+    long = {name for name, length in lengths.items() if length > LONGEST_FILE}
+    assert long == LONG_FILES
+
+
+def test_functions_are_short() -> None:
+    long = set()
+    for source in SOURCES:
+        for function in source.functions:
+            if code_shape.count_body_lines(function) > LONGEST_BODY:
+                long.add(f"{name_of(source.path)}: {function.name}")
+    assert long == LONG_BODIES
+
+
+def test_assignments_are_not_packed() -> None:
+    packed = [node for source in SOURCES for node in source.nodes if code_shape.is_packed(node)]
+    assert len(packed) <= MOST_PACKED
+
+
+def test_no_line_is_wide_and_no_docstring_opens_with_a_riddle() -> None:
+    wide = [name_of(source.path) for source in SOURCES if code_shape.count_wide_lines(source)]
+    assert wide == []
+    riddles = [
+        name_of(source.path)
+        for source in SOURCES
+        if any(code_shape.opens_with_a_riddle(node) for node in source.documented)
+    ]
+    assert riddles == []
+
+
+def test_the_counter_sees_what_is_dense() -> None:
+    """What the limits are about is found in a text that breaks them."""
+    text = "def f(x):\n    a, b = x, 1\n    return [(y, z) for y in x for z in (a, b, y)]\n"
+    density = code_shape.Density.of(text)
+    assert density.statement_sizes == [6, 7, 22]
+    source = code_shape.Source(path=PACKAGE, text=text, nodes=[])
+    assert code_shape.count_wide_lines(source) == 0

@@ -1,0 +1,69 @@
+"""The estimator keeps scikit-learn's conventions, and its searches find the better model."""
+
+import numpy as np
+import pytest
+
+import ssm_study as st
+
+pytest.importorskip("sklearn", reason="scikit-learn is not installed (make test installs it)")
+from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV, TimeSeriesSplit
+from sklearn.utils import get_tags
+
+STEP_S = 0.1
+
+
+def record(samples: int = 900) -> tuple[np.ndarray, np.ndarray]:
+    """A resonant second-order lag, which one lag of its output cannot follow."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-3, 3, samples // 6), 6)
+    y = np.zeros(samples)
+    for k in range(2, samples):
+        y[k] = 1.5 * y[k - 1] - 0.8 * y[k - 2] + 0.3 * u[k - 1]
+    return u, y + 0.01 * rng.standard_normal(samples)
+
+
+def arx(**parameters) -> st.Estimator:
+    return st.Estimator(step_s=STEP_S, model="arx", **parameters)
+
+
+def test_a_clone_has_the_same_parameters_and_no_model() -> None:
+    u, y = record()
+    fitted = arx(settings={"lags": 2}).fit(u, y)
+    copy = clone(fitted)
+    assert copy.get_params() == fitted.get_params()
+    assert not hasattr(copy, "model_")
+    assert get_tags(copy).estimator_type == "regressor"
+
+
+def test_a_search_over_time_finds_the_lags_that_the_plant_has() -> None:
+    u, y = record()
+    lags = [{"lags": n} for n in (1, 3)]
+    search = GridSearchCV(arx(), {"settings": lags}, cv=TimeSeriesSplit(2), error_score="raise")
+    search.fit(u, y)
+    assert search.best_params_ == {"settings": lags[1]}
+    scores = search.cv_results_["mean_test_score"]
+    assert scores[1] > 95 > scores[0]
+    assert search.predict(u).shape == (len(u), 1)
+    assert search.best_estimator_.model_.facts["fit_test_percent"] > 95
+
+
+def test_a_stretch_that_begins_in_motion_is_scored_from_its_own_state() -> None:
+    u, y = record()
+    fitted = arx(settings={"lags": 3}).fit(u, y)
+    start = 500 + int(np.argmax(np.abs(y[500:600])))  # far from rest
+    from_rest = fitted.model_.score(u[start : start + 60], y[start : start + 60])
+    assert fitted.score(u[start : start + 60], y[start : start + 60]) > from_rest + 1
+
+
+def test_wrong_use_is_refused_in_a_sentence() -> None:
+    u, y = record()
+    with pytest.raises(st.BadRequest, match="is no parameter; use one of step_s, model"):
+        arx().set_params(oder=3)
+    with pytest.raises(st.BadRequest, match=r"is not fitted; call fit\(u, y\) first"):
+        arx().predict(u)
+    fitted = arx().fit(u, y)
+    with pytest.raises(st.BadRequest, match="nothing is left to score"):
+        fitted.score(u[:20], y[:20])
+    with pytest.raises(st.BadRequest, match="is constant"):
+        fitted.score(u[:60], np.ones(60))

@@ -1,0 +1,77 @@
+"""The PI that stands beside a choice: the textbook's rule on the same plant, starts and noise."""
+
+import numpy as np
+import pytest
+from report_runs import random_model
+
+from ssm_study.loop.peers.peer import without_neurons
+from ssm_study.loop.peers.pi import tyreus_luyben
+from ssm_study.loop.regulation import IdentifiedPlant, Loop
+from ssm_study.loop.rollout import settling_times_s
+from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.models.identified import SSM
+from ssm_study.models.scaffolds.linear import LinearScaffold
+from ssm_study.signals import Scale
+from ssm_study.systems import StateSpace
+
+STEP_S = 0.1
+
+
+def lag() -> SSM:
+    """Two lags and no nonlinearity, in physical units of one."""
+    one = np.ones(1)
+    eye = LinearScaffold(gain=np.eye(1))
+    return SSM(
+        linear=StateSpace(
+            a=np.array([[0.9, 0.1], [0.0, 0.8]]),
+            b=np.array([[0.0], [0.2]]),
+            c=np.array([[1.0, 0.0]]),
+            d=np.zeros((1, 1)),
+        ),
+        scaffold_in=eye,
+        scaffold_out=eye,
+        scale=Scale(
+            input_scale=one, output_scale=one, input_equilibrium=0 * one, output_equilibrium=0 * one
+        ),
+        step_s=STEP_S,
+    )
+
+
+def test_its_columns_are_those_of_the_loop_written_out() -> None:
+    """`u = gain (e + i)`, `i+ = i + step / T e` by hand, sample by sample."""
+    model = lag()
+    plant = IdentifiedPlant.of(model)
+    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).fitted(model)
+    facts = pi_facts(plant, model, loop, seed=1)
+    pi = tyreus_luyben(without_neurons(model))
+    y0, noise = loop.draw(plant, 1)
+    times_s = []
+    for start in y0:
+        x = plant.states_at(start[None])[0]
+        integral = 0.0
+        outside = [0]
+        for k in range(noise.shape[1]):
+            error = -float(model.linear.c[0] @ x)
+            if abs(error) > plant.settling_band:
+                outside.append(k + 1)
+            u = pi.gain * (error + integral)
+            integral += STEP_S / pi.integral_s * error
+            x = model.linear.a @ x + model.linear.b[:, 0] * u
+        times_s.append(STEP_S * outside[-1])
+    assert facts["stable_count_pi"] == 3
+    assert facts["settling_time_pi_s"] == pytest.approx(np.mean(times_s))
+
+
+def test_it_starts_where_every_controller_starts() -> None:
+    model = lag()
+    plant = IdentifiedPlant.of(model)
+    loop = Loop(initial_conditions=4).fitted(model)
+    runs = loop.on_plant(plant, tyreus_luyben(model), 7)
+    settled = [time for time in settling_times_s(runs.judged, plant.settling_band) if time]
+    assert pi_facts(plant, model, loop, 7)["settling_time_pi_s"] == pytest.approx(np.mean(settled))
+
+
+def test_nothing_is_said_where_the_rule_has_no_answer_or_there_is_no_plant() -> None:
+    two = random_model(np.random.default_rng(0), "linear", 2)
+    assert pi_facts(None, lag(), Loop(), 0) == {}
+    assert pi_facts(IdentifiedPlant.of(lag()), two, Loop(), 0) == {}

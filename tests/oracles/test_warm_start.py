@@ -1,0 +1,113 @@
+"""Start of a test piece: from the log's past or from its first samples, where the truth is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from ssm_study.data.assembly import assemble
+from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.evidence import fit
+from ssm_study.evidence.finding import Case
+from ssm_study.models.identified import SSM
+from ssm_study.models.metrics import Simulation
+from ssm_study.models.warm_start import (
+    PAST,
+    SAMPLES,
+    choose_piece_starts,
+    log_before,
+    simulate_parts,
+    start_facts,
+    state_from_past,
+)
+from ssm_study.signals import Channel, DataSet, Trajectory
+from ssm_study.systems import StateSpace
+
+SLOW = 0.995
+START_UP = 20
+
+
+def model() -> SSM:
+    """A slow and a fast lag whose sum is the output: twenty samples hardly show the slow one."""
+    linear = StateSpace(
+        a=np.diag([SLOW, 0.5]),
+        b=np.array([[1 - SLOW], [0.5]]),
+        c=np.ones((1, 2)),
+        d=np.zeros((1, 1)),
+    )
+    return SSM.of(linear, 0.1)
+
+
+def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Trajectory:
+    """The model's answer to random levels; coloured noise, and a load that wanders and is in no input."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.uniform(-1, 1, samples // 50), 50)[:, None]
+    y = model().simulate(u)
+    wander = np.cumsum(rng.standard_normal(samples))[:, None]
+    coloured = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(samples))[:, None]
+    y = y + noise * coloured + drift * wander
+    return Trajectory(u=u, y=y, step_s=0.1, log=1)
+
+
+def cut(record: Trajectory, splitter=None) -> DataSet:
+    parts = by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
+    rest = (np.zeros(1), np.zeros(1))
+    channels = ((Channel(name="u", unit=""),), (Channel(name="y", unit=""),))
+    data = assemble(parts, rest, channels, START_UP)
+    return replace(data, scale=model().scale)
+
+
+def test_the_state_from_the_past_is_that_of_the_plant() -> None:
+    record = log()
+    data = cut(record)
+    state = state_from_past(model(), data, data.test[0])
+    _, expected = model().linear.simulate(record.u[: data.test[0].first])
+    assert state is not None
+    np.testing.assert_allclose(state, expected, atol=1e-3)
+
+
+def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_samples() -> None:
+    noisy = cut(log(noise=0.1))
+    assert choose_piece_starts(model(), noisy).choice == PAST
+    wandering = cut(log(drift=0.1))
+    assert choose_piece_starts(model(), wandering).choice == SAMPLES
+
+
+@pytest.mark.parametrize("splitter", [None, in_blocks])
+def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitter) -> None:
+    data = cut(log(noise=0.1), splitter)
+    validation, test = simulate_parts(model(), data)
+    facts = start_facts(model(), data, test)
+    from_samples = Simulation.of(model(), data.test, START_UP)
+    assert facts["piece_start"] == PAST
+    assert facts["fit_test_other_start_percent"] == from_samples.fit_percent
+    assert test.fit_percent > from_samples.fit_percent
+    assert all(state is not None for state in (*validation.starts, *test.starts))
+
+
+def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> None:
+    data = cut(log(noise=0.1))
+    from_samples = Simulation.of(model(), data.test, START_UP, (np.array([3.0, 0.0]),))
+    validation, test = simulate_parts(model(), data)
+    case = Case(data=data, model=model(), validation=validation, test=test)
+    apart = abs(start_facts(model(), data, test)["fit_test_other_start_percent"] - test.fit_percent)
+    assert len(fit.starts_apart(case)) == int(apart > fit.STARTS_APART)
+    (finding,) = fit.starts_apart(replace(case, test=from_samples))
+    assert finding.level == "doubt"
+    assert f"{from_samples.fit_percent:.1f} % from the log before it" in finding.sentence
+    assert "from its first samples" in finding.sentence
+
+
+def test_a_record_without_a_past_has_one_start() -> None:
+    """Simulated records, the beginning of a log, a piece behind a hole, no start-up samples."""
+    simulated = cut(replace(log(), log=0))
+    assert choose_piece_starts(model(), simulated).choice is None
+    test = simulate_parts(model(), simulated)[1]
+    assert start_facts(model(), simulated, test)["piece_start"] is None
+    data = cut(log())
+    assert log_before(data, data.training[0]) is None
+    behind_a_hole = replace(data.test[0], first=data.test[0].first + 7)
+    assert log_before(replace(data, test=(behind_a_hole,)), behind_a_hole) is None
+    from_rest = replace(data, start_up_samples=0)
+    assert choose_piece_starts(model(), from_rest).choice is None
