@@ -37,7 +37,6 @@ DIRECT_GAIN = 0.25  # a direct path more: with it no loop is closed
 INTEGRATES = 0.99  # radius of a linear model's slowest mode above which an integrator is tried
 REFIT_BEYOND = 1.25  # times the error on held-out folds
 LINEAR_ORDERS = (2, 4, 6, 10)
-LAST = DELAY_GAIN  # of the error that the next linear order must remove to be gone on from
 TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths are chosen
 SIZES: tuple[Settings, ...] = (  # the smallest first
     {"order": 3, "neurons": 0, "knots": 16},
@@ -300,18 +299,12 @@ def choose_size(search: Search) -> Candidate | None:
 
 
 def linear_sizes(search: Search) -> list[Settings]:
-    """The linear model of the order beyond which another removes little of the error."""
+    """The linear model of the smallest order that is not behind the best of several."""
     if search.folds[0].scale.outputs != 1 or not search.is_open("order"):
         return []
     feedthrough = search.decided.get("feedthrough", search.spec.feedthrough) is True
     dead_time = int(search.decided.get("dead_time", search.spec.dead_time))
     delay = 0 if feedthrough else 1 + dead_time
-    order = LINEAR_ORDERS[0]
-    reached = search.linear("linear order", order, delay)
-    for larger in LINEAR_ORDERS[1:]:
-        candidate = search.linear("linear order", larger, delay)
-        if not reached.is_behind(candidate, LAST):
-            break
-        order = larger
-        reached = candidate
+    tried = [search.linear("linear order", order, delay) for order in LINEAR_ORDERS]
+    order = first_not_behind(tried).settings["order"]
     return [{"order": order, "neurons": 0, "knots": 0}]

@@ -17,6 +17,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.models.structured import model_from_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
+from ssm_study.training.choice import with_defaults
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.training import Training
 
@@ -64,6 +65,8 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
         pytest.importorskip(PACKAGES[choice])
     data = data_set(samples=60, records=2)
     spec = read("model", choice)
+    if isinstance(spec, StructuredSpec):
+        spec = with_defaults(spec)
     if isinstance(spec, SolvedSpec):
         pytest.skip("solved, not trained")
     net = (spec.one_layer() if isinstance(spec, StructuredSpec) else spec).build(data, 0)
