@@ -237,7 +237,7 @@ def present_target(target: Any) -> Any:
 
 
 def withdrawn_target(target: Any) -> Withdrawn | None:
-    """What is said of a class of `_target_` that there is no more; None for any other."""
+    """Notice for a class of `_target_` that was withdrawn; None for any other."""
     return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
