@@ -115,7 +115,7 @@ class LogLook:
 
 
 def skipped_lines(skipped: dict[str, str]) -> list[str]:
-    """What was skipped and why; of a long list those that hold numbers, and how many others."""
+    """Lines on what was skipped and why; of a long list, those with numbers, and how many more."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         worth = {name: why for name, why in skipped.items() if "samples" in why}

@@ -17,6 +17,7 @@ from ssm_study.refusal import BadRequest, one_of, require
 
 SAMPLED_ROWS = 120
 SEPARATORS = ("\t", ";", "|", ",", " ")  # tried in this order: the first of equals is taken
+SPACES_GAIN = 0.05  # of the score, more than the bonus for columns, by which spaces must be better
 WORDS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "spaces"}
 BY_WORD = {word: mark for mark, word in WORDS.items()} | {r"\t": "\t"}
 COMMENTS = ("#", "%", "//", '"#')
@@ -206,7 +207,9 @@ def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
             if separator == decimal:
                 continue
             score = table_score([split_cells(row, separator) for row in rows], decimal)
-            if score > best_score + 1e-9:
+            # A space between date and time is no separator where another mark divides as well.
+            needed = SPACES_GAIN if separator == " " else 1e-9
+            if score > best_score + needed:
                 best = (separator, decimal)
                 best_score = score
     return best

@@ -7,6 +7,7 @@ cases step together and nothing is hidden in an object.
 # ruff: noqa: ARG002 - every law gets all arguments; some need less
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -131,7 +132,8 @@ class EstimateFeedback(Controller):
         correction = times(gains.l, innovation)
         if gains.l_z is None:
             return model.advance(x_hat, lifted) + correction
-        return model.advance(x_hat, lifted, times(gains.l_z, innovation)) + correction
+        neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
+        return neurons.advance(x_hat, lifted, times(gains.l_z, innovation)) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
         return memory  # the estimated state of the model, then the internal model's

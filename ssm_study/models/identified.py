@@ -135,7 +135,7 @@ class DelayLine:
     def widened(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
-        """What reads state and input, as what reads state and line."""
+        """Matrix that reads state and input, made one that reads state and line."""
         newer = np.zeros((len(of_state), self.waiting - self.channels))
         return np.hstack([of_state, newer, of_input])
 

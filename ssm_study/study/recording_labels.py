@@ -12,9 +12,17 @@ from ssm_study.study.loop_recordings import NOISE_FREE, ON_MODEL, ON_PLANT, clos
 from ssm_study.study.recordings import LOOPS, TRIALS, RecordedCases
 from ssm_study.study.run_files import RunFiles
 
-# Words of a recording that are numbers: the signals are compared with them.
+# Words of a recording that are numbers: compared as numbers, by claims of their own.
 NUMBERS = frozenset(
-    {"step_s", "start_up_samples", "settling_band", "input_equilibrium", "left_at_sample", "bound"}
+    {
+        "step_s",
+        "start_up_samples",
+        "start_states",
+        "settling_band",
+        "input_equilibrium",
+        "left_at_sample",
+        "bound",
+    }
 )
 NANOSECOND = 1e-9  # to which a recording keeps its times
 

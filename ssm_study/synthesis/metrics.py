@@ -312,7 +312,7 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
 
 def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
     """The columns of one side of the design; null where there is no certificate."""
-    facts = {
+    facts: dict[str, Any] = {
         f"rate_{side}": part.rate,
         f"{side}_feasible": not isinstance(part, Infeasible),
         f"{side}_certified": part.certified,

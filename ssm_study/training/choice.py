@@ -59,7 +59,7 @@ class Choice:
     error: float | None = None
 
     def words(self, automatic: Sequence[str]) -> str:
-        """What was chosen for the settings that were left open, of how many; "" if nothing was."""
+        """Settings that were left open and what was chosen, of how many; "" if nothing was."""
         if not self.rows:
             return ""
         settings = ", ".join(

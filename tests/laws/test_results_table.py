@@ -103,7 +103,7 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert table.loc["d", "controller_feasible"] == False  # noqa: E712
     lines = (study / "runs.csv").read_text().splitlines()
     assert lines[0].startswith(
-        "study,run,status,plant,seed,excitation,fold,model,order,hidden_width"
+        "study,run,status,plant,seed,excitation,fold,fresh_sets,model,order,hidden_width"
     )
     assert lines[3].startswith("study,c,failed,,,,,,8,,")
 

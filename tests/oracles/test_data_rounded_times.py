@@ -95,3 +95,16 @@ def test_a_column_that_stands_twice_and_a_separator_at_the_end(tmp_path: Path) -
     path.write_text("[key]; [value]\nName; trace\n" + "\n".join(f"; {k}; 25" for k in range(60)))
     with pytest.raises(BadRequest, match="its variables one below the other"):
         look(path)
+
+
+def test_a_space_between_date_and_time_is_no_separator(tmp_path: Path) -> None:
+    """At whole minutes and with whole numbers the rows would be tables of four columns, too."""
+    for mark in "\t;|,":
+        rows = [
+            f"2026-01-01 {k // 60:02}:{k % 60:02}:00{mark}{k % 7}{mark}{k % 5}" for k in range(90)
+        ]
+        path = tmp_path / "log.txt"
+        path.write_text("\n".join([f"time{mark}u{mark}y", *rows]))
+        pieces, _ = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        assert pieces[0].step_s == 60.0
+        assert len(pieces[0]) == 90

@@ -1,4 +1,4 @@
-"""From a log as people write it to a fit: each file of `../shared/data/logs_small`, trained briefly.
+"""Logs as people write them, to a fit: each file of `../shared/data/logs_small`, trained briefly.
 
 Files that hold the same lag are fitted by least squares; those that mislead a choice (feedthrough,
 positions behind a dead zone, plateaus, stairs) with the setting that `look` or the evidence names.

@@ -1,4 +1,4 @@
-"""Start of a test piece: from the log's past or from its first samples, where the truth is known."""
+"""Start of a test piece, from the past of its log or from its first samples; the truth is known."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def model() -> SSM:
 
 
 def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Trajectory:
-    """The model's answer to random levels; coloured noise, and a load that wanders and is in no input."""
+    """Answer of the model to random levels, with coloured noise and a load that is in no input."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-1, 1, samples // 50), 50)[:, None]
     y = model().simulate(u)

@@ -1,5 +1,6 @@
 """Spreadsheets, read by pandas where one of its engines is installed: the first sheet, as text."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -28,4 +29,4 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
             problem = f"not a complete spreadsheet ({error})"
             raise BadRequest("data.path", path, problem, "save the sheet as CSV") from error
         text = sheet.to_csv(sep="\t", index=False, header=False)
-        return TextReader.of_text(path, text, self.settings)
+        return TextReader.of_text(path, text, replace(self.settings, separator="tabs"))

@@ -51,7 +51,7 @@ def compute_simulated(
     write_json(folder / "model.json", model.to_json())
     validation, test = simulate_parts(model, data)
     for name, run in (("validation", validation), ("test", test)):
-        about = {"start_up_samples": str(data.start_up_samples)}
+        about: dict[str, Any] = {"start_up_samples": str(data.start_up_samples)}
         if any(state is not None for state in run.starts):
             about["start_states"] = states_to_text(run.starts)
         path = folder / f"{name}.mcap"

@@ -1,0 +1,60 @@
+"""Spreadsheets and MAT files of version 7.3: read where a package is installed, else a sentence."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ssm_study.data.recorded import RecordedData
+from ssm_study.refusal import BadRequest
+
+
+def source(path: Path, **settings: object) -> RecordedData:
+    fields: dict[str, object] = {"path": str(path), "input": "u", "output": "y"}
+    return RecordedData(**(fields | settings))  # type: ignore[arg-type]
+
+
+def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What an engine hands over: a sheet of objects with a line of names and one of units."""
+    times = pd.date_range("2026-01-01", periods=200, freq="1min")
+    u = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
+    rows = [["time", "u", "y"], ["", "V", "rpm"]]
+    rows += [list(row) for row in zip(times, u, np.cumsum(u), strict=True)]
+    sheet = pd.DataFrame(rows, dtype=object)
+    monkeypatch.setattr(pd, "read_excel", lambda *_, **__: sheet)
+    path = tmp_path / "log.xlsx"
+    path.write_bytes(b"PK")
+    pieces, remark = source(path).read_pieces(path)
+    assert pieces[0].step_s == 60.0
+    np.testing.assert_array_equal(pieces[0].y[:, 0], np.cumsum(u))
+    assert "clock time (dates)" in remark
+
+
+@pytest.mark.parametrize(
+    ("raised", "says"),
+    [
+        (ImportError("openpyxl"), r"no reader of spreadsheets; save the sheet as CSV, or pip"),
+        (ValueError("bad zip"), r"not a complete spreadsheet \(bad zip\)"),
+    ],
+)
+def test_a_sheet_without_an_engine_or_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, raised: Exception, says: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise raised
+
+    monkeypatch.setattr(pd, "read_excel", refuse)
+    path = tmp_path / "log.xlsx"
+    path.write_bytes(b"PK")
+    with pytest.raises(BadRequest, match=says):
+        source(path, step_s=1.0).read_pieces(path)
+
+
+def test_a_mat_file_of_version_7_3_says_how_to_save_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
+    with pytest.raises(BadRequest, match=r"version 7.3 \(HDF5\); save it with -v7"):
+        source(path, step_s=1.0).read_pieces(path)
