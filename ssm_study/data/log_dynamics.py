@@ -144,7 +144,7 @@ def first_answer(u: Signal, y: Signal) -> int | None:
     return int(np.argmax(counts)) if counts.any() else None
 
 
-def increments(u: Signal, y: Signal) -> tuple[np.ndarray, np.ndarray]:
+def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
     """Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]` and `dy[k]`, scaled."""
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
@@ -110,7 +111,7 @@ def starts_claim(run: RunFiles) -> Iterator[Checked]:
             yield stored_starts(part, starts_at_rest(model, part.starts))
 
 
-def stored_starts(part: UnlimitedStart, starts: np.ndarray | None) -> Checked:
+def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
     """The claim about one part's starts, beside those derived of the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:

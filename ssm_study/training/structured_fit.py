@@ -232,7 +232,9 @@ class StructuredFit(pl.LightningModule):
         return model if model.neurons else SSM.from_json(model.to_json()), note
 
 
-def with_integrator(parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def with_integrator(
+    parts: dict[str, Float[np.ndarray, "..."]],
+) -> dict[str, Float[np.ndarray, "..."]]:
     """Matrices of a recurrence whose output is summed up: the sums are states, and the output."""
     a = parts["a"]
     c = parts["c"]

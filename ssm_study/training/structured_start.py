@@ -48,7 +48,9 @@ def linear_start(
     return unit_states(problem, start)
 
 
-def recorded_pairs(problem: Residuals) -> list[tuple[np.ndarray, np.ndarray]]:
+def recorded_pairs(
+    problem: Residuals,
+) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
     """Inputs and outputs of each record, without its padding."""
     inputs, outputs, _ = problem.records
     scored = problem.records.scored
