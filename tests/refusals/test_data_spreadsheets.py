@@ -18,7 +18,7 @@ def source(path: Path, **settings: object) -> RecordedData:
 def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Table as an engine hands it over: a sheet of objects with a line of names and one of units."""
+    """Table of an engine: a sheet of objects with a line of names and one of units."""
     times = pd.date_range("2026-01-01", periods=200, freq="1min")
     u = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
     rows = [["time", "u", "y"], ["", "V", "rpm"]]
