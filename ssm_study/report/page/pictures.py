@@ -3,11 +3,13 @@
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder
 
+Stretch = Float[np.ndarray, "_"]
 MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
@@ -49,15 +51,14 @@ def _panel(panel: PicturePanel) -> dict[str, Any]:
 def _series(series: Series, seen: tuple[float, float] | None) -> dict[str, Any]:
     """One series, cut to what is seen, a long line thinned, gaps shortened to one missing point."""
     x, y = thinned(*cut(series.x, series.y, seen))
-    values: dict[str, Any] = {
+    look: dict[str, Any] = {
         "name": series.name,
         "mark": series.mark,
         "colour": series.colour,
         "dashed": series.dashed,
-        "x": short_numbers(x),
-        "y": short_numbers(y),
     }
-    return {key: value for key, value in values.items() if value}
+    points = {"x": short_numbers(x), "y": short_numbers(y)}
+    return {key: value for key, value in look.items() if value} | points
 
 
 def _rule(rule: GuideLine) -> dict[str, Any]:
@@ -80,7 +81,7 @@ def _band(band: Band, seen: tuple[float, float] | None) -> dict[str, Any]:
     }
 
 
-def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Values, Values]:
+def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
     """The stretch of a signal over time that lies in a range; other curves as they are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
@@ -90,7 +91,7 @@ def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Values,
     return x[stretch], y[stretch]
 
 
-def thinned(x: Values, y: Values) -> tuple[Values, Values]:
+def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
     """At most about `MOST_POINTS` points; of a gap one point stays, which breaks the line.
 
     Closed curves with gaps (discs) are not thinned.

@@ -18,6 +18,7 @@ SCRIPTS = (
     "table",
     "compared",
     "pictures",
+    "overlay",
     "run",
     "lead",
     "groups",

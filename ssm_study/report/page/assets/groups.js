@@ -103,7 +103,9 @@ function drawSideBySide() {
     return found && found.loop ? responses(shortName(COLUMNS.run[i]), unpack(found.loop.y), found.loop, bounds(runs)) : null; }).filter(Boolean);
   const head = ["", ...runs.map((i) => shortName(COLUMNS.run[i]))].map((text) => element("th", { scope: "col" }, text));
   const rows = differ.map((name) => element("tr", {}, element("th", { scope: "row" }, DATA.words[name]), ...runs.map((i) => element("td", {}, printed(COLUMNS[name][i])))));
-  box.replaceChildren(element("div", { class: "responses" }, ...pictures), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": "Chosen runs, what differs" },
+  const overlay = element("div", { class: "pictures" });
+  placePictures(overlay, overlayPictures(runs));
+  box.replaceChildren(overlay, element("div", { class: "responses" }, ...pictures), element("div", { class: "scroll compared", tabindex: "0", role: "region", "aria-label": "Chosen runs, what differs" },
     element("table", {}, element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows))));
 }
 

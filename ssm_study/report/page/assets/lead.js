@@ -57,7 +57,7 @@ function headline(i) {
   if (both && rate !== null) add(printed(Number(rate.toPrecision(2))), `certified rate${value("rate_controller") === null ? "" : `, designed for ${printed(Number(value("rate_controller").toPrecision(2)))}`}: distances shrink by ${(100 - 100 * Math.sqrt(1 - rate)).toPrecision(2)}\u00a0% a\u00a0sample`);
   else if (rate !== null) add(limit === null ? "none" : printed(Number(limit.toPrecision(3))), limit === null ? "certificate" : `largest rate that can be certified${value("rate_controller") === null ? "" : `; requested: ${printed(Number(value("rate_controller").toPrecision(3)))}`}`);
   add(value("stable_count") === null ? null : `${value("stable_count")} of ${value("initial_conditions")}`, `starts settle on the ${loopOn(i)}`);
-  add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
+  add(Number.isFinite(ratio) && ratio > 0 ? `${ratio.toFixed(2) === "1.00" ? besideOne(ratio) : ratio.toFixed(2)} ×` : null, "the uncontrolled settling time");
   return told;
 }
 
@@ -72,10 +72,10 @@ function evidence(i) {
   if (value("controller_certified_rate") !== null) lines.push(["Proved of the model", `the controller contracts at rate ${printed(value("controller_certified_rate"))} per sample, the observer at ${printed(value("observer_certified_rate"))}${covered(value("coverage"))}.`]);
   if (value("predicted_stable") !== null) lines.push([`Predicted for the ${on}`, `${value("predicted_stable") ? `it stays stable${value("evidence") === "doubt" ? ", with doubts" : ""}` : "nothing; the loop may be unstable"}: ${decides(value("resolved_margin"), value("controller_radius"))}.`]);
   else if (value("evidence") === "cannot judge") lines.push([`Predicted for the ${on}`, "nothing: the records allow no judgement."]);
-  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${loopOn(i)}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}.`]);
+  if (value("settling_time_mean_s") !== null) lines.push([`Seen on the ${loopOn(i)}`, `it settles in ${seconds("settling_time_mean_s")} on average${value("settling_time_open_loop_s") === null ? "" : `, uncontrolled in ${seconds("settling_time_open_loop_s")}`}${value("stable_count_pi") === null ? "" : `; a PI tuned from the same model in ${seconds("settling_time_pi_s")}, ${value("stable_count_pi")} of ${value("initial_conditions")} starts`}.`]);
   const told = (value("evidence_reasons") || "").split(/ (?=(?:note|doubt|cannot judge): )/).filter(Boolean), isNote = (reason) => reason.startsWith("note: ");
   const first = told.filter((reason) => !isNote(reason)).map((reason) => reason.replace(/^[a-z ]+: /, "")), notes = told.filter(isNote).map((note) => `N${note.slice(1)}`);
-  if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, [`${SUPPORT[value("evidence")]}.`, ...first, ...notes].join(" ")]);
+  if (value("evidence")) lines.push([`Evidence: ${value("evidence")}`, [`${SUPPORT[value("evidence")]}.`, ...first].join(" "), notes]);
   return lines;
 }
 
@@ -83,15 +83,6 @@ function evidence(i) {
 function covered(coverage) {
   if (coverage === null) return "";
   return coverage < 1 ? "; the model error that the records show is not covered" : `; it covers a model error ${(Math.floor(100 * coverage) / 100).toFixed(2)} times as large as the records show, at every frequency`;
-}
-
-/** Two digits, or as many as keep the number on its side of one. */
-function besideOne(number) {
-  for (let digits = 2; digits < 16; digits += 1) {
-    const text = Number(number.toPrecision(digits));
-    if (Math.sign(text - 1) === Math.sign(number - 1)) return String(text);
-  }
-  return String(number);
 }
 
 /** The two numbers that a prediction rests on, each with its bound. */
@@ -111,7 +102,8 @@ function drawLead() {
   if (!RUNS) return;
   const found = DATA.trajectories[COLUMNS.run[0]], loop = found && found.loop;
   const numbers = headline(0).map(([number, words]) => element("div", { class: "number" }, element("strong", {}, number), element("span", {}, words)));
-  const lines = evidence(0).map(([label, text]) => element("li", { class: /^(?:Outcome|Evidence: (?:doubt|cannot))/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1)));
+  const lines = evidence(0).map(([label, text, notes = []]) => element("li", { class: /^(?:Outcome|Evidence: (?:doubt|cannot))/.test(label) ? "warn" : "" }, element("strong", {}, label), text[0].toUpperCase() + text.slice(1),
+    ...(notes.length ? [element("details", {}, element("summary", {}, `${notes.length} ${notes.length > 1 ? "notes" : "note"}`), ...notes.map((note) => element("p", {}, note)))] : [])));
   box.append(
     element("p", {}, whyBest(), element("button", { type: "button", class: "link", onclick: () => choose(0) }, partsOf(COLUMNS.run[0]).join("-")),
       DATA.parameters.length ? `. Its settings: ${DATA.parameters.map((name) => `${DATA.words[name].replace(/[ ,]*[(,ρ].*/, "").toLowerCase()} ${printed(setting(name, 0))}`).join(", ")}.` : ""),

@@ -12,7 +12,7 @@ function markOf({ mark, dashed }) {
 /** The Vega-Lite layers of a panel; what has a name is in the legend above it. */
 function panelSpec({ x, y, logX, logY, equal, rangeX, rangeY, series, rules = [], bands = [] }) {
   const named = [...bands, ...rules.map((rule) => ({ ...rule, colour: "#1a1a1a" })), ...series].filter(({ name }) => name);
-  const legend = { domain: named.map(({ name }) => name), range: named.map(({ colour }) => shade(colour)) };
+  const legend = { domain: named.map(({ name }) => name), range: named.map(({ colour }) => colour) };
   const colour = (part) => (part.name ? { datum: part.name, type: "nominal", scale: legend, legend: { title: null, orient: "top", columns: 2, labelLimit: 260 } } : { value: part.colour || "#1a1a1a" });
   const scale = (log, range) => ({ type: log ? "log" : "linear", ...(log ? {} : { zero: false }), nice: false, ...(range ? { domain: range } : { padding: 6 }) });
   const across = { field: "x", type: "quantitative", title: x, scale: scale(logX, rangeX) }, up = { field: "y", type: "quantitative", title: y, scale: scale(logY, rangeY) };

@@ -23,7 +23,7 @@ function tooltipOf(columnOf) {
 
 function rowsFor(fields) {
   return Array.from({ length: RUNS }, (_, i) => {
-    const row = { i, run: COLUMNS.run[i], verdict: COLUMNS.verdict[i] };
+    const row = { i, run: COLUMNS.run[i], verdict: COLUMNS.verdict[i], colour: state.colour ? printed(setting(state.colour, i)) : "" };
     for (const name of fields) row[name] = COLUMNS[name][i];
     return row;
   });
@@ -37,9 +37,32 @@ function withoutBrush(spec) {
   return copy;
 }
 
+const DRAWS = []; // what draws each plot again
+
+/** The points in the colours of a setting instead of the outcome, whose shapes stay. */
+function coloured(spec) {
+  const name = state.colour, copy = structuredClone(spec);
+  if (!name) return copy;
+  const values = [...new Set(COLUMNS[name].map((_, i) => setting(name, i)))].sort(inOrder).map(printed), few = values.length <= CYCLE.length;
+  const scale = few ? { domain: values, range: CYCLE.slice(0, values.length) } : { domain: values, scheme: "viridis" };
+  copy.layer.at(-1).encoding.color = { field: "colour", type: few ? "nominal" : "ordinal", scale, legend: { orient: "top", title: DATA.words[name].replace(/ \(.*/, ""), columns: 6, symbolType: "circle" } };
+  return copy;
+}
+
+/** What the points are coloured by: the outcome, or any setting of few values; by default what was swept where all runs end alike. */
+function placeColourMenu() {
+  const names = DATA.parameters.filter((name) => new Set(COLUMNS[name]).size <= 40), alike = new Set(COLUMNS.verdict).size === 1;
+  state.colour = (alike && (names.find((name) => name !== "seed") || names[0])) || "";
+  if (!names.length) return;
+  const choose = async (event) => { state.colour = event.target.value; for (const draw of DRAWS) { await draw(); await pause(); } allStale(); };
+  const option = (name, words) => element("option", { value: name, selected: name === state.colour }, words);
+  document.getElementById("selects").append(element("label", {}, "Colour by", element("select", { id: "colour-by", onchange: choose }, option("", "outcome"), ...names.map((name) => option(name, DATA.words[name].replace(/ \(.*/, ""))))));
+}
+
 /** One plot; `columnOf` maps a field of the rows to the column it holds (the explorer's are just across and up). */
 async function embed(chart, spec, { rows, ticks = [] }, number, columnOf = (field) => field) {
-  const own = COARSE ? withoutBrush(spec) : structuredClone(spec);
+  const own = COARSE ? withoutBrush(coloured(spec)) : coloured(spec);
+  if (VIEWS[number]) VIEWS[number].finalize();
   own.datasets = { ...own.datasets, runs: rows, ticks }; // beside the one-row set of a dashed line
   const { view } = await vegaEmbed(chart, shaded(own), { ...EMBED, tooltip: { ...EMBED.tooltip, formatTooltip: tooltipOf(columnOf) } });
   const menu = chart.querySelector("summary");
@@ -94,11 +117,14 @@ function placeExplorer() {
 
 async function drawPlots() {
   if (COARSE) document.getElementById("plots-hint").textContent = "Tap a point to see its run; use the filters above to narrow the runs. The ring marks the best run.";
+  if (RUNS > 1) placeColourMenu();
   const alone = RUNS === 1 && trajectoryCharts(document.getElementById("plots"), DATA.pictures[COLUMNS.run[0]] ? { loop: (DATA.trajectories[COLUMNS.run[0]] || {}).loop } : DATA.trajectories[COLUMNS.run[0]] || {}, false);
   for (const draw of alone || [...DATA.panels.map(placePanel), placeExplorer()]) {
     await draw();
+    if (!alone) DRAWS.push(draw);
     await pause();
   }
+  if (!alone) placeParallel();
   let marked = -1;
   listeners.push((_, news) => {
     if (!news && marked === state.chosen) return; // sorting and paging concern the table alone

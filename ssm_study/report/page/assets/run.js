@@ -67,7 +67,7 @@ function reasons(i) {
 }
 
 function facts(names, i) {
-  return element("dl", {}, ...names.flatMap((name) => [element("dt", {}, DATA.words[name]), element("dd", {}, printed(COLUMNS[name][i]))]));
+  return element("dl", {}, ...names.flatMap((name) => [element("dt", {}, DATA.words[name]), element("dd", {}, cellOf(name, i))]));
 }
 
 function unpack({ step, rows, steps }) {

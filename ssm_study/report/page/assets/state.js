@@ -17,6 +17,7 @@ const state = {
   page: 0,
   allColumns: false,
   chosen: -1,
+  colour: "",
   group: { by: null, metric: null },
   picked: new Set(),
 };
@@ -83,7 +84,26 @@ function printed(value) {
   if (value == null) return "–"; // a column that is not there, too
   if (typeof value === "boolean") return value ? "yes" : "no";
   if (typeof value !== "number" || Number.isInteger(value)) return String(value);
-  return value !== 0 && Math.abs(value) < 1e-3 ? value.toExponential(2) : String(Number(value.toPrecision(4)));
+  if (value !== 0 && Math.abs(value) < 1e-3) return value.toExponential(2);
+  const short = Number(value.toPrecision(4));
+  return short === 1 ? besideOne(value) : String(short); // one is the bound of margins and radii
+}
+
+/** Two digits, or as many as keep the number on its side of one. */
+function besideOne(number) {
+  for (let digits = 2; digits < 16; digits += 1) {
+    const text = Number(number.toPrecision(digits));
+    if (Math.sign(text - 1) === Math.sign(number - 1)) return String(text);
+  }
+  return String(number);
+}
+
+/** A value of the table; a prediction never stands without its doubt. */
+function cellOf(name, i) {
+  const value = COLUMNS[name][i], evidence = COLUMNS.evidence && COLUMNS.evidence[i];
+  if (name !== "predicted_stable") return printed(value);
+  if (evidence === "cannot judge") return evidence;
+  return value && evidence === "doubt" ? "yes, doubt" : printed(value);
 }
 
 function isNumeric(name) {

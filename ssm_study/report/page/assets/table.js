@@ -40,7 +40,7 @@ function drawHead() {
 function drawRow(i, names) {
   return element("tr", { class: i === state.chosen ? "chosen" : "", "data-run": String(i) }, ...names.map((name) => name === "run"
     ? element("th", { scope: "row" }, picker(i), element("button", { type: "button", title: COLUMNS.run[i], onclick: () => choose(i) }, ...nameParts(COLUMNS.run[i])))
-    : element("td", { class: isText(name) ? "text" : "" }, printed(COLUMNS[name][i]))));
+    : element("td", { class: isText(name) ? "text" : "" }, cellOf(name, i))));
 }
 
 // Of a run's name only what not all runs share, and the digits.
