@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
-from hydra.errors import OverrideParseException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import OmegaConf
 
 from ssm_study.cli.request import OPTIONS
@@ -115,8 +115,13 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
             for word in overrides
             if (name := word.split("=")[0]) not in ("", key) and (folder / name).is_dir()
         ]
-        # Of a sweep the first choice.
-        config = compose("study", [word.split(",")[0] for word in chosen])
+        # Of a sweep the first choice; what names no choice says nothing about what was meant.
+        firsts = [word.split(",")[0] for word in chosen]
+        plain = [word for word in firsts if re.fullmatch(r"[^=]+=[\w-]+", word)]
+        try:
+            config = compose("study", plain)
+        except HydraException:
+            config = compose("study")
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
     known = [*(path for path, _, _ in nodes(OmegaConf.to_container(config))), *groups]
     near = get_close_matches(key, known, n=1) or [

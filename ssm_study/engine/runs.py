@@ -224,7 +224,7 @@ _PROGRAM_ERRORS = (
 )
 # What writers of other libraries quote of a failing disk, in exceptions of their own.
 _OF_THE_DISK = tuple(
-    os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.ESTALE)
+    os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ESTALE)
 )
 
 

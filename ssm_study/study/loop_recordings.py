@@ -11,6 +11,7 @@ from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import STAYED, Rollouts
 from ssm_study.plants.plant import Plant
+from ssm_study.refusal import require
 from ssm_study.signals import Channel
 from ssm_study.study.recordings import RecordedCases, groups
 
@@ -61,14 +62,18 @@ def write_rollouts(
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     """Closed loops of a recording, and the recording itself.
 
-    Raises `BadRequest` if the file lacks a topic.
+    Raises `BadRequest` if the file lacks a topic, or if its cases do not share one reference.
     """
     recording = RecordedCases.of(path)
     about = recording.about
+    references = recording["reference"]
+    problem = "the cases follow different references"
+    is_shared = bool((references == references[:1]).all())
+    require(is_shared, "recording", path.name, problem, "run the study again")
     signals: dict[str, Any] = {field: recording[topic] for field, topic in TOPICS.items()}
     run = Rollouts(
         step_s=float(about["step_s"]),
-        reference=recording["reference"][0],
+        reference=references[0],
         bound=np.array(json.loads(about["bound"]), dtype=float),
         left_at_sample=np.array(json.loads(about["left_at_sample"]), dtype=int),
         **signals,

@@ -160,6 +160,10 @@ CAUSES = {
         Unwritable(f"chunk 3: {os.strerror(errno.ENOSPC)}"),
         True,
     ),
+    "a limit of the size of files, in words of another library": (
+        Unwritable("Error while serializing: I/O error: File too large (os error 27)"),
+        True,
+    ),
     "the disk": (OSError(errno.ENOSPC, "No space left on device"), True),
     "memory": (MemoryError(), True),
     "a file of ours that somebody removed": (

@@ -389,6 +389,12 @@ def lie_about_loop(run: Path, topic: str, file: str = "closed_loop.mcap") -> Non
     sealed_anew(run, **loop_again(run))
 
 
+def lie_about_reference(run: Path) -> None:
+    """Of one case alone: the reader took that of the first for all."""
+    altered(run, "closed_loop_model.mcap", "/case_1/reference", lambda r: np.add(r, 0.1, out=r))
+    sealed_anew(run)
+
+
 def lie_about_record(run: Path, file: str) -> None:
     altered(run, file, "/measured", lambda y: np.multiply(y, 1.01, out=y))
     sealed_anew(run, **fits_again(run))
@@ -519,6 +525,10 @@ LIES: dict[str, tuple[Callable[[Path], object], str]] = {
     "smaller inputs": (lambda run: lie_about_loop(run, "/input"), "closed_loop.mcap input"),
     "estimate": (lambda run: lie_about_loop(run, "/estimate"), "closed_loop.mcap"),
     "states": (lambda run: lie_about_loop(run, "/case_1/states"), "closed_loop.mcap"),
+    "a reference of the second case": (
+        lie_about_reference,
+        "loop",
+    ),
     "the loop on the model": (lambda run: lie_about_loop(run, "/states", MODEL_LOOP), MODEL_LOOP),
     "wider settling band": (lie_about_band, "closed_loop.mcap"),
     "twice as fast": (lambda run: lie_about_labels(run, MODEL_LOOP, sooner),

@@ -21,6 +21,14 @@ WRONG = {
     "nothing for a plant": (["plant={}"], "plant = {}: changes nothing"),
     "a list for a number": (["plant.step_s=[]"], " = []: is not a number"),
     "numbers for a group": (["loop=[1,[2,[3]]]"], "is no name of a choice"),
+    "a choice of a sweep beside a key that is not there": (
+        ["data=choice(1,2)", "seed.x=1"],
+        "seed.x",
+    ),
+    "a pattern beside a key that is not there": (
+        ["training/optimiser=glob(*)", "seed.x=1"],
+        "seed.x",
+    ),
     "nothing for a part of one": (["model.scaffold_in={}"], "changes nothing"),
 }
 
