@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Inexact
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
 from ssm_study.refusal import at_least, one_of, positive, require
@@ -202,7 +202,7 @@ def modal_start(system: StateSpace) -> Initialisation:
     return Initialisation(modes=values[kept].astype(complex), b=b[kept], c=c[:, kept], d=system.d)
 
 
-def inside_unit_circle(values: Complex[np.ndarray, "n"]) -> Complex[np.ndarray, "n"]:
+def inside_unit_circle(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
     """Modes mirrored into the unit circle, and pulled inside the radius `SLOWEST`."""
     radius = np.abs(values)
     mirrored = values / np.maximum(radius, 1.0) ** 2

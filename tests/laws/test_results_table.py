@@ -105,7 +105,7 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert lines[0].startswith(
         "study,run,status,plant,seed,excitation,fold,fresh_sets,model,order,hidden_width"
     )
-    assert lines[3].startswith("study,c,failed,,,,,,8,,")
+    assert lines[3].startswith("study,c,failed,,,,,,,8,,")
 
 
 def test_a_value_of_another_type_is_missing(study: Path) -> None:

@@ -90,7 +90,7 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
     for seed in range(100):
         walk = np.cumsum(0.1 * U + np.random.default_rng(seed).standard_normal(SAMPLES))
         found = feedback.runs_away(case(walk, integrating(0.999)).data, closed=False)
-        refused += len(list(found))
+        refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
 
 

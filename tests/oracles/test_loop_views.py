@@ -211,7 +211,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
-    records = mismatch_records(motor(), 3, np.array([0.1]))
+    records = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
     assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
     assert (
         max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
@@ -227,7 +227,7 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
     for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
-    again = mismatch_records(motor(), 3, np.array([0.1]))
+    again = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
 
 
