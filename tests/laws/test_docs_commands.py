@@ -214,7 +214,7 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
     if (
         arguments[0] == "look" and len(arguments) > 1
     ):  # of the log that lies in the clone, not of a study
-        return arguments
+        return [word.replace("FILE", "log.csv") for word in arguments]
     if arguments[1:] in ([], ["--help"]):
         return [arguments[0], "--help"]  # a page speaks of the command, not of a study
     arguments = [word.replace("STUDY", "results/paper") for word in arguments]

@@ -390,7 +390,7 @@ def lie_about_loop(run: Path, topic: str, file: str = "closed_loop.mcap") -> Non
 
 
 def lie_about_reference(run: Path) -> None:
-    """Of one case alone: the reader took that of the first for all."""
+    """Forge the reference of one case alone: the reader took that of the first for all."""
     altered(run, "closed_loop_model.mcap", "/case_1/reference", lambda r: np.add(r, 0.1, out=r))
     sealed_anew(run)
 
