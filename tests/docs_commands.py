@@ -110,6 +110,10 @@ AS_IT_IS = {
     "training_targets.py",
 }
 ELSEWHERE = {  # what a test cannot have, by name
+    "STUDY --only feasibility_map": "needs a study of several runs: test_report_figures draws it",
+    "STUDY --only robustness": "needs a study of several runs: test_report_figures draws it",
+    "STUDY --only peers": "needs a study of several runs: test_report_figures draws it",
+    "-m benchmarks.coverage_by_seed": "a minute a line; its tables are committed",
     "exchanger.csv": "a public record that is not part of the project: docs/data.md",
     "experiment=tclab": "runs where its package is installed: tests/laws/test_extensions.py",
     "ssm-study new": "made, run and judged in tests/laws/test_extensions.py",
