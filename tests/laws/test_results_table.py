@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from report_tables import SCHEMA
 
 from ssm_study.durable import json_bytes
 from ssm_study.engine.records import write_record
@@ -19,18 +20,6 @@ from ssm_study.table.gather import gather, table_of
 from ssm_study.table.rank import ranked
 from ssm_study.table.show import cost_lines, plain_table, show, stage_costs, summary
 
-AGREED = """
-study run status seed order hidden_width slope_lower slope_upper scaffold_in excitation
-rate_controller rate_observer synthesis_method fit_train_percent fit_validation_percent
-fit_test_percent rmse_test input_coverage training_seconds input_slope_lower input_slope_upper
-output_slope_lower output_slope_upper bound_method hankel_largest hankel_smallest spectral_radius
-controller_feasible controller_certified controller_margin controller_rate_limit
-controller_gain_norm observer_feasible observer_certified observer_margin observer_rate_limit
-observer_gain_norm synthesis_seconds initial_conditions stable_count stable_fraction
-settling_time_mean_s settling_time_worst_s settling_time_open_loop_s overshoot_worst input_peak_v
-control_energy empirical_rate certified_bound_violations mismatch_gain mismatch_margin
-resolved_margin controller_radius predicted_stable
-"""
 RECORDS = [
     {
         "run": "a",
@@ -93,7 +82,7 @@ def test_the_agreed_columns_come_first_with_their_types(study: Path) -> None:
     assert {column.name: str(table[column.name].dtype) for column in COLUMNS} == {
         c.name: c.kind for c in COLUMNS
     }
-    assert set(AGREED.split()) <= set(names)  # scripts rely on these
+    assert set(SCHEMA.split()) <= set(names)  # scripts rely on these
 
 
 def test_missing_is_null_and_never_zero(study: Path) -> None:
