@@ -8,21 +8,26 @@ unexport PYTHONDONTWRITEBYTECODE # hundreds of processes would compile every mod
 .PHONY: help install study test docs clean
 
 help:
-	@echo "make study   install what is missing and run the paper's study (conf/experiment/paper.yaml)"
-	@echo "make test    install what is missing, then formatter check, linters, type checker, tests"
+	@echo "make study   install what running needs and run the paper's study (conf/experiment/paper.yaml)"
+	@echo "make test    install the tools too, then formatter check, linters, type checker, tests"
 	@echo "make docs    build the documentation site into site/, warnings are errors"
 	@echo "make clean   remove the environment and every cache (results stay)"
 
 # torch goes first and alone: any looser request pulls gigabytes of GPU packages that a CPU does not need.
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.running: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt torch
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --editable '.[report,export]'
+	@touch $@
+
+# What checks and writes the project, on top of what runs it.
+.venv/.installed: .venv/.running
 	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt --editable '.[dev]'
 	@touch $@
 
 install: .venv/.installed
 
-study: install
+study: .venv/.running
 	$(BIN)/ssm-study run experiment=paper
 
 test: install
