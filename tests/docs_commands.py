@@ -28,7 +28,7 @@ INDENTED = re.compile(rf"^    ({OURS})$", re.M)
 # The rule. The same command with these settings appended (or in place of its own), where its
 # configuration has them;
 # of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for
-# long sweeps.
+# its sweeps.
 SMALL = {
     "model.starts": "1",
     "model.draws": "1",
@@ -185,7 +185,7 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
         return arguments
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
     if "experiment=smoke" in arguments:
-        return words if sum(word.count(",") for word in arguments) > 6 else arguments
+        return words
     if not any(word.startswith(("study=", "experiment=")) for word in words):
         words.append("study=unnamed")  # not into the paper's, of which other pages speak
     config = composed(

@@ -1,6 +1,7 @@
 """Plants, excitations and data specifications from their yaml files, for tests that run over all of
 them."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ def choices(group: str) -> list[str]:
     )
 
 
+@cache
 def from_yaml(group: str, choice: str, *overrides: str) -> Any:
     """The object a study would get for `group=choice`."""
     with initialize_config_dir(str(CONF), version_base="1.3"):

@@ -127,7 +127,8 @@ def test_a_saved_design_verifies_and_loads(design: Design, tmp_path: Path) -> No
 def test_python_control_takes_model_and_controller(design: Design, log: pd.DataFrame) -> None:
     """The linearised pair in python-control's hands settles as fast as `simulate` says of small
     deviations."""
-    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
+    model = design.origin
+    assert model is not None
     inner = model.to_control()
     controller = design.to_control()
     assert inner.dt == controller.dt == STEP_S
@@ -155,8 +156,9 @@ def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
     assert len(st.fit(u, y, STEP_S, *QUICK).data.training) == 2
 
 
-def test_other_channels_than_were_fitted_are_refused(design: Design, log: pd.DataFrame) -> None:
-    model = st.fit(log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK)
+def test_other_channels_than_were_fitted_are_refused(design: Design) -> None:
+    model = design.origin
+    assert model is not None
     u = np.zeros((50, 1))
     y = np.zeros((50, 1))
     for refused, said in (

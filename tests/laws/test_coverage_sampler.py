@@ -3,6 +3,7 @@ something is
 far beyond it."""
 
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,23 +11,29 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 import coverage_samples as sampler
 
+SEEDS = range(6)
+PLANTS = 12  # of each model, at the edge and beyond it
+random_model = cache(sampler.of_random_model)
+
 
 def test_random_models_lose_no_loop_at_the_edge_and_some_beyond() -> None:
-    lost = beyond = loops = 0
+    loops = 0
+    lost = 0
+    beyond = 0
     with np.errstate(all="ignore"):
-        for seed in range(6):
-            found = sampler.of_random_model(seed)
+        for seed in SEEDS:
+            found = random_model(seed)
             if found is None:
                 continue
-            loops += 20
-            lost += found.lost(20, seed, 1.0)
-            beyond += found.lost(20, seed, 6.0)
-    assert loops >= 60
+            loops += PLANTS
+            lost += found.lost(PLANTS, seed, 1.0)
+            beyond += found.lost(PLANTS, seed, 6.0)
+    assert loops >= 3 * PLANTS
     assert lost == 0
     assert beyond > 0
 
 
 def test_equal_seeds_draw_equal_plants() -> None:
-    found = next(filter(None, map(sampler.of_random_model, range(6))))
+    found = next(filter(None, map(random_model, SEEDS)))
     one, other = (found.inputs(3, np.random.default_rng(4), 1.0) for _ in range(2))
     np.testing.assert_array_equal(one, other)

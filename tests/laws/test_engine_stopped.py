@@ -55,13 +55,13 @@ def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
 
 
 PROGRAM = """
-import os, signal, threading
+import os, signal, threading, time
 import numpy as np
 import ssm_study as st
 from pathlib import Path
 def stop():
     while not list(Path(RESULTS).rglob("last.ckpt")):
-        pass
+        time.sleep(0.05)
     os.kill(os.getpid(), signal.SIGTERM)
 threading.Thread(target=stop, daemon=True).start()
 u = np.random.default_rng(0).normal(size=500)
@@ -85,13 +85,13 @@ def test_a_program_that_fits_ends_by_the_signal_it_got(tmp_path: Path) -> None:
 
 
 KEEPING = """
-import os, signal, threading
+import os, signal, threading, time
 import numpy as np
 import ssm_study as st
 from pathlib import Path
 def stop():
     while not list(Path(RESULTS).rglob("last.ckpt")):
-        pass
+        time.sleep(0.05)
     os.kill(os.getpid(), signal.SIGINT)
 threading.Thread(target=stop, daemon=True).start()
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -30,8 +30,8 @@ SMALL = [
 ]
 SMALL += ["synthesis=reserved", "model.order=2", "~loop.comparison", "progress=false"]
 # The command, but for the two figures that a run draws.
-UNDRAWN = "import sys; from ssm_study.cli import endings; from ssm_study.cli.main import main; "
-UNDRAWN += "endings.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
+UNDRAWN = "import sys; from ssm_study.cli import summary; from ssm_study.cli.main import main; "
+UNDRAWN += "summary.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
         "loop.horizon_s=10",
         "loop.initial_conditions=2",
     )
-    design = st.control(st.fit(u, np.array(y), 0.05, *words))
+    design = st.control(st.fit(u, np.array(y), 0.05, *words), *FEW)
     assert design.record["fit_test_percent"] > 90
     assert design.record["spectral_radius"] > 0.999
     assert design.certificate.certified

@@ -21,12 +21,13 @@ Lie = Callable[[Path, dict[str, Any]], None]
 
 def make_run(folder: Path, *words: str) -> Path:
     place = [f"results_dir={folder}", "study=honest", "progress=false"]
-    assert main(["run", "experiment=smoke", *words, *place]) == 0
+    assert main(["run", "experiment=smoke", "+data.trials=false", *words, *place]) == 0
     return next(path.parent for path in (folder / "honest").glob("*/record.json"))
 
 
 @pytest.fixture(scope="module")
-def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def honest(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Path:
+    del made_once
     return make_run(tmp_path_factory.mktemp("results"), "synthesis=riccati")
 
 

@@ -377,6 +377,7 @@ def test_a_finished_run_says_that_its_data_have_changed(
     words += [
         "model=ssm",
         "model.order=2",
+        "training.max_epochs=3",
         "synthesis=riccati",
         "loop.initial_conditions=2",
         "study=log",
