@@ -1,8 +1,8 @@
 """Data sets of logs, read once in a process.
 
-A run asks for its log when it is checked, when its first stage is computed, and when its controller
-is exported. A log that is long takes seconds to read, so the last data sets are remembered, by the
-settings that read them and the content of their files.
+A run asks for its log when it is checked, and again when its first stage is computed; to verify it
+in the same process asks once more. A long log takes seconds to read, so the last data sets are
+remembered, by the settings that read them and the content of their files.
 """
 
 from collections import OrderedDict
