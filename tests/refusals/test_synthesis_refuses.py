@@ -284,7 +284,7 @@ def test_matrices_that_are_not_finite() -> None:
 ILL = st.sampled_from([1e-12, 1e-9, 1e-3, 1.0, 1e6])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), ILL, ILL, ILL, ILL, st.sampled_from([1e-9, 0.3, 1 - 1e-12]))
 def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
     seed: int, gain: float, slope: float, state: float, effort: float, rate: float
