@@ -52,4 +52,12 @@ def limit_threads() -> None:
         os.environ.setdefault(variable, "1")
 
 
+def save_as_run(design: Any, folder: Any) -> Any:
+    """Save a design as the run that the command makes from the same words.
+
+    The package knows both its Python functions and its command; neither imports the other.
+    """
+    return import_module(f"{__name__}.cli.from_python").save_run(design, folder)
+
+
 renamed.install()

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Complex, Float
 
+from ssm_study import save_as_run
 from ssm_study.api.model import Model, Values, draw_or_refuse, html_table
 from ssm_study.api.scratch import new_folder
 from ssm_study.bounds.slopes import certified_balls
@@ -203,9 +204,8 @@ class Design:
         if self.origin is None:
             folder.mkdir(parents=True)
             return self._write_files(folder)
-        from ssm_study.cli.from_python import save_run
-
-        return save_run(self, folder)
+        saved: Path = save_as_run(self, folder)
+        return saved
 
     def summary(self) -> pd.Series:
         """Table of what is proved and what is predicted of the design, with units."""

@@ -16,8 +16,9 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from ssm_study import THREADS, limit_threads
+from ssm_study.cli.browser import open_page
+from ssm_study.cli.exit_status import DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.hydra_errors import advised, refuse_dashes
-from ssm_study.cli.main import DONE, SOME_FAILED, full_or_forbidden, open_page
 from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checked, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
@@ -32,15 +33,10 @@ def refuse_more_threads_than_cores() -> None:
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in THREADS:
-        asked = os.environ[variable]
-        fits = asked.isdigit() and 1 <= int(asked) <= cores
-        require(
-            fits,
-            variable,
-            asked,
-            f"this machine gives {cores} cores",
-            f"set it to a number from 1 to {cores}",
-        )
+        count = os.environ[variable]
+        fits = count.isdigit() and 1 <= int(count) <= cores
+        problem = f"this machine gives {cores} cores"
+        require(fits, variable, count, problem, f"set it to a number from 1 to {cores}")
 
 
 def _warned(
@@ -51,12 +47,9 @@ def _warned(
     line: str | None = None,
 ) -> str:
     """Our own warnings are sentences for the user: without the line of code that gave them."""
-    ours = category.__module__.startswith("ssm_study")
-    return (
-        f"ssm-study: {message}\n"
-        if ours
-        else PYTHONS_WARNING(message, category, filename, lineno, line)
-    )
+    if category.__module__.startswith("ssm_study"):
+        return f"ssm-study: {message}\n"
+    return PYTHONS_WARNING(message, category, filename, lineno, line)
 
 
 def configuration_folder() -> Path:
@@ -77,42 +70,55 @@ def run(overrides: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = ["ssm-study run", *overrides]
     try:
-        if any(word in ("--help", "-h") for word in overrides):
-            Command(overrides, configuration_folder(), "study").help()
-        elif any(word.split("=")[0] in JUST_ASKING for word in overrides):
-            answered = hydra.main(
-                version_base="1.3", config_path=str(configuration_folder()), config_name="study"
-            )
-            answered(lambda _: None)()
-        else:
-            say("reading the request")
-            request = check_request(overrides, configuration_folder(), "study")
-            with checked(request):
-                say("loading the libraries")
-                request.do(_job())
-            if request.config.dry_run:
-                return DONE
-            failed = concluded(request)
-            if opens:
-                show_page(request)
-            return SOME_FAILED if failed else DONE
-        return DONE
+        return answer(overrides, opens)
     except (HydraException, OmegaConfBaseException) as error:
         raise advised(error, overrides, configuration_folder()) from error
     except ValueError as error:
-        # Hydra's own, for a number or null where the name of a choice belongs.
-        if "integer string conversion" in str(error):
-            problem = "holds a number of thousands of digits"
-            raise BadRequest("request", " ".join(overrides), problem, "write it shorter") from error
-        if "Config group override" not in str(error):
+        explanation = explain_value(error, overrides)
+        if explanation is None:
             raise
-        raise advised(error, overrides, configuration_folder()) from error
+        raise explanation from error
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise
         raise full_or_forbidden("results_dir", error) from error
     finally:
         forget()
+
+
+def answer(overrides: list[str], opens: bool) -> int:
+    """Give the help, let Hydra answer, or do what is requested; returns the exit status."""
+    folder = configuration_folder()
+    if any(word in ("--help", "-h") for word in overrides):
+        Command(overrides, folder, "study").help()
+        return DONE
+    if any(word.split("=")[0] in JUST_ASKING for word in overrides):
+        hydra_main = hydra.main(version_base="1.3", config_path=str(folder), config_name="study")
+        hydra_main(lambda _: None)()
+        return DONE
+    say("reading the request")
+    request = check_request(overrides, folder, "study")
+    with checked(request):
+        say("loading the libraries")
+        request.do(_job())
+    if request.config.dry_run:
+        return DONE
+    failed = concluded(request)
+    if opens:
+        show_page(request)
+    return SOME_FAILED if failed else DONE
+
+
+def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
+    """The sentence for Hydra's own errors over a number or null where the name of a choice belongs;
+    None for any other error."""
+    message = str(error)
+    if "integer string conversion" in message:
+        problem = "holds a number of thousands of digits"
+        return BadRequest("request", " ".join(overrides), problem, "write it shorter")
+    if "Config group override" in message:
+        return advised(error, overrides, configuration_folder())
+    return None
 
 
 def say(what: str) -> None:
@@ -137,8 +143,7 @@ def concluded(request: Command) -> bool:
 
 
 def _job() -> Callable[[DictConfig], Any]:
-    # It would look at five thousand modules again and again, and once more when the program ends: 3
-    # s.
+    # It would look at five thousand modules again and again, and once more at the end: 3 s.
     gc.disable()
     from ssm_study.study import line as study
 

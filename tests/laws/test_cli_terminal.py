@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 from report_runs import random_run
 
-from ssm_study.cli import main as cli
-from ssm_study.cli.main import DONE, WRONG_REQUEST, main, may_overwrite
+from ssm_study.cli import commands
+from ssm_study.cli.browser import open_page
+from ssm_study.cli.commands import may_overwrite
+from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate
 from ssm_study.cli.run import say
 from ssm_study.engine.records import write_record
@@ -66,7 +68,7 @@ def test_what_is_not_confirmed_is_not_written(
     run = random_run(tmp_path / "study" / "run", kind="linear", channels=1, seed=0)
     write_record(run, {"status": "ok"})
     monkeypatch.setattr("ssm_study.study.verify.verify", lambda _: type("V", (), {"demand": print}))
-    monkeypatch.setattr(cli, "may_overwrite", lambda _: False)
+    monkeypatch.setattr(commands, "may_overwrite", lambda _: False)
     assert main(["export", str(run), "--to", str(tmp_path / "to")]) == DONE
     assert "nothing written" in capsys.readouterr().out
     assert not (tmp_path / "to").exists()
@@ -77,7 +79,7 @@ def test_what_is_not_confirmed_is_not_written(
 def test_the_page_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
     monkeypatch.setattr(webbrowser, "open", shown.append)
-    cli.open_page(tmp_path / "report.html")
+    open_page(tmp_path / "report.html")
     assert shown == [(tmp_path / "report.html").as_uri()]
     assert translate(["seed=1", "--open"]) == ["seed=1"]
 

@@ -33,7 +33,7 @@ import ssm_study.plants
 import ssm_study.synthesis
 from ssm_study import extensions
 from ssm_study.cli import main as cli
-from ssm_study.cli.main import ACTIONS
+from ssm_study.cli.parser import ACTIONS
 from ssm_study.loop.peers import designs
 from ssm_study.report import figures
 from ssm_study.synthesis.auto import Auto
@@ -229,7 +229,7 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
     ]
     run = (runs or [records[0].parent.name])[0]
     if (
-        ACTIONS[arguments[0]][1] == "run" and arguments[1].count("/") == 1
+        ACTIONS[arguments[0]].subject == "run" and arguments[1].count("/") == 1
     ):  # other pages' commands add runs to it
         arguments[1] += "/RUN"
     return [word.replace("/RUN", f"/{run}") for word in arguments]

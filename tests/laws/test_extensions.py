@@ -14,7 +14,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study import extensions
-from ssm_study.cli.main import main, new
+from ssm_study.cli.main import main
+from ssm_study.cli.new_study import new
 from ssm_study.data import readers
 from ssm_study.data.readers.reader import Reader
 from ssm_study.refusal import BadRequest

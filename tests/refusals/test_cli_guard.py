@@ -14,7 +14,8 @@ import pytest
 import yaml
 
 from ssm_study.certificates.certificate import digest
-from ssm_study.cli.main import ACTIONS, main
+from ssm_study.cli.main import main
+from ssm_study.cli.parser import ACTIONS
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.refusal import BadRequest
@@ -67,9 +68,9 @@ def test_whatever_is_raised_is_one_sentence(
             raise error
 
         if command in ACTIONS:
-            monkeypatch.setitem(ACTIONS, command, (ends, *ACTIONS[command][1:]))
+            monkeypatch.setitem(ACTIONS, command, ACTIONS[command]._replace(function=ends))
         else:
-            named = {"new": "main.new", "excite": "main._excite", "run": "run.run"}[command]
+            named = {"new": "commands.new", "excite": "commands.excite", "run": "run.run"}[command]
             monkeypatch.setattr(f"ssm_study.cli.{named}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")

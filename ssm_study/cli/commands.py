@@ -1,0 +1,201 @@
+"""The commands but `run`: each takes the parsed options and returns an exit status, None for done.
+
+Each imports what it takes when it is given, so that `--help` and refusals load no library of
+numerics.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ssm_study.cli.browser import open_page
+from ssm_study.cli.exit_status import DONE, SOME_FAILED
+from ssm_study.cli.new_study import new
+from ssm_study.refusal import at_least, require
+
+Command = Callable[[argparse.Namespace], int | None]
+EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
+
+
+def act_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
+    """Find the folder of the study or the run that is meant, and give it to the command."""
+    from ssm_study.table import folders
+
+    find_folder = folders.study_folder if subject == "study" else folders.run_folder
+    setattr(options, subject, find_folder(getattr(options, subject)))
+    return action(options)
+
+
+def write_new_study(options: argparse.Namespace) -> None:
+    """Write a study folder and print its files."""
+    print(*new(options.folder), sep="\n")
+
+
+def look_at_log(options: argparse.Namespace) -> None:
+    """Print what is in a log, and draw it where it holds records."""
+    from ssm_study.data.look import look
+
+    log = look(
+        options.file,
+        input=options.input,
+        output=options.output,
+        time=options.time,
+        step_s=options.step_s,
+    )
+    print(log)
+    if log.records:
+        from ssm_study.report.figure_of_a_log import draw_log
+
+        picture = options.picture or Path(f"{options.file.stem}_look.png")
+        draw_log(log).savefig(picture, dpi=150)
+        print(picture)
+
+
+def excite(options: argparse.Namespace) -> None:
+    """Write the input for the user's own plant and print its file."""
+    from ssm_study.data.excitations.user_excitation import OwnPlantRecord
+
+    settings = excitation_settings(options)
+    names = list(OwnPlantRecord.__dataclass_fields__)
+    for name in names:
+        words = f"--{name.replace('_', '-')}"
+        remedy = "give it, or --after RUN of a first log"
+        require(name in settings, words, "not given", "no record is known", remedy)
+    record = OwnPlantRecord(**{name: settings[name] for name in names})
+    print(record.write(options.to))
+
+
+def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
+    """Settings of the excitation: those of the run of a first log, and above them what is given."""
+    settings: dict[str, Any] = {}
+    if options.after is not None:
+        from ssm_study.study.run_files import RunFiles
+        from ssm_study.table.folders import run_folder
+
+        settings |= RunFiles(path=run_folder(options.after), record={}).excitation
+    given_options = {name: value for name, value in vars(options).items() if value is not None}
+    return settings | given_options
+
+
+def gather_study(options: argparse.Namespace) -> None:
+    """Make the table of a study again."""
+    from ssm_study.table.gather import gather
+
+    count = len(gather(options.study, anew=True))
+    print(f"{count} runs in {options.study / 'runs.parquet'}")
+
+
+def show_study(options: argparse.Namespace) -> None:
+    """Print the table of a study."""
+    from ssm_study.table.show import show
+
+    show(
+        options.study,
+        by=options.by,
+        where=options.where,
+        cost=options.cost,
+        columns=options.columns,
+    )
+
+
+def verify_run(options: argparse.Namespace) -> int:
+    """Recompute the claims of a run and print the verdict."""
+    from ssm_study.study.verify import verify
+
+    verified = verify(options.run)
+    print(verified.to_json() if options.json else "\n".join(verified.lines()))
+    return DONE if verified.holds else SOME_FAILED
+
+
+def refine_run(options: argparse.Namespace) -> int:
+    """Refine a run's controller, one line a step."""
+    from ssm_study.cli.summary import conclude_run
+    from ssm_study.study.refine import refine
+
+    at_least(1, "--times", options.times, "use 4 or so")
+    last_config = None
+    for step in refine(options.run, options.record, options.times):
+        print(step.said, flush=True)
+        last_config = step.config or last_config
+    failed = last_config is not None and conclude_run(last_config)
+    return SOME_FAILED if failed else DONE
+
+
+def reproduce_run(options: argparse.Namespace) -> int:
+    """Do a run again and print where the two differ."""
+    from ssm_study.study import line as study
+    from ssm_study.study.reproduce import reproduce
+
+    lines, agrees = reproduce(options.run, study.STUDY.job)
+    print("\n".join(lines))
+    return DONE if agrees else SOME_FAILED
+
+
+def export_controller(options: argparse.Namespace) -> None:
+    """Verify a run, write its controller and print the files."""
+    from ssm_study.export.targets import export
+    from ssm_study.study.verify import verify
+
+    # What is exported claims to be certified: recompute it first.
+    verify(options.run).demand("run", options.run)
+    if not options.yes and not may_overwrite(options.to):
+        print("nothing written")
+        return
+    for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
+        print(path)
+
+
+def may_overwrite(folder: Path) -> bool:
+    """Ask on the terminal whether an earlier export may be replaced; without one it may."""
+    earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
+    if not earlier or not sys.stdin.isatty():
+        return True
+    names = ", ".join(earlier[:4])
+    more = " ..." if len(earlier) > 4 else ""
+    answer = input(f"{folder} holds {names}{more}: overwrite? [y/N] ")
+    return answer.strip().lower() in ("y", "yes")
+
+
+def export_recordings(options: argparse.Namespace) -> None:
+    """Write the loops of all runs into one recording and print its file."""
+    from ssm_study.table.one_recording import export_mcap
+
+    print(export_mcap(options.study))
+
+
+def export_to_mlflow(options: argparse.Namespace) -> None:
+    """Write a study into an MLflow store."""
+    from ssm_study.table.mlflow import export_mlflow
+
+    count = export_mlflow(options.study, options.store)
+    print(f"{count} runs written")
+
+
+def report_study(options: argparse.Namespace) -> None:
+    """Write the page of a study and draw its figures."""
+    from ssm_study.report.figures import draw
+    from ssm_study.report.page.writing import write_page
+
+    try:  # first: after the figures of 20,000 runs it would take 80 MB more
+        if not options.only:
+            page = write_page(options.study, tuple(options.others))
+            print(page, flush=True)
+            if options.open:
+                open_page(page)
+    finally:
+        if not options.others:
+            for path in draw(options.only, options.study, tell=print):
+                print(path)
+
+
+def watch_study(options: argparse.Namespace) -> None:
+    """Serve the page of a study until it is stopped."""
+    from ssm_study.report.page.live import serve
+
+    def announce(address: str) -> None:
+        print(address, flush=True)
+
+    with serve(options.study, options.port, announce=announce) as server:
+        server.serve_forever()

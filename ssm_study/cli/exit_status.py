@@ -1,0 +1,38 @@
+"""How a command ends: its exit status, and the sentence for an error that ended it."""
+
+import errno
+
+from ssm_study.refusal import BadRequest
+
+DONE = 0
+SOME_FAILED = 1
+WRONG_REQUEST = 2
+REMEDIES = {
+    errno.EACCES: "ask its owner for access, or choose a folder of your own",
+    errno.EROFS: "choose a folder that you may write to",
+    errno.ENAMETOOLONG: "choose shorter names",
+}
+
+
+def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
+    """The sentence for a disk that is full or a folder that is not ours; `field` names what was
+    asked."""
+    problem = error.strerror or type(error).__name__
+    remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
+    return BadRequest(field, error.filename or otherwise, problem, remedy)
+
+
+def describe_error(error: Exception, arguments: list[str]) -> BadRequest:
+    """Describe in one sentence the error that ended the command."""
+    command = " ".join(arguments)
+    if isinstance(error, BadRequest):
+        return error
+    if isinstance(error, OSError) and error.filename is not None:
+        return full_or_forbidden("file", error)
+    if isinstance(error, OSError):  # the error of a write does not know its file
+        return full_or_forbidden("command", error, command)
+    cause = f"{type(error).__name__}: {str(error)[:300]}"
+    problem = f"Unexpected error (a bug in ssm-study, please report it): {cause}"
+    rerun = "if files of the study were changed, run it again"
+    remedy = f"{rerun}; SSM_STUDY_TRACEBACK=1 shows the traceback"
+    return BadRequest("command", command, problem, remedy)

@@ -1,0 +1,226 @@
+"""The words that `ssm-study` takes: its commands, their options and their help."""
+
+import argparse
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ssm_study import __version__
+from ssm_study.cli import commands
+from ssm_study.cli.commands import Command
+from ssm_study.cli.overlay import add_overlay
+
+Subparsers = Any  # argparse's own class of them is private
+AddOptions = Callable[[argparse.ArgumentParser], None]
+FIGURE_FILES = (Path(__file__).parents[1] / "report" / "figures").glob("[!_]*.py")
+FIGURES = sorted(path.stem for path in FIGURE_FILES)
+DESCRIPTION = (
+    "Identify a model from data, design a certified output-feedback controller, compare many runs."
+)
+EPILOG = (
+    "Every command takes --with FOLDER: it adds the parts of your own study folder to the choices."
+)
+SUBJECTS = {
+    "study": "the study folder, e.g. results/paper",
+    "run": "the run folder, or the study with the begin or the end of one name: "
+    "results/paper/1a2b3c4d5e",
+}
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Parser of all commands but `run`, whose words Hydra reads."""
+    parser = argparse.ArgumentParser(prog="ssm-study", description=DESCRIPTION, epilog=EPILOG)
+    parser.add_argument("--version", action="version", version=f"ssm-study {__version__}")
+    subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
+    run_help = "do one run, or with -m a sweep; see `ssm-study run --help`"
+    subparsers.add_parser("run", help=run_help, add_help=False)
+    add_new(subparsers)
+    add_excite(subparsers)
+    add_look(subparsers)
+    add_overlay(subparsers)
+    for name, action in ACTIONS.items():
+        add_action(subparsers, name, action)
+    return parser
+
+
+def add_command(subparsers: Subparsers, name: str, summary: str) -> argparse.ArgumentParser:
+    """Add a command whose help and description are the same sentence."""
+    description = summary[0].upper() + summary[1:] + "."
+    command: argparse.ArgumentParser = subparsers.add_parser(
+        name, help=summary, description=description
+    )
+    return command
+
+
+def add_new(subparsers: Subparsers) -> None:
+    """Add `new FOLDER`."""
+    summary = "write a study folder of your own: plant, theorem, figure, test, README"
+    command = subparsers.add_parser("new", help=summary)
+    folder_help = "a folder that does not exist yet"
+    command.add_argument("folder", type=Path, metavar="FOLDER", help=folder_help)
+    command.set_defaults(command=commands.write_new_study)
+
+
+def add_excite(subparsers: Subparsers) -> None:
+    """Add `excite`."""
+    summary = "write an input for your own plant: several amplitudes, each period twice, then rest"
+    command = add_command(subparsers, "excite", summary)
+    file_help = "the CSV file to write: time_s, input"
+    command.add_argument("--to", type=Path, metavar="FILE", required=True, help=file_help)
+    after_help = "the run of a first log: what is not given below is its own"
+    command.add_argument("--after", type=Path, metavar="RUN", help=after_help)
+    command.add_argument("--lower", type=float, metavar="U", help="smallest input, in its unit")
+    command.add_argument("--upper", type=float, metavar="U", help="largest input")
+    rest_help = "the input at which the plant rests"
+    command.add_argument("--rest", type=float, metavar="U", help=rest_help)
+    command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
+    settle_help = "how long the plant takes to come to rest, seconds"
+    command.add_argument("--settle-s", type=float, metavar="S", help=settle_help)
+    seed_help = "seed of the random levels"
+    command.add_argument("--seed", type=int, default=0, metavar="N", help=seed_help)
+    command.set_defaults(command=commands.excite)
+
+
+def add_look(subparsers: Subparsers) -> None:
+    """Add `look FILE`: what is in a log, a picture of it, and the command that fits it."""
+    summary = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"
+    command = add_command(subparsers, "look", summary)
+    command.add_argument("file", type=Path, metavar="FILE", help="the log")
+    for name in ("input", "output", "time"):
+        command.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
+    command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
+    picture_help = "where to draw it (FILE.png)"
+    command.add_argument("--picture", type=Path, metavar="PNG", help=picture_help)
+    command.set_defaults(command=commands.look_at_log)
+
+
+class Action(NamedTuple):
+    """A command on a study or on a run: what does it, on which of the two, and its help."""
+
+    function: Command
+    subject: str
+    summary: str
+    add_options: AddOptions | None = None
+
+
+def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
+    """Add a command on a folder, which is looked for before the command is given it."""
+    command = add_command(subparsers, name, action.summary)
+    subject = action.subject
+    command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
+    function = partial(commands.act_on_folder, action.function, subject)
+    command.set_defaults(command=function)
+    if action.add_options is not None:
+        action.add_options(command)
+
+
+def add_show_options(command: argparse.ArgumentParser) -> None:
+    by_help = "sort by this column of runs.csv, in its better direction"
+    command.add_argument("--by", metavar="COLUMN", help=by_help)
+    where_help = "keep runs for which this holds, e.g. 'order == 8 and seed < 5'"
+    command.add_argument("--where", metavar="EXPR", help=where_help)
+    columns_help = "list the columns that hold values, with unit and meaning"
+    command.add_argument("--columns", action="store_true", help=columns_help)
+    cost_help = "how long each stage took, and what reuse saved"
+    command.add_argument("--cost", action="store_true", help=cost_help)
+
+
+def add_verify_options(command: argparse.ArgumentParser) -> None:
+    json_help = "for machines: every claim, and what was not checked"
+    command.add_argument("--json", action="store_true", help=json_help)
+
+
+def add_refine_options(command: argparse.ArgumentParser) -> None:
+    record_help = "log of a trial, with the columns of the run's data"
+    command.add_argument("--record", type=Path, metavar="LOG", help=record_help)
+    times_help = "stop after N iterations, each a run (4)"
+    command.add_argument("--times", type=int, default=4, metavar="N", help=times_help)
+
+
+def add_export_options(command: argparse.ArgumentParser) -> None:
+    folder_help = "the folder to write into"
+    command.add_argument("--to", type=Path, required=True, metavar="DIR", help=folder_help)
+    real_help = "floats of the C code: double (default) or float"
+    command.add_argument("--real", default="double", metavar="TYPE", help=real_help)
+    yes_help = "replace an earlier export without asking"
+    command.add_argument("--yes", action="store_true", help=yes_help)
+    prefix_help = "what the names of the C code begin with"
+    command.add_argument("--prefix", default="controller", metavar="NAME", help=prefix_help)
+
+
+def add_report_options(command: argparse.ArgumentParser) -> None:
+    others_help = "further studies to show on the same page"
+    command.add_argument("others", nargs="*", type=Path, metavar="STUDY", help=others_help)
+    only_help = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
+    command.add_argument("--only", action="append", metavar="NAME", help=only_help)
+    command.add_argument("--open", action="store_true", help="show the page in the browser")
+
+
+def add_watch_options(command: argparse.ArgumentParser) -> None:
+    port_help = "local port (0: any free one)"
+    command.add_argument("--port", type=int, default=8420, metavar="PORT", help=port_help)
+
+
+def add_mlflow_options(command: argparse.ArgumentParser) -> None:
+    store_help = "address (default: sqlite:///STUDY/mlflow.db)"
+    command.add_argument("--store", metavar="ADDRESS", help=store_help)
+
+
+ACTIONS = {
+    "gather": Action(
+        commands.gather_study, "study", "(re)build runs.parquet and runs.csv of a study folder"
+    ),
+    "show": Action(
+        commands.show_study,
+        "study",
+        "print the study's table, best first; failures with reasons",
+        add_show_options,
+    ),
+    "verify": Action(
+        commands.verify_run,
+        "run",
+        "recompute every claim of a run from its files alone",
+        add_verify_options,
+    ),
+    "refine": Action(
+        commands.refine_run,
+        "run",
+        "measure the mismatch in closed loop, choose the controller again, run it",
+        add_refine_options,
+    ),
+    "reproduce": Action(
+        commands.reproduce_run,
+        "run",
+        "do a run again from its configuration and compare every number",
+    ),
+    "export": Action(
+        commands.export_controller,
+        "run",
+        "write the controller in C, as ONNX and for python-control",
+        add_export_options,
+    ),
+    "report": Action(
+        commands.report_study,
+        "study",
+        "draw the figures of a study into its folder and write its page, report.html",
+        add_report_options,
+    ),
+    "watch": Action(
+        commands.watch_study,
+        "study",
+        "serve the report page on a local port while a sweep runs; it reloads itself",
+        add_watch_options,
+    ),
+    "export-mcap": Action(
+        commands.export_recordings,
+        "study",
+        "write the closed loops of all runs into one recording, for Foxglove",
+    ),
+    "export-mlflow": Action(
+        commands.export_to_mlflow,
+        "study",
+        "write a finished study into an MLflow store (extra mlflow)",
+        add_mlflow_options,
+    ),
+}
