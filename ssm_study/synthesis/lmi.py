@@ -56,20 +56,19 @@ class CompiledLmi:
         p = cp.Variable((n, n), symmetric=True)
         x = cp.Variable((m, n))
         y = cp.Variable((n, n)) if full else p
-        self.parts: dict[str, Any] = {"p": p, "y": y, "x": x, "sigma": cp.Variable(nonneg=True)}
-        self.parts |= {
-            "rate": cp.Parameter(),
-            "alpha": cp.Parameter(),
-            "beta": cp.Parameter(nonneg=True),
-        }
-        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=a, b=b, **self.parts))
+        parts: dict[str, Any] = {"p": p, "y": y, "x": x}
+        parts["sigma"] = cp.Variable(nonneg=True)
+        parts["rate"] = cp.Parameter()
+        parts["alpha"] = cp.Parameter()
+        parts["beta"] = cp.Parameter(nonneg=True)
+        self.parts = parts
+        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=a, b=b, **parts))
         if objective == "smallest_gain":
             goal, constraints = _smallest_gain(upper, p, y, x)
         else:
             root = np.real(scipy.linalg.sqrtm(state_weight))
-            goal, constraints = goal_and_constraints(
-                objective, upper, p, 1, [root @ y, np.sqrt(input_weight) * x]
-            )
+            performance = [root @ y, np.sqrt(input_weight) * x]
+            goal, constraints = goal_and_constraints(objective, upper, p, 1, performance)
         self.problem = cp.Problem(cp.Minimize(goal), constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
@@ -93,7 +92,9 @@ def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expr
     matrix = cp.bmat(full(upper))
     g = cp.Variable(nonneg=True)
     bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
-    return g, [matrix >> STRICTNESS * np.eye(matrix.shape[0]), p >> np.eye(p.shape[0]), bound >> 0]
+    is_strict = matrix >> STRICTNESS * np.eye(matrix.shape[0])
+    is_scaled = p >> np.eye(p.shape[0])
+    return g, [is_strict, is_scaled, bound >> 0]
 
 
 @lru_cache(maxsize=4)
@@ -123,15 +124,17 @@ class LmiSynthesis(Synthesis):
 
     def solve(self, problem: Problem) -> Solution:
         if problem.neurons is None:
-            one = np.eye(len(problem.a))
-            weight = problem.state_weight if self.objective == "guaranteed_cost" else one
+            order = len(problem.a)
+            has_weight = self.objective == "guaranteed_cost"
+            weight = problem.state_weight if has_weight else np.eye(order)
             data = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
-            compiled = _compiled(data, len(one), self.objective, self.full, problem.input_weight)
+            compiled = _compiled(data, order, self.objective, self.full, problem.input_weight)
             return compiled.solve(problem, self.solver)
         from ssm_study.synthesis.structured_lmi import StructuredLmi  # which solves by this module
 
         objective = "guaranteed_cost" if self.objective == "smallest_gain" else self.objective
-        return StructuredLmi(problem=problem, objective=objective).solve(problem.rate, self.solver)
+        program = StructuredLmi(problem=problem, objective=objective)
+        return program.solve(problem.rate, self.solver)
 
 
 def paper_lmi(
@@ -143,20 +146,19 @@ def paper_lmi(
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.
     """
-    asked: Any = {
-        "rate_controller": rate,
-        "rate_observer": rate,
-        "objective": "feasibility",
-        "full": True,
-    }
-    method = LmiSynthesis(**asked)
-    started = time.perf_counter()
-    limit = Frontier(contraction_limit=0.0, decided_by="not asked")
-    request = DesignAttempt(
-        theorem=theorem, rate=rate, ball=ball, frontier=limit, method=method.method, started=started
+    method = LmiSynthesis(
+        rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
+    )
+    attempt = DesignAttempt(
+        theorem=theorem,
+        rate=rate,
+        ball=ball,
+        frontier=Frontier(contraction_limit=0.0, decided_by="not asked"),
+        method=method.method,
+        started=time.perf_counter(),
     )
     try:
         problem = method.problem(linear, ball, theorem.observes)
-        return request.verified(problem, method.solve(problem))
+        return attempt.verified(problem, method.solve(problem))
     except (NoSolution, BadRequest) as error:
-        return request.infeasible("the solver returned no matrices", str(error))
+        return attempt.infeasible("the solver returned no matrices", str(error))

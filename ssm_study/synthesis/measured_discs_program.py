@@ -58,24 +58,33 @@ class LoopForms:
         of, counts = loop_without_filters(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
-        names = [(name, i) for name, count in counts.items() for i in range(count)]
-        deviations = {c: rows.e - c * rows.m for c in centres}
+        names = []
+        for name, count in counts.items():
+            names += [(name, i) for i in range(count)]
+        centred = {}
+        for c in centres:
+            deviation = rows.e - c * rows.m
+            centred[c] = deviation.T @ deviation
+        multipliers = [_form_of(theorem, of, counts, *name) for name in names]
         return cls(
             a=rows.step[:, :order],
             b=rows.step[:, order:],
             model=rows.m.T @ rows.m,
             input=rows.u.T @ rows.u,
-            centred={c: row.T @ row for c, row in deviations.items()},
-            multipliers=np.stack([_form_of(theorem, of, counts, *name) for name in names]),
+            centred=centred,
+            multipliers=np.stack(multipliers),
             names=tuple(names),
         )
 
     def at(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
         """Each form over the free signals alone, at each angle."""
-        order = len(self.a)
-        shifted = np.exp(1j * angles)[:, None, None] * np.eye(order) - self.a
-        to_state = np.linalg.solve(shifted, np.broadcast_to(self.b, (len(angles), *self.b.shape)))
-        free = np.broadcast_to(np.eye(self.b.shape[1]), (len(angles), *(self.b.shape[1],) * 2))
+        order, free_signals = self.b.shape
+        count = len(angles)
+        z = np.exp(1j * angles)[:, None, None]
+        shifted = z * np.eye(order) - self.a
+        inputs = np.broadcast_to(self.b, (count, order, free_signals))
+        to_state = np.linalg.solve(shifted, inputs)
+        free = np.broadcast_to(np.eye(free_signals), (count, free_signals, free_signals))
         signals = np.concatenate([to_state, free], axis=1)
         adjoint = np.conj(signals.transpose(0, 2, 1))
         return FormsAtAngles(
@@ -92,7 +101,8 @@ class LoopForms:
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
-        around = own + width * np.array([-1.0, -0.3, 0.0, 0.3, 1.0])[:, None]
+        shares = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])
+        around = own + width * shares[:, None]
         return np.union1d(GRID, np.clip(around, 0.0, np.pi))
 
 
@@ -140,9 +150,8 @@ def _form_of(
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
-    forms = [
-        multiplier * form for multiplier, form in theorem.map_forms(alone, theorem.signals(alone))
-    ]
+    pairs = theorem.map_forms(alone, theorem.signals(alone))
+    forms = [multiplier * form for multiplier, form in pairs]
     return np.asarray(np.sum(forms, axis=0))
 
 
@@ -173,10 +182,12 @@ class ConeProgram:
         """The solution; raises `NoSolution` with the solver's word where there is none."""
         import clarabel  # slow to load
 
-        rows = [-row for row in self.rows] + [-linear.T for _, linear in self.blocks]
-        right = [-bound for bound in self.bounds] + [constant for constant, _ in self.blocks]
+        rows = [-row for row in self.rows]
+        right = [-bound for bound in self.bounds]
         cones: list[Any] = [clarabel.NonnegativeConeT(sum(map(len, self.bounds)))]
-        for constant, _ in self.blocks:
+        for constant, linear in self.blocks:
+            rows.append(-linear.T)
+            right.append(constant)
             side = round((float(np.sqrt(8 * len(constant) + 1)) - 1) / 2)
             cones.append(clarabel.PSDTriangleConeT(side))
         settings = clarabel.DefaultSettings()
@@ -184,11 +195,11 @@ class ConeProgram:
         settings.max_iter = 120
         settings.tol_gap_rel = settings.tol_gap_abs = accuracy
         settings.tol_feas = accuracy
-        quadratic = scipy.sparse.csc_matrix((self.unknowns, self.unknowns))
+        no_quadratic = scipy.sparse.csc_matrix((self.unknowns, self.unknowns))
+        linear_cost = np.asarray(cost, dtype=float)
         matrix = scipy.sparse.csc_matrix(np.concatenate(rows))
-        solver = clarabel.DefaultSolver(
-            quadratic, np.asarray(cost, dtype=float), matrix, np.concatenate(right), cones, settings
-        )
+        bound = np.concatenate(right)
+        solver = clarabel.DefaultSolver(no_quadratic, linear_cost, matrix, bound, cones, settings)
         solution = solver.solve()
         status = str(solution.status)
         if status not in ("Solved", "AlmostSolved"):
@@ -255,9 +266,10 @@ def _spread(count: int, some: int) -> list[int]:
 def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
     """Where a value below `below` is no larger than its neighbours, the smallest first."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
-    least = (padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:]) & (values < below)
-    found = np.flatnonzero(least)
-    return [int(k) for k in found[np.argsort(values[found])]]
+    no_larger_than_left = values <= padded[:-2]
+    no_larger_than_right = values <= padded[2:]
+    minima = np.flatnonzero(no_larger_than_left & no_larger_than_right & (values < below))
+    return [int(k) for k in minima[np.argsort(values[minima])]]
 
 
 def normalised(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:

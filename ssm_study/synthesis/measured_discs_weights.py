@@ -70,7 +70,9 @@ class WeightBasis:
 
     def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
         """One, and `2 cos(j w)`."""
-        rows = [np.ones(len(angles)), *(2 * np.cos(j * angles) for j in range(1, self.order + 1))]
+        rows = [np.ones(len(angles))]
+        for j in range(1, self.order + 1):
+            rows.append(2 * np.cos(j * angles))
         return np.stack(rows)
 
     def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
@@ -136,8 +138,9 @@ class WeightProgram:
     def linear(self) -> Any:
         """The matrix of each unknown but nu, at each angle."""
         phi = self.basis.at(self.grid.angles)[:, :, None, None]
-        parts = [-phi * self.grid.model, -phi * self.grid.input, self.grid.multipliers]
-        return np.concatenate(parts)
+        of_x = -phi * self.grid.model
+        of_y = -phi * self.grid.input
+        return np.concatenate([of_x, of_y, self.grid.multipliers])
 
     def item_rows(self) -> Float[np.ndarray, "I n"]:
         """`sum over an item's lines of (X model + Y input) / seen` by the coefficients x, y."""
@@ -157,71 +160,106 @@ class WeightProgram:
         least = np.full(len(CIRCLE), self.centre**2 * (1 + ROOM))
         on_x = np.hstack([clear, none])
         on_y = np.hstack([none, clear])
-        return np.concatenate([on_x, on_y]), np.concatenate([least, np.zeros(len(CIRCLE))])
+        rows = np.concatenate([on_x, on_y])
+        bounds = np.concatenate([least, np.zeros(len(CIRCLE))])
+        return rows, bounds
 
     def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
         """The largest nu, and x, y, multipliers; raises `NoSolution`."""
         linear = self.linear
         scale = normalised(linear)
         count = len(scale)
-        weights = 2 * (self.basis.order + 1)
-        rows_xy, least_xy = self.weight_rows()
-        seen = self.item_rows()
-        top = np.zeros((len(seen) + len(rows_xy), 1 + count))
-        top[: len(seen), 0] = -1.0
-        top[:, 1 : 1 + weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
-        bottom = np.zeros((2 * (count - weights) + 1, 1 + count))
-        bottom[: count - weights, 1 + weights :] = np.eye(count - weights)
-        bottom[count - weights : -1, 1 + weights :] = -np.eye(count - weights)
-        bottom[-1, 0] = -1.0
-        most = np.full(count - weights, -MOST)
-        last = np.array([-LARGEST])
-        bounds = [np.zeros(len(seen)), least_xy, np.zeros(count - weights), most, last]
+        rows, bounds = self._rows_with_nu(scale)
         program = AngleProgram(
             constant=self.grid.centred[self.centre],
-            linear=np.concatenate([np.zeros_like(linear[:1]), linear / scale[:, None, None, None]]),
-            rows=np.concatenate([top, bottom]),
-            bounds=np.concatenate(bounds),
+            linear=np.concatenate([np.zeros_like(linear[:1]), in_units(linear, scale)]),
+            rows=rows,
+            bounds=bounds,
         )
         goal = np.zeros(1 + count)
         goal[0] = 1.0
         x, _ = program.maximise(goal, self.accuracy)
         return float(x[0]), x[1:] / scale
 
+    @property
+    def weight_count(self) -> int:
+        """How many coefficients both weights have together."""
+        return 2 * (self.basis.order + 1)
+
+    def _rows_with_nu(
+        self, scale: Float[np.ndarray, "n"]
+    ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"]]:
+        """Rows on nu, x, y and the multipliers, and their bounds.
+
+        Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
+        and at most `MOST`; nu is at most `LARGEST`.
+        """
+        weights = self.weight_count
+        multipliers = len(scale) - weights
+        rows_xy, least_xy = self.weight_rows()
+        seen = self.item_rows()
+        on_weights = np.concatenate([seen, rows_xy]) / scale[:weights]
+        top = np.zeros((len(on_weights), 1 + len(scale)))
+        top[: len(seen), 0] = -1.0
+        top[:, 1 : 1 + weights] = on_weights
+        one = np.eye(1 + len(scale))
+        at_least_zero = one[1 + weights :]
+        at_most = -at_least_zero
+        nu_at_most = -one[:1]
+        rows = np.concatenate([top, at_least_zero, at_most, nu_at_most])
+        zeros = np.zeros(multipliers)
+        most = np.full(multipliers, -MOST)
+        largest_nu = np.array([-LARGEST])
+        bounds = [np.zeros(len(seen)), least_xy, zeros, most, largest_nu]
+        return rows, np.concatenate(bounds)
+
     def widened(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
         """At a fixed nu the weights that are widest beyond what records show, each band up to
         `WIDEST`; a margin of `room` times each free signal's own weight is left in the loop."""
-        weights = 2 * (self.basis.order + 1)
-        own = own_weights(self.forms, self.centre, np.maximum(unknowns[weights:], 0.0))
+        multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
+        own = own_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
         linear = self.linear * units
         scale = normalised(linear)
-        count = len(scale)
+        rows, bounds, bands = self._rows_with_bands(scale, nu)
+        none = np.zeros((bands, *linear.shape[1:]))
+        program = AngleProgram(
+            constant=self.grid.centred[self.centre] * units - room * np.eye(len(own)),
+            linear=np.concatenate([in_units(linear, scale), none]),
+            rows=rows,
+            bounds=bounds,
+        )
+        goal = np.concatenate([np.zeros(len(scale)), np.ones(bands)])
+        x, _ = program.maximise(goal, self.accuracy)
+        return np.asarray(x[: len(scale)] / scale)
+
+    def _rows_with_bands(
+        self, scale: Float[np.ndarray, "n"], nu: float
+    ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
+        """Rows on x, y, the multipliers and a widening of each band; their bounds; how many bands.
+
+        Each item needs its band's widening times nu at most; a widening lies between one and
+        `WIDEST`.
+        """
+        weights = self.weight_count
+        multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         seen = self.item_rows()
         bands = sorted({item.place for item in self.items})
-        place = [bands.index(item.place) for item in self.items]
-        total = count + len(bands)
-        rows = np.zeros((len(seen) + len(rows_xy), total))
-        rows[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
-        rows[np.arange(len(seen)), count + np.array(place)] = -nu
-        right = np.concatenate([np.zeros(len(seen)), least_xy])
-        ends = np.concatenate([np.eye(total)[weights:], -np.eye(total)[weights:]])
-        least = np.concatenate([np.zeros(count - weights), np.ones(len(bands))])
-        most = np.concatenate([np.full(count - weights, MOST), np.full(len(bands), WIDEST)])
-        none = np.zeros((len(bands), *linear.shape[1:]))
-        program = AngleProgram(
-            constant=self.grid.centred[self.centre] * units - room * np.eye(len(own)),
-            linear=np.concatenate([linear / scale[:, None, None, None], none]),
-            rows=np.concatenate([rows, ends]),
-            bounds=np.concatenate([right, least, -most]),
-        )
-        goal = np.concatenate([np.zeros(count), np.ones(len(bands))])
-        x, _ = program.maximise(goal, self.accuracy)
-        return np.asarray(x[:count] / scale)
+        band_of_item = np.array([bands.index(item.place) for item in self.items])
+        total = len(scale) + len(bands)
+        top = np.zeros((len(seen) + len(rows_xy), total))
+        top[:, :weights] = np.concatenate([seen, rows_xy]) / scale[:weights]
+        top[np.arange(len(seen)), len(scale) + band_of_item] = -nu
+        one = np.eye(total)[weights:]
+        rows = np.concatenate([top, one, -one])
+        least = np.concatenate([np.zeros(multipliers), np.ones(len(bands))])
+        most = np.concatenate([np.full(multipliers, MOST), np.full(len(bands), WIDEST)])
+        bounds = np.concatenate([np.zeros(len(seen)), least_xy, least, -most])
+        return rows, bounds, len(bands)
 
     def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
         """Filters of the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
@@ -232,10 +270,14 @@ class WeightProgram:
         floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
         if floor == 0:
             floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
-        left = x - floor**2 * autocorrelation(self.basis.poles, size)
-        return Weights(
-            floor=float(floor), output=self.basis.filter(left), input=self.basis.filter(y)
-        )
+        above_floor = x - floor**2 * autocorrelation(self.basis.poles, size)
+        output = self.basis.filter(above_floor)
+        return Weights(floor=float(floor), output=output, input=self.basis.filter(y))
+
+
+def in_units(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
+    """The matrices of the unknowns, each divided by its size."""
+    return forms / scale[:, None, None, None]
 
 
 def autocorrelation(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:

@@ -41,6 +41,7 @@ Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrore
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -54,13 +55,8 @@ from ssm_study.systems import JacobianBall
 
 # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most
 FASTEST = 0.5
-SHARES = (
-    0.5,
-    0.2,
-    0.8,
-    0.05,
-    0.95,
-)  # of the room (in log r) to the frontier at which the gain is built, in order
+# Of the room (in log r) to the frontier at which the gain is built, in order.
+SHARES = (0.5, 0.2, 0.8, 0.05, 0.95)
 # The same with the metric of the whole model, where the block-diagonal one needs more digits than
 # floats have. The theorem is homogeneous in (P, Y, X, sigma): each scale rounds the same matrices
 # to other floats, and where one in five of these is positive definite, the exact verdict picks it.
@@ -81,24 +77,26 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
     root = energy_root(ah, bh)
     b_balanced = scipy.linalg.solve_triangular(root, bh, lower=True)
     energy = b_balanced.T @ b_balanced
-    k0_root = -np.linalg.solve(
-        np.eye(m) + energy, b_balanced.T @ scipy.linalg.solve_triangular(root, ah, lower=True)
-    )
+    a_balanced = scipy.linalg.solve_triangular(root, ah, lower=True)
+    k0_root = -np.linalg.solve(np.eye(m) + energy, b_balanced.T @ a_balanced)
     delta = ball.relative_radius
     widest = 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
     k = k0_root @ modes.left[: modes.fast] / ((1 - delta**2) * ball.alpha)
-    return FastGain(k=k, p=(1 / delta**2 - 1) * root @ root.T if delta > 0 else root @ root.T)
+    if not delta > 0:
+        return FastGain(k=k, p=root @ root.T)
+    return FastGain(k=k, p=(1 / delta**2 - 1) * root @ root.T)
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
     """Every share of the room with the cheap metric, then with the metric of the whole model."""
-    cheap = [partial(minimum_energy_solution, problem, share) for share in SHARES]
-    whole = [
-        partial(whole_solution, problem, share, scale) for scale in SCALES for share in WHOLE_SHARES
-    ]
-    return [*cheap, *whole]
+    attempts: list[Callable[[], Solution]] = []
+    for share in SHARES:
+        attempts.append(partial(minimum_energy_solution, problem, share))
+    for scale, share in product(SCALES, WHOLE_SHARES):
+        attempts.append(partial(whole_solution, problem, share, scale))
+    return attempts
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
@@ -111,9 +109,8 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
     """
     modes, fast, faster = _gain_at(problem, share)
     p = with_slow_modes(problem, modes, fast)
-    return Solution(
-        p=p, y=p, k=fast.k, sigma=1.0, status=f"minimum energy at rate {1 - faster**2:.6g}"
-    )
+    status = f"minimum energy at rate {1 - faster**2:.6g}"
+    return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
 
 
 def whole_solution(problem: Problem, share: float, scale: float) -> Solution:

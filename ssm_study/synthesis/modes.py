@@ -16,15 +16,13 @@ from ssm_study.certificates.riccati import least_metric
 from ssm_study.certificates.theorem import margin
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
-SLOW_WEIGHTS = np.geomspace(
-    1e4, 1e-14, 19
-)  # of the slow modes' metric: from dominating to negligible beside the fast
+# Of the slow modes' metric: from dominating to negligible beside the fast.
+SLOW_WEIGHTS = np.geomspace(1e4, 1e-14, 19)
 GOOD_SHARE = 0.3
 # the inequality is solved this share of the way (in log r) from the gain's rate to the asked one
 BETWEEN = 0.3
-SLOW_FLOOR = (
-    1e-8  # directions of the slow modes that the input hardly reaches keep this share of the mean
-)
+# Directions of the slow modes that the input hardly reaches keep this share of the mean.
+SLOW_FLOOR = 1e-8
 ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 
@@ -62,10 +60,12 @@ def split_modes(
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
     cannot be told apart.
     """
+
+    def is_fast(real: float, imaginary: float) -> bool:
+        return bool(np.hypot(real, imaginary) > contraction)
+
     try:
-        t, z, k = scipy.linalg.schur(
-            a.T, output="real", sort=lambda re, im: np.hypot(re, im) > contraction
-        )
+        t, z, k = scipy.linalg.schur(a.T, output="real", sort=is_fast)
     except np.linalg.LinAlgError as error:
         raise NoSolution("fast and slow modes cannot be separated") from error
     lower = t.T  # z^T A z, block lower triangular
@@ -95,29 +95,25 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     ah = modes.a_slow / problem.contraction
     if not np.abs(np.linalg.eigvals(ah)).max() < 1:
         raise NoSolution(ON_CIRCLE)
-    slow = symmetric(np.linalg.inv(scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))))
+    lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
+    slow = symmetric(np.linalg.inv(lyapunov_metric))
     k = fast.k @ modes.right
     a = modes.left @ problem.a @ modes.right
     b = modes.left @ problem.b
     candidates = [scipy.linalg.block_diag(fast.p, slow / weight) for weight in SLOW_WEIGHTS]
-    told = {
-        "alpha": problem.ball.alpha,
-        "beta": problem.ball.beta,
-        "rate": problem.rate,
-        "sigma": 1.0,
-    }
-    conditions = [
-        StateFeedbackOfBall.as_floats(a=a, b=b, k=k, p=p, y=p, **told) for p in candidates
-    ]
-    margins = [margin(found["inequality"]) for found in conditions]
-    if not max(margins) > 0:
+    ball = problem.ball
+    numbers = {"alpha": ball.alpha, "beta": ball.beta, "rate": problem.rate, "sigma": 1.0}
+    margins = []
+    for p in candidates:
+        conditions = StateFeedbackOfBall.as_floats(a=a, b=b, k=k, p=p, y=p, **numbers)
+        margins.append(margin(conditions["inequality"]))
+    best = max(margins)
+    if not best > 0:
         raise NoSolution("no metric of this form holds in floats")
-    chosen = next(
-        p
-        for p, reached in zip(candidates, margins, strict=True)
-        if reached >= max(margins) * GOOD_SHARE
-    )
-    return symmetric(modes.right @ chosen @ modes.right.T)
+    good = [
+        p for p, reached in zip(candidates, margins, strict=True) if reached >= best * GOOD_SHARE
+    ]
+    return symmetric(modes.right @ good[0] @ modes.right.T)
 
 
 def whole_metric(
@@ -133,9 +129,9 @@ def whole_metric(
         raise NoSolution("no fast modes: nothing to couple")
     scale = _scale(problem, modes, faster)
     between = float(faster * (problem.contraction / faster) ** BETWEEN)
-    return least_metric(
-        problem, fast.k, between, modes.right @ scale, np.linalg.solve(scale, modes.left)
-    )
+    right = modes.right @ scale
+    left = np.linalg.solve(scale, modes.left)
+    return least_metric(problem, fast.k, between, right, left)
 
 
 def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:

@@ -27,11 +27,20 @@ def goal_and_constraints(
         one = np.eye(matrix.shape[0])
         if objective == "feasibility":
             return cp.Constant(0), [matrix >> one]
-        return -t, [matrix >> t * one, cp.trace(matrix) == len(one)]
+        has_fixed_trace = cp.trace(matrix) == len(one)
+        return -t, [matrix >> t * one, has_fixed_trace]
+    bordered = cp.bmat(full(_bordered(upper, at, performance)))
+    one = np.eye(p.shape[0])
+    z = cp.Variable(p.shape, symmetric=True)
+    exceeds_inverse = cp.bmat([[z, one], [one, p]]) >> 0
+    return cp.trace(z), [bordered >> 0, exceeds_inverse]
+
+
+def _bordered(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
+    """Upper triangle with rows of performance below it, coupled to block `at`."""
     zeros: list[Any] = [0] * len(performance)
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]
-    bordered += [[np.eye(rows.shape[0]), *zeros[i + 1 :]] for i, rows in enumerate(performance)]
-    one = np.eye(p.shape[0])
-    z = cp.Variable(p.shape, symmetric=True)
-    return cp.trace(z), [cp.bmat(full(bordered)) >> 0, cp.bmat([[z, one], [one, p]]) >> 0]
+    for i, rows in enumerate(performance):
+        bordered.append([np.eye(rows.shape[0]), *zeros[i + 1 :]])
+    return bordered

@@ -27,9 +27,8 @@ from ssm_study.synthesis.structured_riccati import logs_of, without_ball
 
 Rows = Float[np.ndarray, "_ _"]
 
-INSIDE = (
-    1e-3  # how far below the largest rate of given gains a certificate is stored, as a share of it
-)
+# How far below the largest rate of given gains a certificate is stored, as a share of it.
+INSIDE = 1e-3
 RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
@@ -45,32 +44,36 @@ class StructuredLmi:
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
         self.problem = problem
         self.fixed = fixed
-        neurons, ball, (n, m) = problem.of_neurons.scaled(), problem.ball, problem.b.shape
-        k = cp.Parameter((m, n), value=None if fixed is None else fixed.k)
-        self.of = of = SimpleNamespace(
-            p=(p := cp.Variable((n, n), symmetric=True)),
-            x=cp.Variable((m, n)) if fixed is None else k @ p,
-            k=k,
-            t=cp.Variable(neurons.e.shape[1]),
-            sigma=cp.Variable() if ball.beta > 0 else 0.0,
-            rate=cp.Parameter(),
-            alpha=ball.alpha,
-            beta=ball.beta,
-        )
-        upper, rows = self._inequality(of, neurons)
-        if ball.beta == 0:  # without those of its multiplier
-            rows = [i for i in range(len(upper)) if i not in rows]
-            upper = [[upper[i][j - i] for j in rows if j >= i] for i in rows]
+        neurons = problem.of_neurons.scaled()
+        self.of = self._unknowns(neurons)
+        upper, multiplier_rows = self._inequality(self.of, neurons)
+        if problem.ball.beta == 0:
+            upper = _without_rows(upper, multiplier_rows)
         root = np.real(scipy.linalg.sqrtm(problem.state_weight))
-        weighted = [root @ p, np.sqrt(problem.input_weight) * of.x]
-        goal, constraints = goal_and_constraints(
-            objective, upper, p, len(upper) - 1 if neurons.observes else 0, weighted
-        )
+        weighted_state = root @ self.of.p
+        weighted_input = np.sqrt(problem.input_weight) * self.of.x
+        performance = [weighted_state, weighted_input]
+        at = len(upper) - 1 if neurons.observes else 0
+        goal, constraints = goal_and_constraints(objective, upper, self.of.p, at, performance)
         self.program = cp.Problem(cp.Minimize(goal), constraints)
+
+    def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
+        """Variables and parameters by the letters of the theorem, with the ball's numbers."""
+        n, m = self.problem.b.shape
+        ball = self.problem.ball
+        of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
+        of.k = cp.Parameter((m, n), value=None if self.fixed is None else self.fixed.k)
+        of.p = cp.Variable((n, n), symmetric=True)
+        of.x = cp.Variable((m, n)) if self.fixed is None else of.k @ of.p
+        of.t = cp.Variable(neurons.e.shape[1])
+        of.sigma = cp.Variable() if ball.beta > 0 else 0.0
+        of.rate = cp.Parameter()
+        return of
 
     def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
         """The theorem's, and the rows of the ball's multiplier."""
-        (q, m), t = neurons.g.shape, cp.diag(of.t)
+        q, m = neurons.g.shape
+        t = cp.diag(of.t)
         data = {
             "a": self.problem.a,
             "b": self.problem.b,
@@ -83,7 +86,8 @@ class StructuredLmi:
             return structured_state_feedback.inequality(named, (np.eye(q), t, t)), [1, 4]
         of.n = cp.Variable((q, m)) if neurons.injects else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
-            of.n = t @ (self.fixed.k_w / self.problem.of_neurons.units).T
+            injected = self.fixed.k_w / self.problem.of_neurons.units
+            of.n = t @ injected.T
         turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
         return structured_observer.inequality(named, t, of.n), [1]
@@ -96,25 +100,24 @@ class StructuredLmi:
         of.rate.value = rate
         status = solved(self.program, solver)
         p = symmetric(of.p.value)
-        k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T if fixed is None else of.k.value
+        k = of.k.value
+        if fixed is None:
+            k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T
         weights = of.t.value if neurons.observes else 1 / of.t.value
         k_w = np.zeros((len(k), len(of.t.value)))
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
-        sigma = (
-            float(of.sigma.value)
-            if self.problem.ball.beta > 0
-            else without_ball(self.problem, p, k)
-        )
-        found = Solution(
-            p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status
-        ).of_neurons(neurons)
-        return found if fixed is None else replace(found, k_w=fixed.k_w)
+        has_ball = self.problem.ball.beta > 0
+        sigma = float(of.sigma.value) if has_ball else without_ball(self.problem, p, k)
+        scaled = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
+        solution = scaled.of_neurons(neurons)
+        return solution if fixed is None else replace(solution, k_w=fixed.k_w)
 
     @classmethod
     def of_gains(cls, problem: Problem) -> "StructuredLmi":
         """The program that `proved` asks, for gains that inject nothing."""
-        (n, m), one = problem.b.shape, np.eye(len(problem.a))
+        n, m = problem.b.shape
+        one = np.eye(n)
         none = np.zeros((m, problem.of_neurons.e.shape[1]))
         fixed = Solution(p=one, y=one, k=np.zeros((m, n)), sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
@@ -122,20 +125,24 @@ class StructuredLmi:
     def proved(self, k: Rows) -> Solution:
         """Matrices that prove the problem's rate for this gain; raises `NoSolution` without any."""
         self.of.k.value = k
-        found = self.solve(self.problem.rate)
-        if not holds(self.problem, found):
+        solution = self.solve(self.problem.rate)
+        if not holds(self.problem, solution):
             raise NoSolution(f"not certified for all slopes at rate {self.problem.rate:.6g}")
-        return found
+        return solution
 
 
-def holds(problem: Problem, found: Solution) -> bool:
+def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
+    """Upper triangle of a block matrix without some of its rows and columns."""
+    rows = [i for i in range(len(upper)) if i not in left_out]
+    return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
+
+
+def holds(problem: Problem, solution: Solution) -> bool:
     """The verdict of the theorem in exact arithmetic."""
-    kinds = (
-        structured_state_feedback.StructuredStateFeedback,
-        structured_observer.StructuredObserver,
-    )
-    theorem: type[Side] = kinds[problem.of_neurons.observes]
-    return theorem.holds(**theorem.numbers_of(problem, found))
+    theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
+    if problem.of_neurons.observes:
+        theorem = structured_observer.StructuredObserver
+    return theorem.holds(**theorem.numbers_of(problem, solution))
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
@@ -153,30 +160,41 @@ def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Sol
     best = None
     for _ in range(RATE_STEPS):
         rate = (low + high) / 2
-        try:
-            found = program.solve(rate)
-            faster = holds(problem.at(rate), found)
-        except NoSolution:
-            faster = False
-        low, high, best = (rate, high, found) if faster else (low, rate, best)
+        solution = _solution_that_holds(program, problem, rate)
+        if solution is None:
+            high = rate
+        else:
+            low = rate
+            best = solution
     return low, best and replace(best, logs=logs_of(problem.at(low), best))
+
+
+def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
+    """Matrices that prove a rate; None where the solver returns none that do."""
+    try:
+        solution = program.solve(rate)
+        return solution if holds(problem.at(rate), solution) else None
+    except NoSolution:
+        return None
 
 
 def at_largest_rate(part: Any) -> Side | None:
     """The part's gains with matrices at the largest rate; None where that is no more than is
     certified already."""
-    started, (problem, gains) = time.perf_counter(), part.as_problem()
+    started = time.perf_counter()
+    problem, gains = part.as_problem()
     rate = largest_rate(problem, gains) * (1 - INSIDE)
     if rate <= part.rate:
         return None
+    faster = problem.at(rate)
+    program = StructuredLmi(problem=faster, objective="largest_margin", fixed=gains)
     try:
-        again = StructuredLmi(
-            problem=problem.at(rate), objective="largest_margin", fixed=gains
-        ).solve(rate)
+        solution = program.solve(rate)
     except NoSolution:
         return None
-    numbers = part.numbers_of(problem.at(rate), again)
-    told = {"rate_limit": part.rate_limit, "method": part.method}
-    status = f"{again.status}, {INSIDE:.1%} inside the largest rate"
-    proved: Side = part.proved(numbers, status=status, started=started, **told)
+    numbers = part.numbers_of(faster, solution)
+    status = f"{solution.status}, {INSIDE:.1%} inside the largest rate"
+    proved: Side = part.proved(
+        numbers, status=status, started=started, rate_limit=part.rate_limit, method=part.method
+    )
     return proved if proved.certified else None
