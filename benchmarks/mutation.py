@@ -55,8 +55,14 @@ class Group:
     planted: int
 
 
-def _synthesis(*names: str) -> tuple[str, ...]:
-    return tuple(f"synthesis/{name}.py" for name in names)
+def modules_of(room: str, *names: str) -> tuple[str, ...]:
+    """Paths of a room's modules by their names."""
+    return tuple((Path(room) / f"{name}.py").as_posix() for name in names)
+
+
+def theorems(*names: str) -> tuple[str, ...]:
+    """Paths of theorems by their names."""
+    return modules_of("certificates/theorems", *names)
 
 
 REFUSES = "tests/refusals/test_synthesis_refuses.py"
@@ -92,14 +98,16 @@ LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
 CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
     "verdict": Group(
-        modules=_synthesis("exact", "theorem", "certificate", "design", "problem")
-        + _synthesis("theorems/state_feedback", "theorems/observer"),
+        modules=modules_of("synthesis", "design")
+        + modules_of(".", "exact")
+        + modules_of("certificates", "theorem", "certificate", "problem")
+        + theorems("state_feedback", "observer"),
         tests=f"{REFUSES} tests/refusals/test_synthesis_verdict.py {EXACT} {BATCH}",
         planted=30,
     ),
     "methods": Group(
-        modules=_synthesis("frontier", "theorems/minimum_energy", "modes")
-        + _synthesis("theorems/guaranteed_cost", "lmi"),
+        modules=modules_of("certificates", "frontier", "riccati")
+        + modules_of("synthesis", "minimum_energy", "modes", "guaranteed_cost", "lmi"),
         tests=f"{ATTEMPTS} {REFUSES} {EXACT} {LIMITS}",
         planted=70,
     ),
@@ -109,60 +117,50 @@ GROUPS = {
         planted=30,
     ),
     "choice": Group(
-        modules=_synthesis("auto", "area", "mismatch", "theorems/integral_action", "sensitivity"),
+        modules=modules_of("synthesis", "auto", "candidate_grid", "integrated_error")
+        + modules_of("robustness", "mismatch", "sensitivity")
+        + theorems("integral_action"),
         tests=f"{CHOSEN} {VIEWS} {INTEGRAL}",
         planted=20,
     ),
     "claims": Group(
-        modules=(
-            "study/verify.py",
-            "study/claims.py",
-            "study/design_claims.py",
-            "study/findings.py",
-        ),
+        modules=modules_of("study", "verify", "claims", "design_claims", "findings"),
         tests=CLAIMS,
         planted=15,
     ),
     "neurons": Group(
-        modules=_synthesis("structured_lmi", "structured_riccati", "among_starts")
-        + _synthesis(
-            *(f"theorems/structured_{name}" for name in ("state_feedback", "observer", "tolerance"))
-        )
-        + (
-            "models/contracting.py",
-            "models/structured.py",
-            "models/structured_spec.py",
-            "training/levenberg.py",
-        )
-        + tuple(f"training/structured_{name}.py" for name in ("fit", "start", "problem", "choice")),
+        modules=modules_of("synthesis", "structured_lmi", "structured_riccati", "model_selection")
+        + theorems("structured_state_feedback", "structured_observer", "structured_tolerance")
+        + modules_of("models", "contracting", "structured", "structured_spec")
+        + modules_of("training", "levenberg", "structured_fit", "structured_start")
+        + modules_of("training", "structured_problem", "choice"),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py "
         "tests/oracles/test_structured_tolerance.py",
         planted=30,
     ),
     "loop": Group(
-        modules=tuple(
-            f"loop/{name}.py"
-            for name in ("controller", "trajectory", "regulation", "metrics", "rollout")
-        ),
+        modules=modules_of("loop", "controller", "trajectory", "regulation", "metrics", "rollout"),
         tests=LOOPS,
         planted=15,
     ),
     "export": Group(
-        modules=tuple(
-            f"export/{name}.py" for name in ("device", "rest_points", "portable", "c", "targets")
-        ),
+        modules=modules_of("export", "device", "rest_points", "portable", "c", "targets"),
         tests="tests/oracles/test_export_device.py tests/oracles/test_export_targets.py",
         planted=20,
     ),
     "engine": Group(
-        modules=tuple(
-            f"engine/{name}.py" for name in ("store", "stages", "plan", "code", "records")
-        ),
+        modules=modules_of("engine", "store", "stages", "plan", "fingerprint", "records"),
         tests="tests/laws/test_engine_store.py tests/laws/test_engine_task.py "
         "tests/laws/test_engine_code.py",
         planted=20,
     ),
     "table": Group(modules=("table",), tests="tests/laws/test_results_table.py", planted=15),
+    "cli": Group(
+        modules=modules_of("cli", "main", "commands", "parser", "request", "hydra_errors"),
+        tests="tests/refusals/test_cli_sentences.py tests/laws/test_cli_terminal.py "
+        "tests/refusals/test_cli_guard.py tests/refusals/test_study_requests.py",
+        planted=10,
+    ),
     "evidence": Group(
         modules=("evidence",),
         tests="tests/oracles/test_evidence_response.py tests/oracles/test_evidence_rest.py "
@@ -171,27 +169,27 @@ GROUPS = {
         planted=15,
     ),
     "deployed": Group(
-        modules=_synthesis("rest", "prediction", "mismatch", "deployed", "commanded")
-        + _synthesis(
-            *(
-                f"theorems/{name}"
-                for name in ("deployed_rate", "tolerance", "limited_input", "noise_gain")
-            )
-        )
-        + _synthesis(
-            *(f"theorems/{name}" for name in ("inverted_input", "structured_inverted_input"))
-        ),
+        modules=modules_of("robustness", "return_to_rest", "prediction", "mismatch")
+        + modules_of("synthesis", "deployed", "input_inversion")
+        + theorems("deployed_rate", "tolerance", "limited_input")
+        + theorems("inverted_input", "structured_inverted_input"),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
         f"tests/oracles/test_synthesis_deployed.py {INSIDE} "
         "tests/oracles/test_loop_views.py tests/oracles/test_loop_trials.py",
         planted=20,
     ),
+    "coverage": Group(
+        modules=modules_of("robustness", "coverage", "coverage_items", "coverage_spectra")
+        + modules_of("synthesis", "measured_discs_program", "measured_discs_search")
+        + modules_of("synthesis", "measured_discs_weights", "measured_discs_run")
+        + theorems("measured_discs", "measured_discs_structured"),
+        tests="tests/oracles/test_measured_discs.py tests/oracles/test_coverage.py",
+        planted=20,
+    ),
     "data": Group(
-        modules=tuple(
-            f"data/{name}.py"
-            for name in ("splits", "recorded", "experiments", "closed_loop", "simulated")
-        ),
+        modules=modules_of("data", "splits", "recorded", "experiments", "closed_loop")
+        + modules_of("data", "simulated", "assembly"),
         tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
         "tests/refusals/test_data_files.py "
         "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
@@ -209,7 +207,7 @@ GROUPS = {
         planted=10,
     ),
     "report": Group(
-        modules=("report/outcome.py", "report/answers.py"),
+        modules=modules_of("report", "outcome", "answers"),
         tests="tests/laws/test_report_answers.py tests/laws/test_report_outcome.py",
         planted=10,
     ),

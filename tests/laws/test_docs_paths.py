@@ -2,6 +2,7 @@
 documentation."""
 
 import re
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -83,3 +84,17 @@ def test_a_file_that_is_not_there_is_found() -> None:
     assert not defined(".synthesis.frontier.NoSuchName")
     assert not defined(".synthesis.nowhere")
     assert named_files("see `engine/nowhere.py`") == {"engine/nowhere.py"}
+
+
+def test_seeded_faults_are_planted_in_modules_that_are_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also the tests that are to catch them."""
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    mutation = import_module("mutation")
+    for group in mutation.GROUPS.values():
+        for module in group.modules:
+            assert (ROOT / "ssm_study" / module).exists(), module
+        for named in re.findall(r"tests/\S+", group.tests):
+            file, _, test = named.partition("::")
+            assert f"def {test}" in (ROOT / file).read_text(), named
