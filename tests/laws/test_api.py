@@ -13,6 +13,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
+from fresh_programs import start_program
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
@@ -181,7 +182,8 @@ def test_other_channels_than_were_fitted_are_refused(design: Design) -> None:
             refused()
 
 
-def test_study_gives_its_table(tmp_path: Path) -> None:
+def test_study_gives_its_table(tmp_path: Path, smoke_study: Path) -> None:
+    (tmp_path / ".store").symlink_to(smoke_study.parent / ".store")  # its model is there already
     words = ("experiment=smoke", f"results_dir={tmp_path}", "study=mine", "progress=false")
     table = st.study(*words)
     assert list(table["status"]) == ["ok"]
@@ -265,9 +267,8 @@ sys.argv = ["example", {str(tmp_path)!r}]
 runpy.run_path({str(script)!r})
 print([name for name in sys.modules if name in ({rooms})])
 """
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    done = start_program(program, tmp_path / "program").wait(timeout_s=200)
+    assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"
     assert "certified in exact arithmetic" in done.stdout
     assert (tmp_path / "controller.h").is_file()

@@ -1,14 +1,12 @@
 """A training that is stopped from outside is no failure: the run is lost, and resumed by its
 command."""
 
-import os
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+from fresh_programs import start_program
 
 from ssm_study.engine.records import RECORD, read_record
 
@@ -29,24 +27,25 @@ def wait_for_file(folder: Path, name: str, seconds: float = 120.0) -> Path:
     return found[0]
 
 
+COMMAND = """
+import sys
+from ssm_study.cli.main import main
+sys.exit(main(WORDS))
+"""
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for
     good."""
-    command = [sys.executable, "-m", "ssm_study.cli", "run", *ENDLESS, f"results_dir={tmp_path}"]
-    # Programs in the background inherit that Ctrl-C is ignored: a terminal's do not.
-    training = subprocess.Popen(
-        command,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    words = ["run", *ENDLESS, f"results_dir={tmp_path}"]
+    training = start_program(COMMAND.replace("WORDS", repr(words)), tmp_path / "program")
     wait_for_file(tmp_path / ".store", "last.ckpt")
     training.send_signal(number)
-    _, errors = training.communicate(timeout=60)
-    assert training.returncode == -number, errors
+    ended = training.wait(timeout_s=60)
+    assert ended.returncode == -number, ended.stderr
     record = read_record(wait_for_file(tmp_path / "smoke", RECORD).parent)
     assert record is not None
     assert record["status"] == "lost"
@@ -74,13 +73,8 @@ print("went on")
 
 def test_a_program_that_fits_ends_by_the_signal_it_got(tmp_path: Path) -> None:
     """It ended with status 0, and a batch system took it for done."""
-    ended = subprocess.run(
-        [sys.executable, "-c", PROGRAM.replace("RESULTS", repr(str(tmp_path)))],
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=180,
-    )
+    program = PROGRAM.replace("RESULTS", repr(str(tmp_path)))
+    ended = start_program(program, tmp_path / "program").wait(timeout_s=180)
     assert (ended.returncode, ended.stdout) == (-signal.SIGTERM, ""), ended.stderr
 
 
@@ -115,13 +109,7 @@ def test_ctrl_c_returns_the_model_so_far_only_where_it_is_asked_for(
     """In a notebook the next cell goes on, and Ctrl-C works there as before: Lightning left it
     ignored."""
     program = KEEPING.replace("RESULTS", repr(str(tmp_path))).replace("KEEP", repr(keep))
-    ended = subprocess.run(
-        [sys.executable, "-c", program],
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=180,
-    )
+    ended = start_program(program, tmp_path / "program").wait(timeout_s=180)
     assert ended.returncode == 0, ended.stderr
     first, second = ended.stdout.splitlines()
     assert second == "True"

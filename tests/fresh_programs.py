@@ -1,0 +1,77 @@
+"""Programs in processes of their own that begin with torch and Lightning loaded.
+
+A new interpreter takes eight seconds of a processor to import them. The standard library's fork
+server imports them once for all programs of a test run; it has one thread, no test framework, and
+gives back the signals that it found.
+"""
+
+import os
+import runpy
+import signal
+import sys
+from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+SERVER = get_context("forkserver")
+SERVER.set_forkserver_preload(["lightning.pytorch", "ssm_study.training.saving"])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """A program that has ended: its exit status, negative for a signal, and what it printed."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """A program that runs."""
+
+    process: BaseProcess
+    folder: Path
+
+    def send_signal(self, number: signal.Signals) -> None:
+        assert self.process.pid is not None
+        os.kill(self.process.pid, number)
+
+    def wait(self, timeout_s: float) -> Ended:
+        """Wait until it ends; a program that does not is killed, and the test fails."""
+        self.process.join(timeout_s)
+        if self.process.exitcode is None:
+            self.process.kill()
+            raise TimeoutError(f"the program did not end within {timeout_s} s")
+        return Ended(
+            returncode=self.process.exitcode,
+            stdout=(self.folder / "stdout").read_text(),
+            stderr=(self.folder / "stderr").read_text(),
+        )
+
+
+def start_program(text: str, folder: Path) -> Program:
+    """Start a program; its source and what it prints are kept in the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "program.py").write_text(text)
+    process = SERVER.Process(target=_run, args=(folder,))
+    process.start()
+    return Program(process=process, folder=folder)
+
+
+def _run(folder: Path) -> None:
+    """Do the program as an interpreter does it: an interrupt that gets out ends it by its
+    signal."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        file = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, number)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.argv = [str(folder / "program.py")]
+    try:
+        runpy.run_path(sys.argv[0], run_name="__main__")
+    except KeyboardInterrupt as interrupt:
+        sys.excepthook(type(interrupt), interrupt, interrupt.__traceback__)
+        sys.stdout.flush()
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
