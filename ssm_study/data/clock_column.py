@@ -64,7 +64,7 @@ def clock_unit(title: str, stated: str) -> float | None:
             remedy = "use s, ms, us, ns, min or h, or data.step_s"
             raise BadRequest("data.time", title, problem, remedy)
         return seconds
-    words = re.split(r"[\s_.\-/]+", title.replace("µ", "μ").strip().lower())
+    words = words_of(title.replace("µ", "μ"))
     known = [SECONDS[word] for word in words[-1:] if word in SECONDS and len(words) > 1]
     whole = title.strip().lower()
     long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
@@ -76,19 +76,39 @@ def is_clock_name(title: str) -> bool:
     plain = title_without_unit(title)
     if folded(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
         return True
-    words = [word for word in re.split(r"[\s_.\-/]+", plain.lower()) if word]
+    words = words_of(plain)
     return len(words) > 1 and folded("".join(words[:-1])) in WORDS and words[-1] in SECONDS
+
+
+def has_clock_word(title: str) -> bool:
+    """Whether a title begins or ends with a clock's word: `t_now`, `sensor_timestamp`."""
+    words = words_of(title_without_unit(title))
+    return any(folded(word) in WORDS for word in (*words[:1], *words[-1:]))
+
+
+def words_of(title: str) -> list[str]:
+    """The words of a title in small letters, divided at spaces, underscores, points, dashes."""
+    return [word for word in re.split(r"[\s_.\-/]+", title.lower()) if word]
 
 
 def find_clock(table: Table, signals: Collection[str]) -> str | None:
     """The column that is the clock: named like one, or without a name and first; else None.
 
-    Its values must increase (a clock written with few digits may stand still). A nameless column
-    that counts rows is none: nobody knows how long a row lasts.
+    Its values must increase (a clock written with few digits may stand still); where a title has a
+    clock's word beside others, `t_now`, they must not stand still either. The first column of
+    a matrix, `data:1`, has no name either and must run evenly. A nameless column that counts rows
+    is none: nobody knows how long a row lasts.
     """
     free = [title for title in table.columns if title not in signals]
     for title in free:
         if is_clock_name(title) and runs_forwards(table.columns[title]):
+            return title
+    for title in free:
+        if has_clock_word(title) and runs_forwards(table.columns[title], strictly=True):
+            return title
+    for title in free:
+        times = table.columns[title]
+        if title.endswith(":1") and runs_evenly(times) and not counts_rows(times):
             return title
     first = next(iter(table.columns), None)
     nameless = first is not None and (first == "" or table.nameless or first.startswith("Unnamed"))
@@ -102,11 +122,22 @@ def find_clock(table: Table, signals: Collection[str]) -> str | None:
     return first if mostly or rounded_period_s(known) is not None else None
 
 
-def runs_forwards(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the times never run backwards, and mostly known."""
+def runs_forwards(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
+    """Whether the times never run backwards (strictly: nor stand still), and are mostly known."""
     known = times[np.isfinite(times)]
     enough = len(known) >= max(3, 0.5 * len(times))
-    return bool(enough and (np.diff(known) >= 0).all() and known[-1] > known[0])
+    if not enough or known[-1] <= known[0]:
+        return False
+    steps = np.diff(known)
+    return bool((steps > 0).all() if strictly else (steps >= 0).all())
+
+
+def runs_evenly(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether the times increase by the same step from row to row, to a thousandth of it."""
+    if len(times) < 3 or not np.isfinite(times).all():
+        return False
+    steps = np.diff(times)
+    return bool(steps.min() > 0 and np.ptp(steps) <= 1e-3 * steps.mean())
 
 
 def counts_rows(times: Float[np.ndarray, "T"]) -> bool:

@@ -19,6 +19,7 @@ OF_THE_LARGEST = 0.05  # share of the largest answer from which on a lag counts
 STRIDES = (1, 5, 20)  # samples: a slow answer stands out of the noise of coarser steps only
 FOLLOWS = 0.5  # share of the output that the input explains where no single step of it does
 FED_BACK = 0.1  # share of the input's changes that earlier outputs explain in a closed loop
+MAYBE_FED_BACK = 0.015  # the same from which on a controller may answer within the sample
 WINDOWS = (5, 10, 20, 50, 100)  # samples over which an integrator may sum what moves it
 MOVED = 0.6  # share of the output's changes that the input of an integrator explains, at least
 FORGETS = 1.0  # times over that an output without an integrator loses its level in a log, at least
@@ -58,8 +59,10 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
     sentences = [rest_sentence(sum(len(rest_segments(piece)) for piece in records))]
-    sentences.append(answer_sentence(u, y, shares))
     fed_back = fed_back_share(u, y)
+    answer = answer_sentence(u, y, shares)
+    is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
+    sentences.append(same_sample_sentence() if is_ambiguous else answer)
     if fed_back > FED_BACK:
         sentences.append(
             f"earlier outputs explain {fed_back:.0%} of the input's changes: a closed loop? "
@@ -72,6 +75,11 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
         )
     sentences.append(noise_sentence(y))
     return sentences
+
+
+def same_sample_sentence() -> str:
+    """Say what an answer within the sample means in a loop, in words."""
+    return "input and output move within the same sample: which of them answers is not to be seen"
 
 
 def rest_sentence(rests: int) -> str:

@@ -10,7 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ssm_study.data.clock_column import clock_seconds, counts_in_first_column, find_clock
+from ssm_study.data.clock_column import (
+    clock_seconds,
+    counts_in_first_column,
+    find_clock,
+    runs_evenly,
+)
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_dynamics
 from ssm_study.data.readers.reader import Table, reader_for
 from ssm_study.data.recorded import RecordedData
@@ -24,10 +29,12 @@ HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column ho
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
 INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
                "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
-               "current", "us", "setting", "inputdata", "throttle", "pump", "ph")  # fmt: skip
-OUTPUT_WORDS = ("y", "out", "output", "speed", "temperature", "temp", "position", "level", "angle",
-                "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured", "ti",
-                "pressure", "height", "outputdata")  # fmt: skip
+               "current", "us", "setting", "inputdata", "throttle", "pump", "ph", "q")  # fmt: skip
+OUTPUT_WORDS = ("y", "t", "out", "output", "speed", "temperature", "temp", "position", "level",
+                "angle", "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured",
+                "ti", "pressure", "height", "outputdata")  # fmt: skip
+SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desired", "wanted", "r",
+                   "tsp", "soll", "sollwert", "goal", "demand")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,8 +157,9 @@ def look(
     table = reader_for(path, stated.text).contents(path)
     require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
     facts = [column_facts(name, table) for name in table.columns]
+    signals = [column for column in facts if not runs_evenly(table.columns[column.name])]
     clock = stated.time if stated.time is not None else clock_of(table)
-    guessed_u, guessed_y = guess_signals(facts, clock)
+    guessed_u, guessed_y = guess_signals(signals, clock)
     u = guessed_u if stated.input is None else stated.input
     y = guessed_y if stated.output is None else stated.output
     sentences = [f"read: {table.remark}"] if table.remark else []
@@ -161,6 +169,7 @@ def look(
     else:
         if None in (stated.input, stated.output):
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
+        sentences += set_point_sentences(facts, (u, y), stated)
         records, found = examine(path, table, clock, stated.source(path, u, y))
         sentences += found
     return LogLook(
@@ -173,6 +182,18 @@ def look(
         input=u,
         output=y,
     )
+
+
+def set_point_sentences(
+    facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
+) -> list[str]:
+    """Which other columns are named like set points, in words."""
+    names = [column.name for column in facts if is_set_point(column.name)]
+    others = [name for name in names if name not in (*signals, stated.time)]
+    if not others:
+        return []
+    settings = " or ".join(f"data.reference={quoted(name)}" for name in others)
+    return [f"named like a set point: if a controller made the input, state {settings}"]
 
 
 def clock_of(table: Table) -> str | None:
@@ -204,8 +225,8 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
     return ColumnFacts(
         name=name,
         unit=table.units.get(name, ""),
-        low=float(finite.min(initial=np.inf)),
-        high=float(finite.max(initial=-np.inf)),
+        low=float(finite.min(initial=np.inf)) + 0.0,  # no minus before a zero
+        high=float(finite.max(initial=-np.inf)) + 0.0,
         levels=len(np.unique(finite)),
         missing=len(values) - len(finite),
         held=held,
@@ -218,10 +239,17 @@ def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str 
     moving = [column for column in facts if column.name != clock and column.levels > 1]
     if len(moving) < 2:
         return None, None
+    free = [column for column in moving if not is_set_point(column.name)]
+    moving = free if len(free) > 1 else moving
     u = max(moving, key=input_score)
     others = [column for column in moving if column is not u]
     y = max(others, key=lambda column: word_score(column.name, OUTPUT_WORDS))
     return u.name, y.name
+
+
+def is_set_point(name: str) -> bool:
+    """Whether a title is that of a set point: `r`, `ref`, `T1 setpoint`, `TSP1`, `speed_target`."""
+    return word_score(name, SET_POINT_WORDS) == 1.0
 
 
 def input_score(column: ColumnFacts) -> float:

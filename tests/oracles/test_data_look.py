@@ -6,11 +6,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import scipy.io
 
 from ssm_study.cli.main import main
-from ssm_study.data.log_dynamics import answer_sentence, first_answer, input_shares
+from ssm_study.data.log_dynamics import (
+    answer_sentence,
+    describe_dynamics,
+    first_answer,
+    input_shares,
+)
 from ssm_study.data.look import look
 from ssm_study.refusal import BadRequest
+from ssm_study.signals import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 from log_kinds import kind_named
@@ -97,3 +104,73 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     y += 0.01 * rng.standard_normal(len(y))
     assert first_answer(u, y) is None
     assert "slow" in answer_sentence(u, y, input_shares(u, y))
+
+
+def test_a_column_that_counts_is_no_signal(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(500)
+    columns = {"t": 0.01 * np.arange(500), "n": np.arange(500), "u": u, "angle": np.cumsum(u)}
+    pd.DataFrame(columns)[["t", "n", "angle", "u"]].to_csv(tmp_path / "log.csv", index=False)
+    shown = look(tmp_path / "log.csv")
+    assert (shown.input, shown.output) == ("u", "angle")
+    pd.DataFrame(columns)[["t", "n", "u"]].to_csv(tmp_path / "counter.csv", index=False)
+    assert look(tmp_path / "counter.csv").output is None
+
+
+def test_the_first_column_of_a_matrix_is_its_clock_if_it_runs_evenly(tmp_path: Path) -> None:
+    signals = np.random.default_rng(0).standard_normal((500, 2))
+    clock = 0.02 * np.arange(500)[:, None]
+    scipy.io.savemat(tmp_path / "log.mat", {"gain": 3.0, "data": np.hstack([clock, signals])})
+    text = str(look(tmp_path / "log.mat", input="data:2", output="data:3"))
+    assert "clock data:1 (no unit: seconds); step 0.02 s" in text
+    counted = np.hstack([np.arange(500)[:, None], signals])
+    scipy.io.savemat(tmp_path / "rows.mat", {"data": counted})
+    assert "no clock found" in str(look(tmp_path / "rows.mat", input="data:2", output="data:3"))
+
+
+@pytest.mark.parametrize("title", ["t_now", "time rel", "sensor_timestamp"])
+def test_a_clocks_word_beside_others_names_a_clock_that_never_stands(
+    tmp_path: Path, title: str
+) -> None:
+    u = np.random.default_rng(0).standard_normal(500)
+    clock = 0.1 * np.arange(500)
+    pd.DataFrame({"u": u, title: clock, "y": np.cumsum(u)}).to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    assert f"clock {title} (no unit: seconds); step 0.1 s" in str(look(tmp_path / "log.csv"))
+    clock[10] = clock[9]
+    pd.DataFrame({"u": u, title: clock, "y": np.cumsum(u)}).to_csv(
+        tmp_path / "log.csv", index=False
+    )
+    assert "no clock found" in str(look(tmp_path / "log.csv"))
+
+
+def test_a_set_point_is_no_input(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    heater = rng.uniform(0, 100, 500)
+    wanted = np.repeat([40.0, 50.0], 250)
+    columns = {"Time": 5.0 * np.arange(500), "T1": np.cumsum(heater), "Q1": heater, "TSP1": wanted}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    shown = look(tmp_path / "log.csv")
+    assert (shown.input, shown.output) == ("Q1", "T1")
+    assert "data.reference=TSP1" in str(shown)
+
+
+@pytest.mark.parametrize(("gain_d", "is_loop"), [(3.0, True), (0.0, False)])
+def test_a_loop_that_answers_within_the_sample_is_not_called_feedthrough(
+    gain_d: float, is_loop: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    u = np.zeros(3000)
+    y = np.zeros(3000)
+    speed = position = 0.0
+    set_point = np.repeat([1.0, 3.0, 0.0, 2.0] * 5, 150)
+    for k in range(1, 3000):
+        speed = 0.9 * speed + 0.02 * u[k - 1]
+        position += speed
+        y[k] = position + 0.02 * rng.standard_normal()
+        u[k] = 0.5 * (set_point[k] - y[k]) - gain_d * (y[k] - y[k - 1])
+    text = "\n".join(describe_dynamics([Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)]))
+    assert "which of them answers is not to be seen" in text
+    assert "feedthrough" not in text
+    assert ("a closed loop?" in text) is is_loop  # a gain alone is hardly to be told from the plant
