@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.columns import ITERATED
 from ssm_study.models.identified import SSM, ScaffoldedModel
 from ssm_study.models.metrics import Simulation, initial_state
 from ssm_study.signals import DataSet, Trajectories, Trajectory
@@ -35,11 +36,14 @@ class PieceStarts:
     """Which start of a piece predicts better, and both starts of the validation and test records.
 
     `choice` is None where no record has a past: then its first samples are all there is.
+    `is_undecided` says that the two are so near that rounding on another machine may choose the
+    other.
     """
 
     choice: str | None
     validation: States
     test: States
+    is_undecided: bool = False
 
     def chosen(self, part: str) -> States:
         """Start states of "validation" or "test" under the choice; None takes the first samples."""
@@ -61,28 +65,35 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
     test = states_from_past(model, data, data.test)
     if all(state is None for state in (*validation, *test)):
         return none
-    return PieceStarts(choice=better_start(model, data), validation=validation, test=test)
+    errors = start_errors(model, data)
+    if errors is None:
+        return PieceStarts(choice=SAMPLES, validation=validation, test=test)
+    return PieceStarts(
+        choice=PAST if errors[PAST] < errors[SAMPLES] else SAMPLES,
+        validation=validation,
+        test=test,
+        is_undecided=bool(np.isclose(errors[PAST], errors[SAMPLES], rtol=ITERATED, atol=0)),
+    )
 
 
-def better_start(model: Any, data: DataSet) -> str:
-    """The start that predicts pieces of the training and validation records better.
+def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
+    """Mean error of each start over pieces of the training and validation records.
 
-    Of every piece the error's power counts as a share of the piece's own, at most one: one
-    divergent piece must not decide.
+    None where no piece has a past. Of every piece the error's power counts as a share of the
+    piece's own, at most one: one divergent piece must not decide.
     """
     pieces = comparison_pieces(data)
     from_past = states_from_past(model, data, pieces)
     pairs = zip(pieces, from_past, strict=True)
     with_past = [(piece, state) for piece, state in pairs if state is not None]
     if not with_past:
-        return SAMPLES
+        return None
     records = tuple(piece for piece, _ in with_past)
     states = tuple(state for _, state in with_past)
-    missed = {
+    return {
         PAST: capped_error(model, data, records, states),
         SAMPLES: capped_error(model, data, records, (None,) * len(records)),
     }
-    return PAST if missed[PAST] < missed[SAMPLES] else SAMPLES
 
 
 def comparison_pieces(data: DataSet) -> Trajectories:

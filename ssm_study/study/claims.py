@@ -25,7 +25,7 @@ from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import pi_facts
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
-from ssm_study.models.warm_start import start_facts, states_from_past
+from ssm_study.models.warm_start import choose_piece_starts, start_facts
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
@@ -169,12 +169,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         pairs = of_records(kept.records, made)
         pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
-        if any(state is not None for state in kept.starts):
-            again = states_from_past(run.model, records, made)
-            states = {str(i): pair for i, pair in enumerate(zip(kept.starts, again, strict=True))}
-            yield agreement(
-                f"{split}.mcap start_states", states, ITERATED, "the log's past gives it"
-            )
+        yield from start_states(run, records, split)
     yield Derived(start_facts(run.model, records, run.simulated.test))
     if records.mismatch_records or run.trials:
         pairs = of_records(run.trials, records.mismatch_records)
@@ -200,6 +195,28 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
             else "times, names, units and words are the run's"
         )
         yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
+
+
+def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
+    """That the free runs of a part begin as the choice between its two starts says.
+
+    Records of 0.1 know no choice: they begin with the first samples.
+    """
+    kept = getattr(run.simulated, split).starts
+    is_from_past = any(state is not None for state in kept)
+    if not is_from_past and "piece_start" not in run.record:
+        return
+    starts = choose_piece_starts(run.model, records)
+    if is_from_past:
+        pairs = zip(kept, getattr(starts, split), strict=True)
+        states = {str(i): pair for i, pair in enumerate(pairs)}
+        yield agreement(f"{split}.mcap start_states", states, ITERATED, "the log's past gives it")
+    if starts.choice is None:
+        return
+    is_past_chosen = any(state is not None for state in starts.chosen(split))
+    agrees = starts.is_undecided or is_from_past == is_past_chosen
+    found = f"training and validation records prefer {starts.choice}"
+    yield Checked(claim=f"{split}.mcap start", holds=agrees, found=found)
 
 
 def model(run: RunFiles) -> Claims:

@@ -27,6 +27,7 @@ from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.models.metrics import Simulation, fit_facts
+from ssm_study.models.warm_start import PAST, choose_piece_starts, start_facts
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -35,7 +36,7 @@ from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.findings import Checked, Derived, NotChecked
 from ssm_study.study.loop_recordings import read_experiment
-from ssm_study.study.recordings import read_simulation
+from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compared, judge, verify
 from ssm_study.synthesis.deployed import outputs_of
@@ -766,6 +767,34 @@ def test_a_model_that_answers_at_once_is_certified_without_a_loop(
         (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
         assert ("neurons" in json.loads((run / "model.json").read_text())) == (study == "neurons")
         assert failing(run) == set()
+    lie_about_start(run)
+    missed = failing(run)
+    print(missed)
+    assert missed >= {"test.mcap start", "validation.mcap start"}
+
+
+def lie_about_start(run: Path) -> None:
+    """Free runs from the start that the records do not prefer, with the fits that they have."""
+    files = RunFiles(path=run, record={})
+    starts = choose_piece_starts(files.model, files.data)
+    fitted = []
+    for split in ("validation", "test"):
+        states = getattr(starts, split)
+        assert starts.choice is not None
+        forged = (None,) * len(states) if starts.choice == PAST else states
+        kept = read_simulation(run / f"{split}.mcap")
+        made = Simulation.of(files.model, kept.records, kept.start_up_samples, forged)
+        groups, about = read_mcap(run / f"{split}.mcap")
+        signals = iter(made.simulated)
+        forged_groups = [
+            replace(group, values=next(signals)) if group.topic.endswith("/simulated") else group
+            for group in groups
+        ]
+        about = dict(about) | {"start_states": states_to_text(forged)}
+        write_mcap(run / f"{split}.mcap", tuple(forged_groups), about)
+        fitted.append(made)
+    fits = fit_facts(*fitted)
+    sealed_anew(run, **fits, **start_facts(files.model, files.data, fitted[1]))
 
 
 def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:

@@ -1,5 +1,7 @@
 """Requests that were accepted, or answered with a traceback, are answered with one sentence."""
 
+import sys
+import tomllib
 from datetime import timedelta
 from pathlib import Path
 
@@ -8,6 +10,7 @@ import pandas as pd
 import pytest
 
 from ssm_study.api.fitting import read_sampling_time
+from ssm_study.api.model import import_python_control
 from ssm_study.api.parts import write_value
 from ssm_study.cli.main import WRONG_REQUEST, main
 from ssm_study.data.recording import plain_name
@@ -101,3 +104,35 @@ NAMES = {
 def test_greek_names_stay_apart(column: str) -> None:
     """All were folded to one: `ω [°/s]` became `s`."""
     assert plain_name(column) == NAMES[column]
+
+
+def test_python_control_is_asked_for_by_the_name_of_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`to_control` ended in an ImportError."""
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(BadRequest, match=r"pip install 'ssm-study\[export\]'"):
+        import_python_control("to_control")
+
+
+def test_an_error_that_nobody_foresaw_asks_for_a_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken(_: list[str]) -> int:
+        raise ZeroDivisionError("division by zero")
+
+    monkeypatch.setattr("ssm_study.cli.run.run", broken)
+    assert main(["run"]) == WRONG_REQUEST
+    answer = capsys.readouterr().err
+    assert "Unexpected error (a bug in ssm-study, please report it): ZeroDivisionError" in answer
+    assert answer.count("\n") == 1
+
+
+def test_the_systems_that_it_runs_on_are_named_alike_everywhere() -> None:
+    root = Path(__file__).resolve().parents[2]
+    classifiers = tomllib.loads((root / "pyproject.toml").read_text())["project"]["classifiers"]
+    systems = {
+        name.rpartition(" :: ")[2] for name in classifiers if name.startswith("Operating System")
+    }
+    assert systems == {"Linux", "MacOS"}
+    assert "Linux, macOS, and WSL on Windows" in (root / "README.md").read_text()
