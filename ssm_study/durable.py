@@ -28,6 +28,7 @@ except ModuleNotFoundError as absent:
 PATIENCE_S = 1.0  # for a lock that readers hold for an instant, in `is_locked`
 POLL_S = 0.02  # between two attempts to obtain a lock
 LARGEST = 2**27  # bytes of a file that is read at once
+CONTAINERS = frozenset({dict, list, tuple})
 FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is written to
 
 
@@ -72,8 +73,8 @@ def link_or_copy(source: Path, target: Path) -> None:
     """
     target.unlink(missing_ok=True)
     try:
-        with source.open("rb") as given, target.open("xb") as made:
-            fcntl.ioctl(made.fileno(), FICLONE, given.fileno())
+        with source.open("rb") as original, target.open("xb") as clone:
+            fcntl.ioctl(clone.fileno(), FICLONE, original.fileno())
     except OSError:
         target.unlink(missing_ok=True)
         try:
@@ -84,18 +85,15 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """The one text of a sealed object: `unsealed` knows no other."""
-    if (
-        isinstance(value, dict)
-        and value
-        and not {dict, list, tuple} & set(map(type, value.values()))
-    ):
+    strict = {"allow_nan": False, "ensure_ascii": False}
+    if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
         # in C.
-        flat = json.dumps(value, separators=(",\n ", ": "), allow_nan=False, ensure_ascii=False)
-        return f"{{\n {flat[1:-1]}\n}}\n".encode("utf-8", "surrogatepass")
-    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode(
-        "utf-8", "surrogatepass"
-    )
+        flat = json.dumps(value, separators=(",\n ", ": "), **strict)
+        text = f"{{\n {flat[1:-1]}\n}}"
+    else:
+        text = json.dumps(value, indent=1, **strict)
+    return f"{text}\n".encode("utf-8", "surrogatepass")
 
 
 def sync(path: Path) -> None:
@@ -147,10 +145,10 @@ def unsealed(content: bytes) -> dict[str, Any] | None:
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
-        same = content == json_bytes(value) and _body_digest(body) == value["sha256"]
+        is_intact = content == json_bytes(value) and _body_digest(body) == value["sha256"]
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
         return None
-    return body if same else None
+    return body if is_intact else None
 
 
 def _body_digest(body: dict[str, Any]) -> str:

@@ -74,9 +74,8 @@ class Command(Hydra):
         place = Path(self.asked.config_path).absolute() if self.asked.config_path else folder
         search_path = create_config_search_path(str(place))
         if self.asked.config_dir is not None:
-            search_path.prepend(
-                provider="command-line", path=f"file://{Path(self.asked.config_dir).absolute()}"
-            )
+            address = f"file://{Path(self.asked.config_dir).absolute()}"
+            search_path.prepend(provider="command-line", path=address)
         super().__init__(task_name=name, config_loader=Loader(config_search_path=search_path))
         GlobalHydra.instance().clear()
         GlobalHydra.instance().initialize(self)
@@ -105,7 +104,8 @@ class Command(Hydra):
 
     def do(self, task: TaskFunction) -> None:
         """The run, or the sweep."""
-        (self.multirun if self.many else self.run)(self.name, task, self.asked.overrides)
+        run = self.multirun if self.many else self.run
+        run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
         if self.asked.help:
@@ -157,20 +157,19 @@ class Chosen:
     def shown(self) -> tuple[str, ...] | None:
         """Settings that the name of the run shows; None where anything else is interpolated
         (OmegaConf is slow at that)."""
-        found = NAME.fullmatch(str(self.tree.get("run", "")))
-        others = any("${" in str(value) for key, value in self.tree.items() if key != "run")
-        return tuple(word.strip() for word in found[1].split(",")) if found and not others else None
+        interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
+        others = [value for key, value in self.tree.items() if key != "run"]
+        if interpolation is None or any("${" in str(value) for value in others):
+            return None
+        return tuple(word.strip() for word in interpolation[1].split(","))
 
     def holds(self, path: str) -> bool:
         """Whether a value of no declared type stands there."""
         if path not in self.held:
             node: Any = self.config
             for word in path.split("."):
-                node = (
-                    node._get_node(word)
-                    if isinstance(node, DictConfig) and not node._is_none()
-                    else None
-                )
+                has_children = isinstance(node, DictConfig) and not node._is_none()
+                node = node._get_node(word) if has_children else None
             self.held[path] = type(node) is AnyNode
         return self.held[path]
 
@@ -178,24 +177,35 @@ class Chosen:
         """Settings of the job with these values by their dotted path; unchanged sections are the
         same objects."""
         assert self.shown is not None
-        found = Settings(self.tree)
-        for section in {path.partition(".")[0] for path in values}:
-            own = [
-                (path, value) for path, value in values.items() if path.partition(".")[0] == section
-            ]
-            key = tuple((path, type(value), value) for path, value in own)
-            if key not in self.sections:
-                made = self.tree[section]
-                for path, value in own:
-                    made = placed(made, path.split(".")[1:], value)
-                self.sections[key] = settled(made)
-            found[section] = self.sections[key]
-        return found if "run" in values else Settings(found | {"run": run_name(found, *self.shown)})
+        settings = Settings(self.tree)
+        by_section: dict[str, dict[str, Any]] = {}
+        for path, value in values.items():
+            section, _, inner_path = path.partition(".")
+            by_section.setdefault(section, {})[inner_path] = value
+        for section, inner_values in by_section.items():
+            settings[section] = self.section(section, inner_values)
+        if "run" in values:
+            return settings
+        return Settings(settings | {"run": run_name(settings, *self.shown)})
+
+    def section(self, name: str, values: dict[str, Any]) -> Any:
+        """A section of the settings with these values; equal ones are the same object."""
+        typed = [(path, type(value), value) for path, value in values.items()]
+        key = (name, *typed)
+        if key not in self.sections:
+            section = self.tree[name]
+            for path, value in values.items():
+                section = with_value(section, path.split(".") if path else [], value)
+            self.sections[key] = settled(section)
+        return self.sections[key]
 
 
-def placed(tree: Any, path: list[str], value: Any) -> Any:
+def with_value(tree: Any, path: list[str], value: Any) -> Any:
     """A copy of the tree with a value at the path."""
-    return {**tree, path[0]: placed(tree[path[0]], path[1:], value)} if path else value
+    if not path:
+        return value
+    first, *rest = path
+    return {**tree, first: with_value(tree[first], rest, value)}
 
 
 class Composer:
@@ -234,7 +244,8 @@ class Composer:
                 exclude_keys=naming.exclude_keys,
             )
             if number is not None:
-                config.hydra.job.id = config.hydra.job.num = number
+                config.hydra.job.id = number
+                config.hydra.job.num = number
         OmegaConf.copy_cache(from_config=self.sweep, to_config=config)
         return config
 
@@ -242,33 +253,30 @@ class Composer:
         """The settings of a job; a value that OmegaConf has to resolve costs ten times as much."""
         chosen, values = self._split(overrides)
         if chosen.shown is not None:
-            return chosen.settings(
-                {str(override.key_or_group): override.value() for override in values}
-            )
-        adopt(config := self.compose(overrides, number))
+            by_path = {str(override.key_or_group): override.value() for override in values}
+            return chosen.settings(by_path)
+        config = self.compose(overrides, number)
+        adopt(config)
         return plain(config)
 
     def _split(self, overrides: list[str]) -> tuple[Chosen, list[Override]]:
         """The composition that a job shares with others, and the values that are its own."""
         parsed = [self._parse(word) for word in overrides]
         chosen = self._chosen(parsed)
-        held = [
-            (override, is_plain and chosen.holds(str(override.key_or_group)))
-            for override, is_plain in parsed
-        ]
-        return (chosen if held == parsed else self._chosen(held)), [
-            override for override, is_held in held if is_held
-        ]
+        marked = []
+        for override, is_plain in parsed:
+            is_own = is_plain and chosen.holds(str(override.key_or_group))
+            marked.append((override, is_own))
+        if marked != parsed:
+            chosen = self._chosen(marked)
+        return chosen, [override for override, is_own in marked if is_own]
 
     def _chosen(self, parsed: list[tuple[Override, bool]]) -> Chosen:
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
         # same.
-        key = (
-            *choices,
-            "",
-            *(str(override.key_or_group) for override, is_plain in parsed if is_plain),
-        )
+        paths = [str(override.key_or_group) for override, is_plain in parsed if is_plain]
+        key = (*choices, "", *paths)
         if key not in self.composed:
             config = self.loader.load_sweep_config(self.sweep, choices)
             self.refuse(config)
@@ -288,12 +296,10 @@ def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
     of Hydra's own."""
     path = str(override.key_or_group)
     value = override.value()
-    single = value is None or (
-        isinstance(value, bool | int | float | str) and "$" not in str(value)
-    )
-    ours = (
-        override.type is OverrideType.CHANGE
-        and not override.is_hydra_override()
-        and override.package is None
-    )
-    return ours and single and not path.endswith("_target_") and not repository.group_exists(path)
+    if override.type is not OverrideType.CHANGE or override.package is not None:
+        return False
+    if override.is_hydra_override() or path.endswith("_target_") or repository.group_exists(path):
+        return False
+    if value is None:
+        return True
+    return isinstance(value, bool | int | float | str) and "$" not in str(value)

@@ -32,13 +32,14 @@ from ssm_study.durable import sealed, unsealed, write_json_atomically
 from ssm_study.refusal import require
 from ssm_study.renamed import present_module, present_symbol
 
-Symbol = tuple[
-    str, str
-]  # a dotted module and a name in it; `*` is all of it, and a library has no name in it
+# A dotted module and a name in it; `*` is all of it, and a library has no name in it.
+Symbol = tuple[str, str]
 WHOLE = "*"
 LIBRARY = ""
 LOOSE = ""
 OURS = __name__.split(".")[0]
+NOT_AT_IMPORT = ("TYPE_CHECKING", "__name__ == '__main__'")
+INSTALLED = frozenset({"site-packages", "dist-packages"})
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "ssm-study" / "code"
 FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
@@ -81,21 +82,23 @@ class Code:
     def version(self, *roots: Symbol) -> str:
         """SHA-256 over all that `roots` depend on; equal versions compute equal results."""
         for module, name in roots:
-            read = self._read(module) if self._is_followed(module.split(".")[0]) else Module()
-            known = read is not None and (
-                name == WHOLE or name in read.bound or name in read.imported
-            )
-            require(
-                known or read == Module(),
-                "code",
-                f"{module}.{name}",
-                "is defined nowhere",
-                "correct the name",
-            )
-        lines = sorted(
-            f"{module}:{name} {self._digest(module, name)}" for module, name in self.closure(roots)
-        )
-        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+            symbol = f"{module}.{name}"
+            is_defined = self._is_defined(module, name)
+            require(is_defined, "code", symbol, "is defined nowhere", "correct the name")
+        lines = []
+        for module, name in self.closure(roots):
+            lines.append(f"{module}:{name} {self._digest(module, name)}")
+        return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
+
+    def _is_defined(self, module: str, name: str) -> bool:
+        """Whether the module has the name; a library, or a module without statements, may have
+        any."""
+        if not self._is_followed(module.split(".")[0]):
+            return True
+        read = self._read(module)
+        if read is None:
+            return False
+        return read == Module() or name == WHOLE or name in read.bound or name in read.imported
 
     def closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
         """Every symbol that the roots lead to; libraries are not followed."""
@@ -137,8 +140,9 @@ class Code:
         a script)."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._path(top)
-            installed = path is None or bool({"site-packages", "dist-packages"} & set(path.parts))
-            self.followed[top] = top in (*self.folders, OURS, "__main__") or not installed
+            is_ours = top in (*self.folders, OURS, "__main__")
+            is_library = path is None or not INSTALLED.isdisjoint(path.parts)
+            self.followed[top] = is_ours or not is_library
         return self.followed[top]
 
     def _next(self, module: str, name: str) -> Iterator[Symbol]:
@@ -156,17 +160,20 @@ class Code:
             if self._read(f"{module}.{name}") is not None:
                 yield f"{module}.{name}", WHOLE
         if name == WHOLE:
-            yield from ((module, bound) for bound in read.bound)
-            yield from (symbol for symbols in read.imported.values() for symbol in symbols)
-            path = self._path(module)
-            if (
-                path is not None and path.name == "__init__.py"
-            ):  # a family's room: members are found by their names
-                yield from (
-                    (f"{module}.{file.stem}", WHOLE)
-                    for file in path.parent.glob("*.py")
-                    if file != path
-                )
+            yield from self._whole(module, read)
+
+    def _whole(self, module: str, read: Module) -> Iterator[Symbol]:
+        """Everything in a module; of a room also its files, whose members are found by name."""
+        for bound in read.bound:
+            yield module, bound
+        for symbols in read.imported.values():
+            yield from symbols
+        path = self._path(module)
+        if path is None or path.name != "__init__.py":
+            return
+        for file in path.parent.glob("*.py"):
+            if file != path:
+                yield f"{module}.{file.stem}", WHOLE
 
     def _digest(self, module: str, name: str) -> str:
         if name == LIBRARY:
@@ -177,10 +184,9 @@ class Code:
     def _read(self, module: str) -> Module | None:
         if module not in self.modules:
             path = self._path(module)
-            keep = module.split(".")[0] == OURS and not self.folders
-            self.modules[module] = (
-                None if path is None else _kept(path, module) if keep else _scanned(path, module)
-            )
+            is_cached = module.split(".")[0] == OURS and not self.folders
+            scan = _scan_cached if is_cached else _scan
+            self.modules[module] = None if path is None else scan(path, module)
         return self.modules[module]
 
     def _path(self, module: str) -> Path | None:
@@ -194,15 +200,13 @@ class Code:
             return None
         if folder.suffix == ".py":
             return folder
-        for path in (
-            folder.joinpath(*inner).with_suffix(".py"),
-            folder.joinpath(*inner, "__init__.py"),
-        ):
+        file = folder.joinpath(*inner).with_suffix(".py")
+        room = folder.joinpath(*inner, "__init__.py")
+        for path in (file, room):
             if path.is_file() and path.name != ".py":
                 return path
-        loaded = (
-            None if top in self.folders else sys.modules.get(module)
-        )  # a package whose path was made longer
+        # A package whose path was made longer.
+        loaded = None if top in self.folders else sys.modules.get(module)
         return None if loaded is None or not loaded.__file__ else Path(loaded.__file__)
 
 
@@ -232,7 +236,8 @@ def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
         return module, name
     if isinstance(root, partial):
         return symbol_of(root.func)
-    return root.__module__, root.__qualname__ if root.__qualname__.isidentifier() else WHOLE
+    name = root.__qualname__
+    return root.__module__, name if name.isidentifier() else WHOLE
 
 
 @cache
@@ -243,59 +248,57 @@ def library_version(library: str) -> str:
         return ""
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(library)
-    owners = [
-        one
-        for one, files in _files()
-        if re.search(rf"^{re.escape(library)}[/.]", files, re.MULTILINE)
-    ]
+    pattern = re.compile(rf"^{re.escape(library)}[/.]", re.MULTILINE)
+    owners = [owner for owner, files in _files_of_distributions() if pattern.search(files)]
     return " ".join(sorted(f"{owner.metadata['Name']} {owner.version}" for owner in owners))
 
 
 @cache
-def _files() -> list[tuple[metadata.Distribution, str]]:
-    return [
-        (one, one.read_text("RECORD") or one.read_text("top_level.txt") or "")
-        for one in metadata.distributions()
-    ]
+def _files_of_distributions() -> list[tuple[metadata.Distribution, str]]:
+    """Every installed distribution with the text that lists its files."""
+    listed = []
+    for owner in metadata.distributions():
+        files = owner.read_text("RECORD") or owner.read_text("top_level.txt") or ""
+        listed.append((owner, files))
+    return listed
 
 
-def _kept(path: Path, module: str) -> Module:
+def _scan_cached(path: Path, module: str) -> Module:
     """Scan a source file, or take the result from the cache where its content is known."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
     with suppress(OSError):
-        known = unsealed(file.read_bytes())
-        if known is not None and known["content"] == digest:
-            return Module(
-                {
-                    name: Part(one, names, _symbols(more))
-                    for name, (one, names, more) in known["parts"].items()
-                },
-                {name: _symbols(symbols) for name, symbols in known["imported"].items()},
-            )
-    read = _scanned(path, module)
+        cached = unsealed(file.read_bytes())
+        if cached is not None and cached["content"] == digest:
+            return _module_from_json(cached)
+    read = _scan(path, module)
     with suppress(OSError):  # a home that cannot be written to
         CACHE.mkdir(parents=True, exist_ok=True)
-        kept = json.loads(
-            json.dumps({"content": digest, "parts": read.parts, "imported": read.imported})
-        )
-        write_json_atomically(file, sealed(kept), durable=False)
+        body = {"content": digest, "parts": read.parts, "imported": read.imported}
+        as_read_back = json.loads(json.dumps(body))
+        write_json_atomically(file, sealed(as_read_back), durable=False)
     return read
+
+
+def _module_from_json(cached: Mapping[str, Any]) -> Module:
+    parts = {}
+    for name, (digest, names, imports) in cached["parts"].items():
+        parts[name] = Part(digest, names, _symbols(imports))
+    imported = {name: _symbols(symbols) for name, symbols in cached["imported"].items()}
+    return Module(parts, imported)
 
 
 def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
     return [(module, name) for module, name in pairs]
 
 
-def _scanned(path: Path, module: str) -> Module:
+def _scan(path: Path, module: str) -> Module:
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     bound = defaultdict[str, list[ast.stmt]](list)
     imported = defaultdict[str, list[Symbol]](list)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            node.body = node.body[ast.get_docstring(node, clean=False) is not None :]
+    _drop_docstrings(tree)
     for statement in _flat(tree.body):
         if isinstance(statement, ast.Import | ast.ImportFrom):
             for name, symbol in _bindings(statement, package):
@@ -303,21 +306,26 @@ def _scanned(path: Path, module: str) -> Module:
             continue
         for name in _bound_names(statement) or {LOOSE}:
             bound[name].append(statement)
-    return Module(
-        {name: _part(statements, package) for name, statements in bound.items()}, dict(imported)
-    )
+    parts = {name: _part(statements, package) for name, statements in bound.items()}
+    return Module(parts, dict(imported))
+
+
+def _drop_docstrings(tree: ast.Module) -> None:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            has_docstring = ast.get_docstring(node, clean=False) is not None
+            node.body = node.body[has_docstring:]
 
 
 def _part(statements: list[ast.stmt], package: str) -> Part:
     text = "\n".join(map(ast.dump, statements))
-    names = {name for statement in statements for name in _names(statement)}
-    inner = [
-        node
-        for one in statements
-        for node in ast.walk(one)
-        if isinstance(node, ast.Import | ast.ImportFrom)
-    ]
-    imports = {symbol for node in inner for _, symbol in _bindings(node, package)}
+    names: set[str] = set()
+    imports: set[Symbol] = set()
+    for statement in statements:
+        names.update(_names(statement))
+        for node in ast.walk(statement):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                imports.update(symbol for _, symbol in _bindings(node, package))
     return Part(hashlib.sha256(text.encode()).hexdigest(), sorted(names), sorted(imports))
 
 
@@ -325,10 +333,7 @@ def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
     """Top-level statements, those of `if`, `try` and `with` blocks among them; what only type
     checkers see is left."""
     for statement in body:
-        if isinstance(statement, ast.If) and ast.unparse(statement.test) in (
-            "TYPE_CHECKING",
-            "__name__ == '__main__'",
-        ):
+        if isinstance(statement, ast.If) and ast.unparse(statement.test) in NOT_AT_IMPORT:
             continue
         if not isinstance(statement, ast.If | ast.Try | ast.With):
             yield statement
@@ -341,11 +346,8 @@ def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
 def _bound_names(statement: ast.stmt) -> set[str]:
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {statement.name}
-    return {
-        node.id
-        for node in ast.walk(statement)
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-    }
+    names = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
+    return {node.id for node in names if isinstance(node.ctx, ast.Store)}
 
 
 def _names(node: ast.AST) -> Iterator[str]:
@@ -359,15 +361,15 @@ def _names(node: ast.AST) -> Iterator[str]:
 
 
 def _bindings(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[tuple[str, Symbol]]:
+    """Names that an import binds, each with the symbol that it stands for."""
     if isinstance(node, ast.Import):
-        yield from (
-            (alias.asname or alias.name.split(".")[0], (alias.name, WHOLE)) for alias in node.names
-        )
+        for alias in node.names:
+            yield alias.asname or alias.name.split(".")[0], (alias.name, WHOLE)
         return
-    base = (
-        ".".join(package.split(".")[: len(package.split(".")) - node.level + 1])
-        if node.level
-        else ""
-    )
-    source = ".".join(part for part in (base, node.module) if part)
-    yield from ((alias.asname or alias.name, (source, alias.name)) for alias in node.names)
+    base: list[str] = []
+    if node.level:
+        rooms = package.split(".")
+        base = rooms[: len(rooms) - node.level + 1]
+    source = ".".join(part for part in (*base, node.module) if part)
+    for alias in node.names:
+        yield alias.asname or alias.name, (source, alias.name)

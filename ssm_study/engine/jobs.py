@@ -71,16 +71,13 @@ def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: in
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
-    found = [
-        (words, composer.settings(words, number))
-        for number, words in enumerate(overrides, first_number)
-    ]
-    return [
-        Job(
-            overrides=words, settings=settings, folder=folder_of(settings).absolute(), number=number
-        )
-        for number, (words, settings) in enumerate(found, first_number)
-    ]
+    numbered = list(enumerate(overrides, first_number))
+    settings = [composer.settings(words, number) for number, words in numbered]
+    jobs = []
+    for (number, words), of_job in zip(numbered, settings, strict=True):
+        folder = folder_of(of_job).absolute()
+        jobs.append(Job(overrides=words, settings=of_job, folder=folder, number=number))
+    return jobs
 
 
 def run_in_this_process(
@@ -155,11 +152,13 @@ def note_death(
         # Under the lock: another sweep may have finished the run in the meantime.
         record = read_record(folder)
         if record is not None and record["status"] in FINAL:
-            said = str(record.get("error_message") or "")
-            return Outcome(folder=folder, status=record["status"], did="ran", message=said)
-        others = pid is not None and record is not None and record.get("pid") != pid
-        if not mine or others:  # another process is, or was, at the run: this death is no end of it
-            return outcome_of(folder, record | {"status": LOST} if mine and record else record)
+            message = str(record.get("error_message") or "")
+            return Outcome(folder=folder, status=record["status"], did="ran", message=message)
+        is_of_another = pid is not None and record is not None and record.get("pid") != pid
+        if mine and record and is_of_another:
+            record |= {"status": LOST}
+        if not mine or is_of_another:  # this death is no end of the run
+            return outcome_of(folder, record)
         facts = {"study": folder.parent.name, "run": folder.name} | (record or {})
         write_failure(folder, facts, death, text or death["error_message"])
     return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
@@ -167,23 +166,18 @@ def note_death(
 
 def _cause_of_death(job: Job) -> dict[str, Any]:
     """A signal or an exit without a record."""
-    code = job.process.exitcode if job.process and job.process.exitcode is not None else SERVER_DIED
-    if code == SERVER_DIED:
-        return _death(
-            "ServerKilled", "the process that jobs are forked from was killed", transient=True
-        )
+    code = job.process.exitcode if job.process else None
+    if code is None or code == SERVER_DIED:
+        message = "the process that jobs are forked from was killed"
+        return _death("ServerKilled", message, transient=True)
     if code >= 0:  # it chose to end; a signal has a negative code
-        return _death(
-            "ProcessExit",
-            f"the process ended with status {code} before the run was recorded",
-            False,
-        )
+        message = f"the process ended with status {code} before the run was recorded"
+        return _death("ProcessExit", message, transient=False)
     if job.outcome is not None:
         return _death("Timeout", job.outcome.message, transient=False)
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
-    return _death(
-        name, f"the process was stopped by {name}{HINTS.get(name, '')}", name in FROM_OUTSIDE
-    )
+    message = f"the process was stopped by {name}{HINTS.get(name, '')}"
+    return _death(name, message, transient=name in FROM_OUTSIDE)
 
 
 def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
@@ -194,10 +188,8 @@ def stop_hanging(job: Job) -> None:
     """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole
     group."""
     assert job.process is not None
-    message = (
-        f"no result after {time.monotonic() - job.started:.0f} s, the limit of "
-        "hydra.launcher.timeout_s"
-    )
+    seconds = time.monotonic() - job.started
+    message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"
     job.outcome = Outcome(folder=job.folder, status=FAILED, did="ran", message=message)
     with contextlib.suppress(ProcessLookupError):  # it may end by itself at this very moment
         os.kill(job.process.pid, signal.SIGABRT)

@@ -72,9 +72,8 @@ def launch(
     if sweep.config.get("dry_run"):
         walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
-        print(
-            "\n".join(plan(store_of(sweep.config), walks, len(unique), finished, launcher.at_once))
-        )
+        store = store_of(sweep.config)
+        print("\n".join(plan(store, walks, len(unique), finished, launcher.at_once)))
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
@@ -97,22 +96,14 @@ class Processes(Launcher):
 
     def __post_init__(self) -> None:
         cores = len(os.sched_getaffinity(0))
+        remedy = "give 1 or more"
+        has_thread = self.threads >= 1
+        require(has_thread, "hydra.launcher.threads", self.threads, "a job needs a thread", remedy)
+        has_job = self.at_once >= 1
+        require(has_job, "hydra.launcher.n_jobs", self.n_jobs, "no job could run", remedy)
+        most = cores if self.n_jobs is not None else max(cores, self.threads)
         require(
-            self.threads >= 1,
-            "hydra.launcher.threads",
-            self.threads,
-            "a job needs a thread",
-            "give 1 or more",
-        )
-        require(
-            self.at_once >= 1,
-            "hydra.launcher.n_jobs",
-            self.n_jobs,
-            "no job could run",
-            "give 1 or more",
-        )
-        require(
-            self.at_once * self.threads <= max(cores, self.threads if self.n_jobs is None else 0),
+            self.at_once * self.threads <= most,
             "hydra.launcher.n_jobs * threads",
             f"{self.at_once} * {self.threads}",
             f"this machine gives {cores} cores and oversubscribed jobs run 20 times slower",
@@ -121,11 +112,9 @@ class Processes(Launcher):
 
     @property
     def at_once(self) -> int:  # type: ignore[override]
-        return (
-            max(1, len(os.sched_getaffinity(0)) // self.threads)
-            if self.n_jobs is None
-            else self.n_jobs
-        )
+        if self.n_jobs is not None:
+            return self.n_jobs
+        return max(1, len(os.sched_getaffinity(0)) // self.threads)
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
         """Fork the jobs that are to do, a few at a time, and wait for the end of each."""
@@ -133,9 +122,8 @@ class Processes(Launcher):
         running = list[Job]()
         task = task_of(sweep.task_function)
         waiting = deque(enumerate(to_do))
-        works = [
-            partial(run_in_this_process, job, composer, task, sweep.hydra_context) for job in to_do
-        ]
+        context = sweep.hydra_context
+        works = [partial(run_in_this_process, job, composer, task, context) for job in to_do]
         # Starts with the first job.
         server = Server(works, preload=partial(preload, task, to_do), threads=self.threads)
         with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
@@ -161,11 +149,11 @@ class Processes(Launcher):
         server.listen(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.tick(running=len(running))
+        if self.timeout_s is None:
+            return ended
         for job in running:
-            too_long = (
-                self.timeout_s is not None and time.monotonic() - job.started > self.timeout_s
-            )
-            if job not in ended and too_long:
+            is_too_long = time.monotonic() - job.started > self.timeout_s
+            if job not in ended and is_too_long:
                 stop_hanging(job)
                 ended.append(job)
         return ended
@@ -193,10 +181,8 @@ def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
             signal.signal(name, signal.SIG_IGN)  # a second Ctrl-C shall not stop the cleaning up
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
 
-    previous = {
-        number: signal.signal(number, stop)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
+    stopping = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    previous = {number: signal.signal(number, stop) for number in stopping}
     try:
         yield
     finally:

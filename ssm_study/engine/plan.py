@@ -22,21 +22,21 @@ class PlannedStages(Stages):
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        if key not in self.noted:  # many runs share a stage: its folder is looked for once
-            folder = self.store.folder(name, key)
-            # Sums are compared when it is used: a plan reads no gigabytes.
-            there = (folder / MANIFEST).is_file()
-            self.noted[key] = StageResult(
-                path=folder, key=key, seconds=0.0, reused=there, name=name
-            )
-        return self.noted[key]
+        if key in self.noted:  # many runs share a stage: its folder is looked for once
+            return self.noted[key]
+        folder = self.store.folder(name, key)
+        # Sums are compared when it is used: a plan reads no gigabytes.
+        is_there = (folder / MANIFEST).is_file()
+        result = StageResult(path=folder, key=key, seconds=0.0, reused=is_there, name=name)
+        self.noted[key] = result
+        return result
 
 
 class KeyedStages(PlannedStages):
     """A plan that finds the keys of the columns, too: so it reads all code that they depend on."""
 
-    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        measure_key(kept, before)
+    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        measure_key(output, before)
         return {}
 
 
@@ -90,4 +90,6 @@ def duration(seconds: float) -> str:
     """`7 s`, `3 min`, `2.5 h`: as precise as an estimate deserves."""
     if seconds < 100:
         return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"

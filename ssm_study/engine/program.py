@@ -14,6 +14,12 @@ COMMON = {
     "run": "${run_name:seed:seed}",
     "retry_failed": False,
 }
+CHOICES = {
+    "launcher": "processes",
+    "sweeper": "grid",
+    "job_logging": "none",
+    "hydra_logging": "none",
+}
 FOLDERS = {
     "output_subdir": None,
     "run": {"dir": "${results_dir}/${study}/${run}"},
@@ -24,16 +30,8 @@ FOLDERS = {
 def main(task: Task[Any], settings: Mapping[str, Any]) -> None:
     """Run `task` with `settings`, changed by the overrides of the command line; Hydra's options all
     work."""
-    choices = {
-        "launcher": "processes",
-        "sweeper": "grid",
-        "job_logging": "none",
-        "hydra_logging": "none",
-    }
-    defaults = [
-        "_self_",
-        *({f"override hydra/{group}": choice} for group, choice in choices.items()),
-    ]
-    node = {"defaults": defaults, **COMMON, "dry_run": False, **settings, "hydra": FOLDERS}
+    choices = [{f"override hydra/{group}": choice} for group, choice in CHOICES.items()]
+    defaults = {"defaults": ["_self_", *choices]}
+    node = defaults | COMMON | {"dry_run": False} | dict(settings) | {"hydra": FOLDERS}
     ConfigStore.instance().store(name="task", node=node)
     hydra.main(version_base="1.3", config_path=None, config_name="task")(task.job)()

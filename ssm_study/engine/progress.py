@@ -25,13 +25,11 @@ class Progress:
         self.counts = Counter[str]()
         self.reused = 0
         self.running = 0
-        self.started = self.spoken = time.monotonic()
-        console = Console(stderr=True)
-        self.live = (
-            Live(console=console, transient=True, auto_refresh=False)
-            if sys.stderr.isatty()
-            else None
-        )
+        self.started = time.monotonic()
+        self.spoken = self.started
+        self.live: Live | None = None
+        if sys.stderr.isatty():
+            self.live = Live(console=Console(stderr=True), transient=True, auto_refresh=False)
 
     def __enter__(self) -> "Progress":
         if self.live:
@@ -54,24 +52,26 @@ class Progress:
 
     def line(self) -> str:
         """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
-        counts = [
-            f"{self.counts[status]} {status}"
-            for status in (*FINAL, *sorted(set(self.counts) - set(FINAL)))
-        ]
+        statuses = (*FINAL, *sorted(set(self.counts) - set(FINAL)))
+        counts = [f"{self.counts[status]} {status}" for status in statuses]
         parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
-        parts += [f"{self.reused} there before"] if self.reused else []
-        parts += [f"{self.running} running"] if self.running else []
-        left = self.seconds_left()
-        return "; ".join(parts + ([f"{int(left // 60)}:{int(left % 60):02d} left"] if left else []))
+        if self.reused:
+            parts.append(f"{self.reused} there before")
+        if self.running:
+            parts.append(f"{self.running} running")
+        seconds = self.seconds_left()
+        if seconds:
+            parts.append(f"{int(seconds // 60)}:{int(seconds % 60):02d} left")
+        return "; ".join(parts)
 
     def seconds_left(self) -> float | None:
         """Seconds left, estimated from the mean pace of the runs done in this sweep; None before
         the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
-        return (
-            (time.monotonic() - self.started) / fresh * remaining if fresh and remaining else None
-        )
+        if not fresh or not remaining:
+            return None
+        return (time.monotonic() - self.started) / fresh * remaining
 
     def _say(self) -> None:
         if self.live:

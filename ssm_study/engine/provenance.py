@@ -17,21 +17,21 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
     source = source.resolve()
     commit = _ask_git(source, "rev-parse", "HEAD")
     changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
+    is_tracked = commit is not None and changes is not None
     facts = {
         "git_commit": commit or None,
-        "git_dirty": None if commit is None or changes is None else bool(changes),
+        "git_dirty": bool(changes) if is_tracked else None,
+        "version_python": platform.python_version(),
     }
-    facts["version_python"] = platform.python_version()
     for library in libraries:
         with suppress(metadata.PackageNotFoundError):
             facts[f"version_{library.replace('-', '_')}"] = metadata.version(library)
-    return facts | {
-        "machine": platform.node(),
-        "machine_system": platform.platform(),
-        "machine_processor": _processor(),
-        "machine_cores": len(os.sched_getaffinity(0)),
-        "threads": int(os.environ.get("OMP_NUM_THREADS", 0)) or None,
-    }
+    facts["machine"] = platform.node()
+    facts["machine_system"] = platform.platform()
+    facts["machine_processor"] = _processor()
+    facts["machine_cores"] = len(os.sched_getaffinity(0))
+    facts["threads"] = int(os.environ.get("OMP_NUM_THREADS", 0)) or None
+    return facts
 
 
 def _ask_git(here: Path, *question: str) -> str | None:
@@ -47,7 +47,6 @@ def _ask_git(here: Path, *question: str) -> str | None:
 def _processor() -> str:
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(
-            line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")
-        )
+        named = next(line for line in lines if line.startswith("model name"))
+        return named.split(":", 1)[1].strip()
     return platform.processor() or platform.machine()

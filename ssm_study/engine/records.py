@@ -15,6 +15,7 @@ from ssm_study.renamed import with_both_columns
 RECORD = "record.json"
 VERSION = 2  # of what is written
 READABLE = (1, 2)  # 1: before version 0.2.0; any other is not ours to interpret
+OF_THE_FILE = ("record_version", "sha256")  # written anew each time
 LOCK = ".lock"
 LARGEST = 2**22  # bytes of a record: a real one has 5,000
 # What `status` may be in the file; readers see two more: `lost` (says running, but nobody holds the
@@ -31,11 +32,10 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
     """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts
     `inf` and `-inf`."""
-    flat = {str(key): storable(str(key), value) for key, value in record.items() if key != "sha256"}
-    both = with_both_columns(
-        {name: value for name, value in flat.items() if name != "record_version"}
-    )
-    write_json_atomically(folder / RECORD, sealed({"record_version": VERSION} | both), durable)
+    columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
+    flat = {name: storable(name, value) for name, value in columns.items()}
+    body = {"record_version": VERSION} | with_both_columns(flat)
+    write_json_atomically(folder / RECORD, sealed(body), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
@@ -70,7 +70,8 @@ def parse_record(content: bytes) -> dict[str, Any]:
 def _fits(*values: Any) -> bool:
     """A table holds whole numbers of 64 bits: one beyond them would spoil the table of its whole
     study."""
-    return all(-(1 << 63) < value < 1 << 63 for value in values if type(value) is int)
+    whole = [value for value in values if type(value) is int]
+    return all(-(1 << 63) < value < 1 << 63 for value in whole)
 
 
 def storable(key: str, value: Any) -> bool | int | float | str | None:
@@ -78,15 +79,13 @@ def storable(key: str, value: Any) -> bool | int | float | str | None:
     truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None if math.isnan(value) else ("inf" if value > 0 else "-inf")
+    if isinstance(value, float) and math.isnan(value):
+        return None
+    if isinstance(value, float) and math.isinf(value):
+        return "inf" if value > 0 else "-inf"
     if value is None or (isinstance(value, (bool, int, float, str)) and _fits(value)):
         return value
     if isinstance(value, Path):
         return str(value)
-    raise BadRequest(
-        key,
-        value,
-        f"a {type(value).__name__} does not fit a flat record",
-        "store a number or a text",
-    )
+    problem = f"a {type(value).__name__} does not fit a flat record"
+    raise BadRequest(key, value, problem, "store a number or a text")

@@ -7,7 +7,7 @@ import shutil
 import socket
 import time
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -24,6 +24,7 @@ from ssm_study.refusal import BadRequest, require
 TRACEBACK = "traceback.txt"
 ATTEMPTS = "attempts"
 KEPT_IN_PLACE = frozenset({LOCK, ".hydra", ATTEMPTS})
+LONGEST_MESSAGE = 500  # characters of an error in the record
 FINISHED = frozenset({OK, INFEASIBLE})
 
 
@@ -81,12 +82,8 @@ def execute(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / LOCK, PATIENCE_S) as mine:
         if not mine:  # two sweeps may share runs: who comes second leaves them to the first
-            return Outcome(
-                folder=folder,
-                status=RUNNING,
-                did="elsewhere",
-                message="another process is at this run",
-            )
+            message = "another process is at this run"
+            return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)
         # Under the lock: another process may have done the run in the meantime.
         before = run_status(folder, mine=True)
         if not is_to_run(before, retry_failed):
@@ -95,13 +92,23 @@ def execute(
         for name, text in (configuration or {}).items():
             (folder / ".hydra").mkdir(exist_ok=True)
             write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
-        # An attempt that was killed left its number: the count goes on over crashes.
-        attempt = {"attempt": int((before or {}).get("attempt") or 0) + 1, "started_utc": _now()}
-        place = {"study": folder.parent.name, "run": folder.name, "status": RUNNING}
-        process = {"pid": os.getpid(), "host": socket.gethostname()}
-        return _run(
-            folder, {**parameters, **place, **attempt, **process, **(provenance or {})}, work
-        )
+        opening = dict(parameters) | _opening(folder, before) | dict(provenance or {})
+        return _run(folder, opening, work)
+
+
+def _opening(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
+    """What a record says of a run that begins; a killed attempt left its number, so the count goes
+    on over crashes."""
+    attempts = int((before or {}).get("attempt") or 0)
+    return {
+        "study": folder.parent.name,
+        "run": folder.name,
+        "status": RUNNING,
+        "attempt": attempts + 1,
+        "started_utc": _now(),
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+    }
 
 
 def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
@@ -121,30 +128,22 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault
     (disk, signal)."""
-    status = before["status"] if before else None
-    if retry_failed:
-        return status in (FAILED, LOST, CORRUPT)
-    return status in (None, LOST, CORRUPT) or (
-        status == FAILED and bool(before and before.get("failure_transient"))
-    )
+    if before is None:
+        return not retry_failed
+    status = before["status"]
+    if status == FAILED:
+        return retry_failed or bool(before.get("failure_transient"))
+    return status in (LOST, CORRUPT)
 
 
 def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
     """Outcome of a run that is not executed now, taken from the record in its folder."""
     if before is None:
-        return Outcome(
-            folder=folder,
-            status="absent",
-            did="left",
-            message="never ran; only failed runs are retried",
-        )
+        message = "never ran; only failed runs are retried"
+        return Outcome(folder=folder, status="absent", did="left", message=message)
     did = "found" if before["status"] in FINISHED else "left"
-    return Outcome(
-        folder=folder,
-        status=before["status"],
-        did=did,
-        message=str(before.get("error_message") or ""),
-    )
+    message = str(before.get("error_message") or "")
+    return Outcome(folder=folder, status=before["status"], did=did, message=message)
 
 
 def _run(
@@ -157,14 +156,10 @@ def _run(
     try:
         run.note(**(work(run) or {}))
         status = run.facts.get("status", OK)
-        require(
-            status in FINISHED,
-            "status",
-            status,
-            "not the status of finished work",
-            "return ok or infeasible",
-        )
-        closing = {"status": status, "ended_utc": _now(), "seconds": time.perf_counter() - started}
+        problem = "not the status of finished work"
+        require(status in FINISHED, "status", status, problem, "return ok or infeasible")
+        seconds = time.perf_counter() - started
+        closing = {"status": status, "ended_utc": _now(), "seconds": seconds}
         # Before the record: that one makes the run count, so its files must already be durable.
         seal_run(folder)
         records.write_record(folder, opening | run.facts | closing)
@@ -187,30 +182,32 @@ def _stopped_by_scheduler(error: BaseException) -> bool:
 
 def seal_run(folder: Path) -> None:
     """`manifest.json` over the artefacts of the run, its configuration among them."""
-    seal_folder(
-        folder, {"run": folder.name}, leave_out=frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
-    )
+    changing = frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
+    seal_folder(folder, {"run": folder.name}, leave_out=changing)
 
 
 def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
     """The failure as data. Transient: the machine was at fault (disk, memory), so the same command
     tries again."""
-    text = (
-        f"exited with status {error.code}"
-        if isinstance(error, SystemExit)
-        else (str(error) or type(error).__name__)
-    )
-    # An exception may have been raised from, or while handling, another.
-    chain: list[BaseException] = [error]
-    while (cause := chain[-1].__cause__ or chain[-1].__context__) is not None:
-        chain.append(cause)
+    text = str(error) or type(error).__name__
+    if isinstance(error, SystemExit):
+        text = f"exited with status {error.code}"
     if isinstance(error, OSError) and error.filename is None:
         text = f"{text} (in {folder})"
+    is_transient = any(_is_the_machines(cause, folder) for cause in _causes(error))
     return {
         "error_type": type(error).__name__,
-        "error_message": " ".join(text.split())[:500],
-        "failure_transient": any(_is_the_machines(one, folder) for one in chain),
+        "error_message": " ".join(text.split())[:LONGEST_MESSAGE],
+        "failure_transient": is_transient,
     }
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    """An exception, what it was raised from or while handling, what that was raised from, ..."""
+    cause: BaseException | None = error
+    while cause is not None:
+        yield cause
+        cause = cause.__cause__ or cause.__context__
 
 
 # OSErrors that a second attempt meets again, unless they are about files of our own that somebody
@@ -223,20 +220,21 @@ _PROGRAM_ERRORS = (
     PermissionError,
 )
 # What writers of other libraries quote of a failing disk, in exceptions of their own.
-_OF_THE_DISK = tuple(
-    os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ESTALE)
-)
+_ERRORS_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ESTALE)
+_OF_THE_DISK = tuple(os.strerror(code) for code in _ERRORS_OF_THE_DISK)
 
 
 def _is_the_machines(error: BaseException, folder: Path) -> bool:
     if isinstance(error, FileNotFoundError):
-        missing = None if error.filename is None else Path(os.fsdecode(error.filename)).absolute()
-        return missing is not None and folder.absolute().parents[1] in missing.parents
+        if error.filename is None:
+            return False
+        missing = Path(os.fsdecode(error.filename)).absolute()
+        return folder.absolute().parents[1] in missing.parents
     if isinstance(error, _PROGRAM_ERRORS):
         return False
-    return isinstance(error, (OSError, MemoryError)) or any(
-        said in str(error) for said in _OF_THE_DISK
-    )
+    if isinstance(error, (OSError, MemoryError)):
+        return True
+    return any(message in str(error) for message in _OF_THE_DISK)
 
 
 def write_failure(
@@ -246,11 +244,12 @@ def write_failure(
     without lock: lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
-        kept = {}
+        storable_facts = {}
         for name, value in facts.items():
             with suppress(BadRequest):  # what no record holds may be the very cause of the failure
-                kept[name] = records.storable(name, value)
-        records.write_record(folder, kept | {"status": FAILED, "ended_utc": _now()} | dict(error))
+                storable_facts[name] = records.storable(name, value)
+        closing = {"status": FAILED, "ended_utc": _now()} | dict(error)
+        records.write_record(folder, storable_facts | closing)
 
 
 def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
@@ -262,14 +261,13 @@ def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
         return
     attempts = folder / ATTEMPTS
     attempts.mkdir(exist_ok=True)
-    number = 1 + max(
-        (int(path.name) for path in attempts.iterdir() if path.name.isdigit()), default=0
-    )
-    (attempts / f"{number}").mkdir()
+    numbers = [int(path.name) for path in attempts.iterdir() if path.name.isdigit()]
+    attempt = attempts / f"{max(numbers, default=0) + 1}"
+    attempt.mkdir()
     # The record last: a kill repeats this.
     for path in sorted(folder.iterdir(), key=lambda path: path.name == RECORD):
         if path.name not in KEPT_IN_PLACE and path.suffix != ".log":
-            shutil.move(path, attempts / f"{number}" / path.name)
+            shutil.move(path, attempt / path.name)
 
 
 def _now() -> str:

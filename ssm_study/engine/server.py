@@ -114,12 +114,10 @@ class Server:
             except Exception as error:  # whatever a module raises
                 source = traceback.extract_tb(error.__traceback__)[-1]
                 where = f"{source.filename}:{source.lineno}"
-                problem = (
-                    f"{where}: importing it for the jobs failed ({type(error).__name__}: {error})"
-                )
-                raise BadRequest(
-                    "program", Path(source.filename).name, problem, "mend it"
-                ) from error
+                cause = f"{type(error).__name__}: {error}"
+                problem = f"{where}: importing it for the jobs failed ({cause})"
+                name = Path(source.filename).name
+                raise BadRequest("program", name, problem, "mend it") from error
             gc.freeze()  # what has been imported is not looked at again: a job would copy all of it
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job
@@ -195,10 +193,8 @@ def kill_all_of(pid: int) -> None:
 
 def thread_limits(threads: int) -> dict[str, str]:
     """The variables that torch, MKL and OpenBLAS read when they are first imported."""
-    counts = dict.fromkeys(
-        ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(threads)
-    )
-    return counts | {"OMP_WAIT_POLICY": "passive"}
+    names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
 def _settle_memory_and_threads(threads: int) -> None:

@@ -8,7 +8,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterable, Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,8 @@ from ssm_study.refusal import BadRequest, require
 
 LARGEST_YAML = 2**22  # bytes of a configuration that is read: a real one has 4,000
 MOST_VALUES = 100_000  # in a configuration: a real one has 200
+LONGEST_WORD = 24  # characters of a setting in a run's name
+NAME_DIGITS = 10  # hexadecimal, of the hash in a run's name
 # Where a run is kept and how it is watched is no part of what it is.
 NOT_IDENTITY = frozenset(
     {"hydra", "results_dir", "study", "run", "progress", "dry_run", "retry_failed", "strict"}
@@ -46,18 +48,17 @@ def settled(value: Any) -> Any:
     """Plain containers with every dictionary as `Settings`."""
     if isinstance(value, list):
         return [settled(item) for item in value]
-    known = isinstance(value, Settings) or not isinstance(value, dict)
-    return value if known else Settings({str(key): settled(item) for key, item in value.items()})
+    if isinstance(value, Settings) or not isinstance(value, dict):
+        return value
+    return Settings({str(key): settled(item) for key, item in value.items()})
 
 
 def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})) -> Settings:
     """The configuration with its interpolations resolved, some keys left out."""
     if isinstance(config, Settings):
-        return (
-            config
-            if without.isdisjoint(config)
-            else Settings({k: v for k, v in config.items() if k not in without})
-        )
+        if without.isdisjoint(config):
+            return config
+        return Settings({name: config[name] for name in config if name not in without})
     names = [str(key) for key in config if str(key) not in without]
     return Settings({name: settled(resolved(config[name])) for name in names})
 
@@ -69,13 +70,12 @@ def resolved(node: Any) -> Any:
 
 def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
     """Dotted path, last key and value of everything in plain containers, from the outside in."""
-    for key, value in (
-        tree.items()
-        if isinstance(tree, dict)
-        else enumerate(tree)
-        if isinstance(tree, list)
-        else ()
-    ):
+    children: Iterable[tuple[Any, Any]] = ()
+    if isinstance(tree, dict):
+        children = tree.items()
+    elif isinstance(tree, list):
+        children = enumerate(tree)
+    for key, value in children:
         yield f"{prefix}{key}", str(key), value
         yield from nodes(value, f"{prefix}{key}.")
 
@@ -84,9 +84,9 @@ def refuse_unbounded(tree: Any) -> None:
     """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by
     them."""
     for path, _, value in nodes(tree):
-        finite = not isinstance(value, float) or math.isfinite(value)
+        is_finite = not isinstance(value, float) or math.isfinite(value)
         remedy = "leave it out, or give a finite value"
-        require(finite, path, value, "is not a finite number", remedy)
+        require(is_finite, path, value, "is not a finite number", remedy)
 
 
 def canonical_json(value: Any) -> str:
@@ -97,9 +97,8 @@ def canonical_json(value: Any) -> str:
     try:
         return json.dumps(_alike(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise BadRequest(
-            "config", value, str(error), "use finite numbers, text or lists"
-        ) from error
+        remedy = "use finite numbers, text or lists"
+        raise BadRequest("config", value, str(error), remedy) from error
 
 
 def _alike(value: Any) -> Any:
@@ -107,7 +106,9 @@ def _alike(value: Any) -> Any:
         return {str(key): _alike(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_alike(item) for item in value]
-    return int(value) if isinstance(value, float) and value.is_integer() else value
+    if isinstance(value, float) and value.is_integer():
+        return int(value)
+    return value
 
 
 def digest(value: Any) -> str:
@@ -123,15 +124,15 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
     out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
     hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
     """
-    identity = {
-        key: value for key, value in plain(config, NOT_IDENTITY).items() if value is not None
-    }
-    pairs = [
-        (word, entry(identity, path)) for word, _, path in (pair.partition(":") for pair in shown)
-    ]
-    known = [(word, value) for word, value in pairs if isinstance(value, int | float | str)]
-    said = [re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:24] for word, value in known]
-    return "-".join([*said, digest(identity)[:10]])
+    settings = plain(config, NOT_IDENTITY)
+    identity = {key: value for key, value in settings.items() if value is not None}
+    words = []
+    for pair in shown:
+        word, _, path = pair.partition(":")
+        value = entry(identity, path)
+        if isinstance(value, int | float | str):
+            words.append(re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD])
+    return "-".join([*words, digest(identity)[:NAME_DIGITS]])
 
 
 def entry(settings: Any, path: str) -> Any:

@@ -40,32 +40,28 @@ class Slurm(Launcher):
         to_do = [job for job in jobs if job.outcome is None]
         Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         state = Singleton.get_state()  # what Hydra on the node needs of this process
-        arguments = [
-            (job.overrides, "hydra.sweep.dir", job.number, f"{job.number}", state) for job in to_do
-        ]
-        submitted = executor(self.launcher.params).map_array(
-            self.launcher, *zip(*arguments, strict=True)
-        )
-        for job, one in zip(to_do, submitted, strict=True):
-            job.outcome = settled(job, one)
+        arguments = []
+        for job in to_do:
+            number = job.number
+            arguments.append((job.overrides, "hydra.sweep.dir", number, f"{number}", state))
+        slurm = executor(self.launcher.params)
+        submitted = slurm.map_array(self.launcher, *zip(*arguments, strict=True))
+        for job, of_slurm in zip(to_do, submitted, strict=True):
+            job.outcome = settled(job, of_slurm)
 
 
 def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
     """submitit's executor with the settings of `hydra.launcher`."""
+    settings = dict(params)
     slurm = submitit.AutoExecutor(
         cluster="slurm",
-        folder=params["submitit_folder"],
-        slurm_max_num_timeout=params["max_num_timeout"],
+        folder=settings.pop("submitit_folder"),
+        slurm_max_num_timeout=settings.pop("max_num_timeout"),
     )
-    settings = {
-        name: value
-        for name, value in params.items()
-        if name not in ("submitit_folder", "max_num_timeout")
-    }
-    named = {
-        name if name in AUTO | {"stderr_to_stdout"} else f"slurm_{name}": v
-        for name, v in settings.items()
-    }
+    named = {}
+    for name, value in settings.items():
+        is_for_all = name in AUTO or name == "stderr_to_stdout"
+        named[name if is_for_all else f"slurm_{name}"] = value
     slurm.update_parameters(**named)
     return slurm
 
@@ -82,9 +78,8 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
     except UncompletedJobError as error:
         problem = str(error)
     except Exception as error:  # the job's own, from its node: the others are waited for
-        return note_death(
-            job.folder, error_facts(error, job.folder), "".join(format_exception(error))
-        )
+        death = error_facts(error, job.folder)
+        return note_death(job.folder, death, "".join(format_exception(error)))
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
     death = {
         "error_type": state.title().replace("_", ""),

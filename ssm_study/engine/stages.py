@@ -102,33 +102,32 @@ class Stages(ABC):
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
         plan has no files, so values may be asked for only inside the functions of a stage.
         """
+        arguments = settings if parts is None else parts
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
-            value = stage.compute(
-                folder, *(one.value for one in before), **(settings if parts is None else parts)
-            )
-            computed.extend([] if value is None else [value])
+            values = [output.value for output in before]
+            value = stage.compute(folder, *values, **arguments)
+            if value is not None:
+                computed.append(value)
 
-        code = code_version(stage.compute, *sorted(targets(settings)))
-        value_keys = [output.value_key for output in before]
+        # Equal notes, equal results.
         note = {
             "stage": stage.name,
             "settings": settings,
-            "before": value_keys,
-            "code": code,
-        }  # equal notes, equal results
-        kept = StageOutput(
-            stage, self.keyed(stage.name, digest(note), note, compute), tuple(computed)
-        )
-        return replace(kept, facts=self.measured(kept, before))
+            "before": [output.value_key for output in before],
+            "code": code_version(stage.compute, *sorted(targets(settings))),
+        }
+        result = self.keyed(stage.name, digest(note), note, compute)
+        output = StageOutput(stage, result, tuple(computed))
+        return replace(output, facts=self.measured(output, before))
 
     @abstractmethod
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
         """The stage of this key; `note` says what the key was made of."""
 
-    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Its columns; a plan has none."""
+    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
+        """Columns of a stage; a plan has none."""
         return {}
 
     def unrecorded(self) -> "Stages":
@@ -136,8 +135,7 @@ class Stages(ABC):
         return self
 
 
-def measure_key(kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
+def measure_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
     """The key of a stage's columns."""
-    return digest(
-        [kept.value_key, [one.value_key for one in before], code_version(kept.stage.measure)]
-    )
+    earlier_keys = [earlier.value_key for earlier in before]
+    return digest([output.value_key, earlier_keys, code_version(output.stage.measure)])

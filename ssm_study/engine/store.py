@@ -39,22 +39,24 @@ class Store(Stages):
 
     root: Path
 
-    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """From their sealed file beside its folder, or measured into it."""
-        key = measure_key(kept, before)
-        path = kept.result.path.with_name(f"{kept.result.path.name}.{key[:16]}.json")
-        found = unsealed(contents(path)) if path.is_file() else None
-        if found is None or found["key"] != key:
-            worked = time.process_time()
-            measured = kept.stage.measure(kept.value, *(one.value for one in before))
-            found = {
-                "key": key,
-                "facts": {name: storable(name, value) for name, value in measured.items()},
-            }
-            found["processor_seconds"] = time.process_time() - worked
-            # A damaged one is measured again.
-            durable.write_json_atomically(path, sealed(found), durable=False)
-        facts: Facts = found["facts"]
+    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        """Columns of a stage, from their sealed file beside its folder, or measured into it.
+
+        A damaged file is measured again.
+        """
+        key = measure_key(output, before)
+        folder = output.result.path
+        path = folder.with_name(f"{folder.name}.{key[:16]}.json")
+        stored = unsealed(contents(path)) if path.is_file() else None
+        if stored is not None and stored["key"] == key:
+            facts: Facts = stored["facts"]
+            return facts
+        started = time.process_time()
+        columns = output.stage.measure(output.value, *(earlier.value for earlier in before))
+        facts = {name: storable(name, value) for name, value in columns.items()}
+        seconds = time.process_time() - started
+        body = {"key": key, "facts": facts, "processor_seconds": seconds}
+        durable.write_json_atomically(path, sealed(body), durable=False)
         return facts
 
     def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
@@ -62,18 +64,18 @@ class Store(Stages):
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
-        if found := self.find(name, key):
-            return found
+        if intact := self.find(name, key):
+            return intact
         with locked(self.root / ".locks" / f"{name}-{key}.lock"):
-            if found := self.find(name, key):  # another process was faster
-                return found
+            if intact := self.find(name, key):  # another process was faster
+                return intact
             folder = self.folder(name, key)
             if folder.exists():  # damaged, or placed since by a node beyond our lock
-                if found := self.find(name, key):
-                    return found
-                aside = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
-                aside.parent.mkdir(parents=True, exist_ok=True)
-                folder.rename(aside)
+                if intact := self.find(name, key):
+                    return intact
+                corrupt = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
+                corrupt.parent.mkdir(parents=True, exist_ok=True)
+                folder.rename(corrupt)
             return self._compute(name, key, note, compute)
 
     def find(self, name: str, key: str) -> StageResult | None:
@@ -83,9 +85,8 @@ class Store(Stages):
         # The name holds 32 of its 64 digits only.
         if manifest is None or manifest.get("key") != key:
             return None
-        return StageResult(
-            path=folder, key=key, seconds=manifest["seconds"], reused=True, name=name
-        )
+        seconds = manifest["seconds"]
+        return StageResult(path=folder, key=key, seconds=seconds, reused=True, name=name)
 
     def folder(self, name: str, key: str) -> Path:
         is_plain = name.replace("_", "").replace("-", "").isalnum()
@@ -100,24 +101,29 @@ class Store(Stages):
         _take_over(temporary, final)
         try:
             started = time.perf_counter()
-            worked = time.process_time()
+            processor_started = time.process_time()
             compute(temporary)
             seconds = time.perf_counter() - started
-            times = {"seconds": seconds, "processor_seconds": time.process_time() - worked}
+            processor_seconds = time.process_time() - processor_started
+            times = {"seconds": seconds, "processor_seconds": processor_seconds}
             seal_folder(temporary, note | {"key": key} | times)
-            try:
-                # Atomic: under its final name a stage is whole or not there.
-                temporary.rename(final)
-            except OSError:
-                if intact_manifest(final) is None:
-                    raise
-                # Someone placed the same result without our lock: theirs is as good.
-                shutil.rmtree(temporary)
-            sync(final.parent)  # only now does the stage survive a power loss
+            _place(temporary, final)
         except (Exception, SystemExit):
             shutil.rmtree(temporary, ignore_errors=True)
             raise  # Ctrl-C and kills leave the folder: the next attempt takes its checkpoint over
         return StageResult(path=final, key=key, seconds=seconds, reused=False, name=name)
+
+
+def _place(temporary: Path, final: Path) -> None:
+    """Give a finished stage its final name, under which it is whole or not there."""
+    try:
+        temporary.rename(final)
+    except OSError:
+        if intact_manifest(final) is None:
+            raise
+        # Someone placed the same result without our lock: theirs is as good.
+        shutil.rmtree(temporary)
+    sync(final.parent)  # only now does the stage survive a power loss
 
 
 def node() -> str:
@@ -135,13 +141,13 @@ def _take_over(temporary: Path, final: Path) -> None:
     for leftover in final.parent.glob(f".tmp-{final.name}-*"):
         if leftover == temporary:
             continue
-        foreign = leftover.name.rsplit("-", 2)[1] not in (node(), final.name)
-        for saved in leftover.rglob(CHECKPOINT):
-            heir = temporary / saved.relative_to(leftover)
+        is_foreign = leftover.name.rsplit("-", 2)[1] not in (node(), final.name)
+        for checkpoint in leftover.rglob(CHECKPOINT):
+            heir = temporary / checkpoint.relative_to(leftover)
             heir.parent.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):  # its owner has finished
-                shutil.copyfile(saved, heir) if foreign else saved.replace(heir)
-        if not foreign or time.time() - leftover.stat().st_mtime > ABANDONED_S:
+                shutil.copyfile(checkpoint, heir) if is_foreign else checkpoint.replace(heir)
+        if not is_foreign or time.time() - leftover.stat().st_mtime > ABANDONED_S:
             # Under the lock, so nobody is at work there.
             shutil.rmtree(leftover, ignore_errors=True)
 
@@ -156,22 +162,21 @@ def seal_folder(
     sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
     folder count comes after it (the rename of a stage, the record of a run).
     """
-    paths = sorted(path for path in folder.rglob("*") if path.relative_to(folder) != Path(MANIFEST))
-    files = {
-        path.relative_to(folder).as_posix(): {
-            "sha256": sha256_of_file(path),
-            "bytes": path.stat().st_size,
-        }
-        for path in paths
-        if path.is_file() and path.relative_to(folder).parts[0] not in leave_out
-    }
+    manifest = folder / MANIFEST
+    paths = sorted(path for path in folder.rglob("*") if path != manifest)
+    files = {}
+    for path in paths:
+        place = path.relative_to(folder)
+        if path.is_file() and place.parts[0] not in leave_out:
+            sums = {"sha256": sha256_of_file(path), "bytes": path.stat().st_size}
+            files[place.as_posix()] = sums
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
-    made = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
-    (folder / MANIFEST).write_bytes(durable.json_bytes(sealed(note | made | {"files": files})))
-    there = [path for path in paths if path.is_dir() or path.is_file()]
+    process = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
+    manifest.write_bytes(durable.json_bytes(sealed(note | process | {"files": files})))
+    entries = [path for path in paths if path.is_dir() or path.is_file()]
     # The file system commits them together; more than 8 gain nothing.
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(sync, [*there, folder / MANIFEST, folder]))
+        list(pool.map(sync, [*entries, manifest, folder]))
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
@@ -181,7 +186,9 @@ def intact_manifest(folder: Path) -> dict[str, Any] | None:
         manifest = unsealed(contents(folder / MANIFEST))
     except OSError:
         return None
-    return manifest if manifest is not None and not damaged_files(folder, manifest) else None
+    if manifest is None or damaged_files(folder, manifest):
+        return None
+    return manifest
 
 
 def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
@@ -189,9 +196,10 @@ def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
 
     def is_same(path: Path, facts: dict[str, Any]) -> bool:
         with suppress(OSError):
-            return (
-                path.stat().st_size == facts["bytes"] and sha256_of_file(path) == facts["sha256"]
-            )  # cheap one first
+            if path.stat().st_size != facts["bytes"]:  # the cheap one first
+                return False
+            return sha256_of_file(path) == facts["sha256"]
         return False
 
-    return [name for name, facts in manifest["files"].items() if not is_same(folder / name, facts)]
+    files = manifest["files"]
+    return [name for name, facts in files.items() if not is_same(folder / name, facts)]

@@ -91,10 +91,9 @@ class Task(ABC, Generic[R]):
             self.refuse(config)
         settings = plain(config)
         for name in FLAGS & settings.keys():
-            is_flag = isinstance(settings[name], bool)
-            require(
-                is_flag, name, settings[name], "is neither true nor false", "write true or false"
-            )
+            value = settings[name]
+            problem = "is neither true nor false"
+            require(isinstance(value, bool), name, value, problem, "write true or false")
         return settings
 
     def request(self, config: DictConfig | Settings) -> R:
@@ -110,13 +109,15 @@ class Task(ABC, Generic[R]):
         """Do the run of this configuration unless it is done, and leave its record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
-        found = self.finished(settings)
+        outcome = self.finished(settings)
         if settings.get("dry_run"):
-            walks = [] if found else [lambda stages: self.stages(self.request(settings), stages)]
+            walks = [lambda stages: self.stages(self.request(settings), stages)]
+            if outcome is not None:
+                walks = []
             print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks))))
-            return found or Outcome(folder=folder_of(settings), status="absent", did="planned")
-        if found is not None:
-            return found
+            return outcome or Outcome(folder=folder_of(settings), status="absent", did="planned")
+        if outcome is not None:
+            return outcome
         request = self.request(settings)
 
         def work(run: Run) -> Facts:
@@ -127,9 +128,11 @@ class Task(ABC, Generic[R]):
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
         parameters = self.parameters(request) | self.asked(request, overrides)
         inputs = self.inputs(settings)
+        if inputs:
+            parameters |= {INPUTS: content_of(inputs)}
         return execute(
             folder_of(settings),
-            parameters | ({INPUTS: content_of(inputs)} if inputs else {}),
+            parameters,
             work,
             configuration={
                 "config.yaml": yaml_text(settings),
@@ -149,14 +152,15 @@ class Task(ABC, Generic[R]):
         before = run_status(folder)
         if is_to_run(before, bool(settings.get("retry_failed"))):
             return None
-        found = outcome_of(folder, before)
-        if before is not None and found.did == "found" and (files := self.inputs(settings)):
-            known = before.get(INPUTS)  # none where the run read no files
+        outcome = outcome_of(folder, before)
+        files = self.inputs(settings) if outcome.did == "found" else []
+        if before is not None and files:
+            digest_then = before.get(INPUTS)  # none where the run read no files
             names = ", ".join(str(path) for path in files)
             problem = f"{names} changed since this run was done"
             remedy = "give study a new name, or remove the folder"
-            require(known in (None, content_of(files)), "run", folder, problem, remedy)
-        return found
+            require(digest_then in (None, content_of(files)), "run", folder, problem, remedy)
+        return outcome
 
 
 @dataclass(frozen=True)
@@ -178,16 +182,17 @@ class RunStages(Store):
 
         return super().keyed(name, key, note, announced)
 
-    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        facts = super().measured(kept, before)
-        self.run.settle(kept.result, kept.stage.files, facts)  # at once: a later stage may fail
+    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        facts = super().measured(output, before)
+        self.run.settle(output.result, output.stage.files, facts)  # at once: a later one may fail
         return facts
 
     def unrecorded(self) -> Store:
         return Store(self.root)
 
 
-PLAIN_NAME = "use letters, digits, '.', '_' and '-', at most 200 of them"
+PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}")
+CHARACTERS_OF_A_NAME = "use letters, digits, '.', '_' and '-', at most 200 of them"
 
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
@@ -196,11 +201,9 @@ def folder_of(settings: Mapping[str, Any]) -> Path:
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
     for key, name in names.items():
         require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
-        is_plain = (
-            key == "results_dir"
-            or re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}", name) is not None
-        )
-        require(is_plain, key, name, "not a plain folder name", PLAIN_NAME)
+        if key != "results_dir":
+            is_plain = PLAIN_NAME.fullmatch(name) is not None
+            require(is_plain, key, name, "not a plain folder name", CHARACTERS_OF_A_NAME)
     return Path(*names.values())
 
 

@@ -7,8 +7,10 @@ run, with the reason).
 """
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.columns import ITERATED, ONE_FORMULA
@@ -16,6 +18,7 @@ from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.settings import plain, run_name
+from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_facts
@@ -54,7 +57,8 @@ NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 def files(run: RunFiles) -> Claims:
     """Every file that such a run leaves is there, sealed, and as it was written."""
-    manifest = unsealed(contents(run.path / MANIFEST)) if (run.path / MANIFEST).is_file() else None
+    path = run.path / MANIFEST
+    manifest = unsealed(contents(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
     found = changed if damaged else "as they were written"
@@ -62,29 +66,34 @@ def files(run: RunFiles) -> Claims:
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
-    yield from foreign_or_absent_files(run, set(manifest["files"] if manifest else ()))
+    sealed_names = set(manifest["files"]) if manifest else set()
+    yield from foreign_or_absent_files(run, sealed_names)
     yield from files_not_checked(run)
 
 
 def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
     """Files that are needed and absent, there and not sealed, or sealed and no stage's."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
+    stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
     if run.claims_certificate:
         needed |= {"certificate.json", "evidence.json"}
-    there = {path.name for path in run.path.iterdir() if path.suffix in READ}
-    there = {CONFIGURATION, *there} - {MANIFEST, RECORD}
-    stages = (*STAGES, trials.TRIALS) if run.claims_certificate else STAGES_OF_A_BASELINE
-    made = {CONFIGURATION, OVERRIDES, *(name for stage in stages for name in stage.files)}
+        stages = (*STAGES, trials.TRIALS)
+    present = {path.name for path in run.path.iterdir() if path.suffix in READ}
+    present = {CONFIGURATION, *present} - {MANIFEST, RECORD}
+    written = {CONFIGURATION, OVERRIDES}
+    for stage in stages:
+        written.update(stage.files)
     if run.specification.loop.comparison is None:
-        made.discard("comparison.csv")
+        written.discard("comparison.csv")
     absent = {name for name in needed if not (run.path / name).is_file()}
     wrong = {
         "is absent": absent,
-        "is not sealed": there - sealed,
-        "no stage of such a run writes it": sealed - made,
+        "is not sealed": present - sealed,
+        "no stage of such a run writes it": sealed - written,
     }
     for found, names in wrong.items():
-        yield from (Checked(claim=name, holds=False, found=found) for name in sorted(names))
+        for name in sorted(names):
+            yield Checked(claim=name, holds=False, found=found)
 
 
 def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
@@ -104,36 +113,38 @@ def requested(run: RunFiles) -> Claims:
     """The settings are those of the configuration, and the run's name is its hash."""
     name = str(run.config.run)
     hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
-    yield Derived(
-        {"study": str(run.config.study), "run": name if name.endswith(hashed) else f"...-{hashed}"}
-    )
-    study = run.path.absolute().parent
-    folder = run.path.absolute().name
-    alone = folder == name or not ((study / PARQUET).exists() or (study / name).exists())
-    told = (
-        "stands once"
-        if alone
-        else f"counts as one more run of its study: delete it, or name it {name}"
-    )
-    yield Checked(claim="folder", holds=alone, found=f"{folder} {told}")
+    expected = name if name.endswith(hashed) else f"...-{hashed}"
+    yield Derived({"study": str(run.config.study), "run": expected})
+    yield folder_claim(run.path.absolute(), name)
     # As it was stored: a record names the parts by what they were called then.
     configuration = plain(run.config)
     specification = replace(run.specification, configuration=configuration)
-    named = [setting_of(name) for name in run.record if FURTHER.covers(name)]
-    asked = STUDY.parameters(specification) | further(configuration, named)
+    further_settings = [setting_of(column) for column in run.record if FURTHER.covers(column)]
+    settings = STUDY.parameters(specification) | further(configuration, further_settings)
     # The record holds the rates of the design, which the theorem may have chosen itself.
-    designed = {"rate_controller", "rate_observer"} if run.claims_certificate else set()
-    yield Derived({name: value for name, value in asked.items() if name not in designed})
-    for name in sorted(designed & {name for name, rate in asked.items() if rate is not None}):
-        same = run.record.get(name) == asked[name]
-        yield Checked(claim=f"synthesis.{name}", holds=same, found=f"{asked[name]} was requested")
+    rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
+    yield Derived({name: value for name, value in settings.items() if name not in rates})
+    for rate in rates:
+        value = settings.get(rate)
+        if value is not None:
+            is_same = run.record.get(rate) == value
+            yield Checked(claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested")
+
+
+def folder_claim(folder: Path, name: str) -> Checked:
+    """That a run counts once in its study: its folder has its name, or lies outside a study."""
+    study = folder.parent
+    is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
+    if folder.name == name or not is_in_a_study:
+        return Checked(claim="folder", holds=True, found=f"{folder.name} stands once")
+    problem = f"counts as one more run of its study: delete it, or name it {name}"
+    return Checked(claim="folder", holds=False, found=f"{folder.name} {problem}")
 
 
 def status(run: RunFiles) -> Claims:
     """A run is infeasible exactly if a part of its design is missing."""
-    yield Derived(
-        {"status": OK if not run.claims_certificate or run.design.feasible else INFEASIBLE}
-    )
+    is_feasible = not run.claims_certificate or run.design.feasible
+    yield Derived({"status": OK if is_feasible else INFEASIBLE})
 
 
 def data(run: RunFiles) -> Claims:
@@ -164,10 +175,9 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield Derived(data_metrics.data_facts(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
-        kept = getattr(run.simulated, split)
-        made = getattr(records, split)
-        pairs = of_records(kept.records, made)
-        pairs["start_up_samples"] = kept.start_up_samples, records.start_up_samples
+        stored = getattr(run.simulated, split)
+        pairs = of_records(stored.records, getattr(records, split))
+        pairs["start_up_samples"] = stored.start_up_samples, records.start_up_samples
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
         yield from start_states(run, records, split)
     yield Derived(start_facts(run.model, records, run.simulated.test))
@@ -183,18 +193,22 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
-    inputs = {
-        f"u {i}": (u, one.u)
-        for i, (u, one) in enumerate(zip(run.inputs, records.training, strict=True))
-    }
-    yield agreement("excitation.mcap", inputs, ITERATED, "the configuration gives it")
+    inputs = [record.u for record in records.training]
+    pairs = numbered_pairs(run.inputs, inputs, "u ")
+    yield agreement("excitation.mcap", pairs, ITERATED, "the configuration gives it")
     for file, wrong in mislabelled(run, records):
-        found = (
-            f"not those of the run: {', '.join(wrong)}"
-            if wrong
-            else "times, names, units and words are the run's"
-        )
+        found = "times, names, units and words are the run's"
+        if wrong:
+            found = f"not those of the run: {', '.join(wrong)}"
         yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
+
+
+def numbered_pairs(
+    stored: Sequence[Any], made: Sequence[Any], word: str = ""
+) -> dict[str, tuple[Any, Any]]:
+    """Stored values beside those made again, by their number."""
+    pairs = zip(stored, made, strict=True)
+    return {f"{word}{number}": pair for number, pair in enumerate(pairs)}
 
 
 def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
@@ -202,15 +216,14 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
-    kept = getattr(run.simulated, split).starts
-    is_from_past = any(state is not None for state in kept)
+    stored = getattr(run.simulated, split).starts
+    is_from_past = any(state is not None for state in stored)
     if not is_from_past and "piece_start" not in run.record:
         return
     starts = choose_piece_starts(run.model, records)
     if is_from_past:
-        pairs = zip(kept, getattr(starts, split), strict=True)
-        states = {str(i): pair for i, pair in enumerate(pairs)}
-        yield agreement(f"{split}.mcap start_states", states, ITERATED, "the log's past gives it")
+        pairs = numbered_pairs(stored, getattr(starts, split))
+        yield agreement(f"{split}.mcap start_states", pairs, ITERATED, "the log's past gives it")
     if starts.choice is None:
         return
     is_past_chosen = any(state is not None for state in starts.chosen(split))
@@ -231,16 +244,15 @@ def model(run: RunFiles) -> Claims:
 
 def fits(run: RunFiles) -> Claims:
     """The stored model replays the stored simulations, and the errors are theirs."""
-    again = {}
+    replayed = []
     for split in ("validation", "test"):
-        kept = getattr(run.simulated, split)
-        made = Simulation.of(run.model, kept.records, kept.start_up_samples, kept.starts)
-        pairs = {
-            str(i): pair for i, pair in enumerate(zip(kept.simulated, made.simulated, strict=True))
-        }
+        stored = getattr(run.simulated, split)
+        start_up = stored.start_up_samples
+        replay = Simulation.of(run.model, stored.records, start_up, stored.starts)
+        pairs = numbered_pairs(stored.simulated, replay.simulated)
         yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
-        again[split] = made
-    yield Derived(fit_facts(again["validation"], again["test"]))
+        replayed.append(replay)
+    yield Derived(fit_facts(*replayed))
 
 
 def loop(run: RunFiles) -> Claims:
@@ -282,16 +294,16 @@ def textbook_pi(run: RunFiles) -> Claims:
 
 def loop_files(run: RunFiles) -> Iterator[Checked]:
     """Recordings of loops that are absent, or there although such a run closes no loop."""
-    there = {name for name in LOOPS if (run.path / name).is_file()}
-    needed: set[str] = set()
-    if run.closes_loop:
-        needed = {"closed_loop.mcap", "closed_loop_model.mcap"}
-    if run.closes_loop and run.specification.loop.comparison:
+    present = {name for name in LOOPS if (run.path / name).is_file()}
+    if not run.closes_loop:
+        for name in sorted(present):
+            yield Checked(claim=name, holds=False, found="such a run closes no loop")
+        return
+    needed = {"closed_loop.mcap", "closed_loop_model.mcap"}
+    if run.specification.loop.comparison:
         needed.add("comparison.csv")
-    for name in sorted(needed - there):
+    for name in sorted(needed - present):
         yield Checked(claim=name, holds=False, found="is absent")
-    for name in sorted(there) if not run.closes_loop else ():
-        yield Checked(claim=name, holds=False, found="such a run closes no loop")
 
 
 def loop_signals(
@@ -312,8 +324,8 @@ def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(again, name)
     pairs["uncontrolled"] = stored.uncontrolled.y, again.uncontrolled.y
-    said = "the configured plant with the certified gains gives it"
-    return agreement("closed_loop.mcap", pairs, ITERATED, said)
+    source = "the configured plant with the certified gains gives it"
+    return agreement("closed_loop.mcap", pairs, ITERATED, source)
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (

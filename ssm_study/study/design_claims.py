@@ -83,8 +83,8 @@ def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
     order = run.model.order
     requested = internal_model(words, run.model.step_s, run.model.scale.outputs)
     pairs = {"modes": (feedback.a[order:, order:], requested)}
-    said = f"{', '.join(words)} was requested"
-    yield agreement("certificate internal model", pairs, ONE_FORMULA, said)
+    source = f"{', '.join(words)} was requested"
+    yield agreement("certificate internal model", pairs, ONE_FORMULA, source)
 
 
 def limits_claim(run: RunFiles) -> Iterator[Checked]:
@@ -92,14 +92,13 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.applied))
     limits = run.model.scale.scaled_input(physical).T
-    pairs = {
-        label: (part.limits, limits)
-        for label, part in run.design.extra_certificates.items()
-        if isinstance(part, UnlimitedStart)
-    }
+    pairs = {}
+    for label, part in run.design.extra_certificates.items():
+        if isinstance(part, UnlimitedStart):
+            pairs[label] = (part.limits, limits)
     if pairs:
-        said = "given, or the records' range"
-        yield agreement("certificate limits", pairs, ONE_FORMULA, said)
+        source = "given, or the records' range"
+        yield agreement("certificate limits", pairs, ONE_FORMULA, source)
 
 
 def starts_claim(run: RunFiles) -> Iterator[Checked]:
@@ -117,13 +116,13 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
     if starts is None or starts.shape != part.starts.shape:
         found = "the outputs at rest do not tell the states of this model"
         return Checked(claim=claim, holds=False, found=found)
-    said = "states at rest at the corners of a box of outputs"
-    compared = agreement(claim, {"starts": (part.starts, starts)}, ITERATED, said)
-    if compared.holds and not part.holds(**(part.variables | {"starts": starts})):
-        return Checked(
-            claim=claim, holds=False, found="beyond the level set where they are at rest"
-        )
-    return compared
+    source = "states at rest at the corners of a box of outputs"
+    comparison = agreement(claim, {"starts": (part.starts, starts)}, ITERATED, source)
+    derived_variables = part.variables | {"starts": starts}
+    if comparison.holds and not part.holds(**derived_variables):
+        problem = "beyond the level set where they are at rest"
+        return Checked(claim=claim, holds=False, found=problem)
+    return comparison
 
 
 def mismatch_again(run: RunFiles) -> Any:
@@ -136,19 +135,20 @@ def mismatch_again(run: RunFiles) -> Any:
 def coverage_again(run: RunFiles) -> dict[str, Any]:
     """The columns of the coverage, from the run's own recordings: what they need is measured
     again."""
-    claimed = any(run.record.get(name) is not None for name in ("coverage", "coverage_reason"))
-    if not claimed and MeasuredDiscs.part not in run.design.extra_certificates:
+    columns = ("coverage", "coverage_reason")
+    is_claimed = any(run.record.get(name) is not None for name in columns)
+    if not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates:
         return {}  # a run of before these columns claims nothing of them
-    kept = run.simulated.validation
-    test = run.simulated.test
-    records = kept.records, kept.start_up_samples, run.trials
-    shown = measure_mismatch(run.model, *records)
-    premise = measure_premise(run.model, kept.records, shown, kept.start_up_samples, run.trials)
+    validation = run.simulated.validation
+    start_up = validation.start_up_samples
+    mismatch = measure_mismatch(run.model, validation.records, start_up, run.trials)
+    premise = measure_premise(run.model, validation.records, mismatch, start_up, run.trials)
     fresh = None
     if run.specification.plant is None:
-        fresh = measure_premise(run.model, test.records, shown, test.start_up_samples)
+        test = run.simulated.test
+        fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
     facts = coverage_facts(run.design, run.model, premise, fresh)
-    return facts | fresh_data_again(run, premise, shown)
+    return facts | fresh_data_again(run, premise, mismatch)
 
 
 def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
@@ -185,12 +185,11 @@ def information(part: Theorem | Infeasible) -> list[str]:
     if isinstance(part, Infeasible):
         return []
     again = margin(next(iter(part.as_floats(**part.variables).values())))
-    wrong = (
-        []
-        if abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE
-        else [f"margin: it is {again:.6g}"]
-    )
+    wrong = []
+    # So written that NaN is wrong.
+    if not abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE:
+        wrong.append(f"margin: it is {again:.6g}")
     number = condition(getattr(part, part.metric_matrix))
-    return wrong + (
-        [] if abs(number / part.condition - 1) <= ITERATED else [f"condition: it is {number:.6g}"]
-    )
+    if not abs(number / part.condition - 1) <= ITERATED:
+        wrong.append(f"condition: it is {number:.6g}")
+    return wrong

@@ -39,25 +39,25 @@ Claims = Iterator[Checked | Derived | NotChecked]
 
 
 def agreement(
-    claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, said: str
+    claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
-    """Whether each stored value is the one made again, to `tolerance` of its largest entry."""
-    apart = {name: distance(*pair) for name, pair in pairs.items()}
-    worst = max(apart, key=lambda name: apart[name])
-    wrong = [name for name in apart if not apart[name] <= tolerance]  # so written that NaN is wrong
-    found = (
-        f"{said} to {apart[worst]:.1e}"
-        if not wrong
-        else f"{', '.join(wrong)} differ by up to {apart[worst]:.1e}"
-    )
+    """Whether each stored value is the one made again, to `tolerance` of its largest entry.
+
+    `source` says in words what gives the value.
+    """
+    distances = {name: distance(*pair) for name, pair in pairs.items()}
+    worst = max(distances, key=lambda name: distances[name])
+    largest = distances[worst]
+    # So written that NaN is wrong.
+    wrong = [name for name in distances if not distances[name] <= tolerance]
+    found = f"{source} to {largest:.1e}"
+    if wrong:
+        found = f"{', '.join(wrong)} differ by up to {largest:.1e}"
     return Checked(claim=claim, holds=not wrong, found=found)
 
 
 def entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Whether the file says only what its reader reads."""
     extra = unknown(run.stored(file), read.to_json())
-    return Checked(
-        claim=f"{file} entries",
-        holds=not extra,
-        found=f"unknown: {', '.join(extra)}" if extra else "known",
-    )
+    found = f"unknown: {', '.join(extra)}" if extra else "known"
+    return Checked(claim=f"{file} entries", holds=not extra, found=found)

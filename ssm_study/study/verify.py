@@ -1,5 +1,4 @@
-"""`verify`: derive every claim of a run again from its files, and say of every column what was
-found.
+"""`verify`: derive every claim of a run again from its files, and judge every column of its record.
 
 A column of the record is derived and compared, or listed as not checked with its reason; one that
 nothing gives is a claim that does not hold. What is derived from what: `study.claims`.
@@ -7,7 +6,7 @@ nothing gives is a claim that does not hold. What is derived from what: `study.c
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, re
 from ssm_study.refusal import printable, require
 from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
-from ssm_study.study.findings import Checked, Derived, NotChecked
+from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
 from ssm_study.study.form import form
 from ssm_study.study.run_files import RunFiles, one_line
 from ssm_study.table.columns import declared
@@ -47,40 +46,40 @@ class Verification:
         wrong = [finding for finding in self.findings if not finding.holds]
         causes = "; ".join(finding_lines(wrong))[:300]
         problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {causes}"
-        require(
-            not wrong,
-            field,
-            value,
-            problem,
-            "run the study again; `ssm-study verify` names every claim",
-        )
+        remedy = "run the study again; `ssm-study verify` names every claim"
+        require(not wrong, field, value, problem, remedy)
 
     def summary(self) -> str:
         """`54 of 54 claims hold; 3 not checked: ...`."""
-        reasons = Counter(self.unchecked.values())
-        told = ", ".join(f"{reason} ({count})" for reason, count in reasons.most_common())
-        held = sum(finding.holds for finding in self.findings)
-        left_out = f"{len(self.unchecked)} not checked" + (f": {told}" if told else "")
-        return f"{held} of {len(self.findings)} claims hold; {left_out}"
+        counts = Counter(self.unchecked.values()).most_common()
+        reasons = ", ".join(f"{reason} ({count})" for reason, count in counts)
+        holding = sum(finding.holds for finding in self.findings)
+        unchecked = f"{len(self.unchecked)} not checked"
+        if reasons:
+            unchecked = f"{unchecked}: {reasons}"
+        return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
     def lines(self) -> list[str]:
         """One line per claim, one per cause of a failure, one per reason for not checking.
 
         The summary comes last.
         """
-        reasons: dict[str, list[str]] = {}
+        by_reason: dict[str, list[str]] = {}
         for name, reason in self.unchecked.items():
-            reasons.setdefault(reason, []).append(name)
-        skipped = [
-            f"not checked  {', '.join(names)}: {reason}" for reason, names in reasons.items()
-        ]
+            by_reason.setdefault(reason, []).append(name)
+        skipped = []
+        for reason, names in by_reason.items():
+            skipped.append(f"not checked  {', '.join(names)}: {reason}")
         return [*finding_lines(self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
-        claims = [asdict(finding) for finding in self.findings]
-        return json.dumps(
-            {"holds": self.holds, "claims": claims, "not_checked": dict(self.unchecked)}, indent=1
-        )
+        """The verdict as a JSON object: `holds`, `claims`, `not_checked`."""
+        verdict = {
+            "holds": self.holds,
+            "claims": [asdict(finding) for finding in self.findings],
+            "not_checked": dict(self.unchecked),
+        }
+        return json.dumps(verdict, indent=1)
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
@@ -91,10 +90,12 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
             failing.setdefault(_cause(finding), []).append(finding.claim)
     lines = []
     for finding in findings:
-        if finding.holds or len(claims := failing.pop(_cause(finding), [])) == 1:
+        cause = _cause(finding)
+        claims = [finding.claim] if finding.holds else failing.pop(cause, [])
+        if len(claims) == 1:
             lines.append(str(finding))
         elif claims:
-            lines.append(str(replace(finding, claim=", ".join(claims), found=_cause(finding))))
+            lines.append(str(replace(finding, claim=", ".join(claims), found=cause)))
     return lines
 
 
@@ -111,68 +112,60 @@ def verify(run: Path) -> Verification:
     """
     record = read_record(run) or {}
     require(bool(record), "run", run, f"there is no {RECORD}", "give the folder of one run")
-    state = record.get("status")
-    require(
-        state != FAILED,
-        "run",
-        run,
-        "the run failed and claims nothing",
-        f"see {run / 'traceback.txt'}",
-    )
-    if state == CORRUPT:
+    status = record.get("status")
+    problem = "the run failed and claims nothing"
+    require(status != FAILED, "run", run, problem, f"see {run / 'traceback.txt'}")
+    if status == CORRUPT:
         damaged = Checked(claim=RECORD, holds=False, found="is not as it was written")
         return Verification(findings=(damaged,), unchecked={})
+    problem = f"its status is {status}, so it claims nothing yet"
     remedy = "give a run that is ok or infeasible"
-    require(
-        state in (OK, INFEASIBLE),
-        "run",
-        run,
-        f"its status is {state}, so it claims nothing yet",
-        remedy,
-    )
-    return _judged(RunFiles(path=run.absolute(), record=record))
+    require(status in (OK, INFEASIBLE), "run", run, problem, remedy)
+    return verify_files(RunFiles(path=run.absolute(), record=record))
 
 
-def _judged(run: RunFiles) -> Verification:
+def verify_files(run: RunFiles) -> Verification:
+    """Every claim of a run that is finished."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     unchecked: dict[str, str] = {}
-    for found in _found(run):
-        if isinstance(found, Checked):
-            findings.append(found)
-        elif isinstance(found, Derived):
-            derived |= found.columns
+    for result in _results(run):
+        if isinstance(result, Checked):
+            findings.append(result)
+        elif isinstance(result, Derived):
+            derived |= result.columns
         else:
-            unchecked |= found.reasons
-    for name in dict.fromkeys(
-        (*derived, *run.record)
-    ):  # also what the record lacks although its files give it
-        judged = judge(name, run.record, derived, unchecked)
-        if isinstance(judged, Checked):
-            findings.append(judged)
-        elif judged:
-            unchecked[name] = judged
+            unchecked |= result.reasons
+    # Also what the record lacks although its files give it.
+    for name in dict.fromkeys((*derived, *run.record)):
+        judgement = judge(name, run.record, derived, unchecked)
+        if isinstance(judgement, Checked):
+            findings.append(judgement)
+        elif judgement:
+            unchecked[name] = judgement
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _found(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
+def _results(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
     """Results of all sections; whatever a damaged file makes a reader raise is a claim that does
     not hold."""
-    try:
-        sections = SECTIONS if run.claims_certificate else OF_A_BASELINE
-    except (
-        Exception
-    ) as error:  # a configuration that cannot be read: the section that needs it says so
-        if str(getattr(error, "field", "")).endswith("_target_"):
-            raise  # without `--with` nothing can be derived, which is no lie of the run
-        sections = SECTIONS
-    for section in (form, *sections):
+    for section in (form, *_sections(run)):
         try:
             yield from section(run)
         except Exception as error:
-            yield Checked(
-                claim=section.__name__, holds=False, found=f"cannot be derived: {one_line(error)}"
-            )
+            problem = f"cannot be derived: {one_line(error)}"
+            yield Checked(claim=section.__name__, holds=False, found=problem)
+
+
+def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
+    """Sections for such a run; all of them where its configuration cannot be read: the section that
+    needs it says so."""
+    try:
+        return SECTIONS if run.claims_certificate else OF_A_BASELINE
+    except Exception as error:
+        if str(getattr(error, "field", "")).endswith("_target_"):
+            raise  # without `--with` nothing can be derived, which is no lie of the run
+        return SECTIONS
 
 
 def judge(
@@ -181,39 +174,38 @@ def judge(
     """The finding on a column of the record, or why it is not checked; empty where the record
     claims nothing."""
     column = declared(name)
+    stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
         return ADDED
     if name in derived and name not in unchecked:
-        return compared(name, record.get(name), derived[name])
-    if withdrawn := WITHDRAWN_COLUMNS.get(name):
-        return "" if record.get(name) is None else withdrawn.sentence
-    if record.get(name) is None and column:
+        return compared(name, stored, derived[name])
+    if name in WITHDRAWN_COLUMNS:
+        return "" if stored is None else WITHDRAWN_COLUMNS[name].sentence
+    if stored is None and column:
         return ""
-    if reason := unchecked.get(name) or (column.unchecked if column else ""):
+    reason = unchecked.get(name) or (column.unchecked if column else "")
+    if reason:
         return reason
     problem = UNGIVEN if column else "no such column is declared"
-    return Checked(claim=name, holds=False, found=f"stored {_short(record[name])}, yet {problem}")
+    return Checked(claim=name, holds=False, found=f"stored {_short(stored)}, yet {problem}")
 
 
 def compared(name: str, stored: Any, value: Any) -> Checked:
     """The stored column beside the derived one."""
     column = declared(name) or Column(name, "Float64")
     value = storable(name, value)  # as a record holds it: an infinite margin is the text `inf`
-    holds = _agrees(stored, value, column)
-    return Checked(
-        claim=name,
-        holds=holds,
-        found=f"{value}" if holds else f"derived {value}, stored {_short(stored)}",
-    )
+    if _agrees(stored, value, column):
+        return Checked(claim=name, holds=True, found=f"{value}")
+    found = f"derived {value}, stored {_short(stored)}"
+    return Checked(claim=name, holds=False, found=found)
 
 
 def _agrees(stored: Any, value: Any, column: Column) -> bool:
     """Equal, or finite numbers as near as two machines' roundings."""
     if isinstance(value, float) and type(stored) in (int, float):
+        largest_error = column.tolerance * abs(value) + column.resolution
         try:
-            return bool(
-                abs(float(stored) - value) <= column.tolerance * abs(value) + column.resolution
-            )
+            return bool(abs(float(stored) - value) <= largest_error)
         except OverflowError:  # an integer of hundreds of digits
             return False
     return type(stored) is type(value) and bool(stored == value)  # True is not 1

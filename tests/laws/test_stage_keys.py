@@ -42,7 +42,7 @@ COLUMNS = " columns"
 @pytest.fixture(autouse=True, scope="module")
 def _each_text_is_scanned_once() -> Iterator[None]:
     """The same file is read a score of times, before and after each edit."""
-    scan = fingerprint._scanned
+    scan = fingerprint._scan
     scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
 
     def scan_once(path: Path, module: str) -> fingerprint.Module:
@@ -52,7 +52,7 @@ def _each_text_is_scanned_once() -> Iterator[None]:
         return scanned[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fingerprint, "_scanned", scan_once)
+        patch.setattr(fingerprint, "_scan", scan_once)
         yield
 
 
