@@ -274,6 +274,8 @@ def noise_words(record: Mapping[str, Any]) -> str:
     if measured is None:
         return f"reaches the model's output {printed(record, 'noise_gain_model')}-fold"
     words = f"reaches the output {printed(record, 'noise_gain_measured')}-fold"
+    if measured == 0:  # friction holds it
+        words = "does not move the output"
     if model is None:
         return words
     words += f", the model's {model:.3g}-fold"

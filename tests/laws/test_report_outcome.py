@@ -177,6 +177,8 @@ def test_a_plant_that_moves_more_than_the_noise_can_move_it_is_told_so() -> None
         text = " ".join(printed(record | {"noise_gain_measured": measured}).split())
         assert ("more than noise moves it" in text) is told
         assert ("doubt, more than twice what the model predicts" in text) is doubted
+    at_rest = " ".join(printed(record | {"noise_gain_measured": 0.0}).split())
+    assert "does not move the output, the model's 1-fold" in at_rest
 
 
 def test_fresh_data_stand_beside_what_is_proved() -> None:
