@@ -97,8 +97,8 @@ def execute(
 
 
 def _opening(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """What a record says of a run that begins; a killed attempt left its number, so the count goes
-    on over crashes."""
+    """Facts of a run that begins; a killed attempt left its number, so the count goes on over
+    crashes."""
     attempts = int((before or {}).get("attempt") or 0)
     return {
         "study": folder.parent.name,
