@@ -165,6 +165,8 @@ CAUSES = {
         True,
     ),
     "the disk": (OSError(errno.ENOSPC, "No space left on device"), True),
+    "a quota": (OSError(errno.EDQUOT, "Disk quota exceeded"), True),
+    "a quota, in words of another library": (Unwritable(os.strerror(errno.EDQUOT)), True),
     "memory": (MemoryError(), True),
     "a file of ours that somebody removed": (
         FileNotFoundError(2, "No such file", "RESULTS/.store/model/m"),
