@@ -85,7 +85,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 def json_bytes(value: Any) -> bytes:
     """The one text of a sealed object: `unsealed` knows no other."""
-    strict = {"allow_nan": False, "ensure_ascii": False}
+    strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
         # in C.

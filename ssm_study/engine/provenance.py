@@ -18,7 +18,7 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
     commit = _ask_git(source, "rev-parse", "HEAD")
     changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
     is_tracked = commit is not None and changes is not None
-    facts = {
+    facts: dict[str, Any] = {
         "git_commit": commit or None,
         "git_dirty": bool(changes) if is_tracked else None,
         "version_python": platform.python_version(),
