@@ -25,14 +25,12 @@ from ssm_study.robustness.coverage_spectra import (
     AveragedSpectrum,
     MismatchSpectrum,
     Powers,
-    ScoredRun,
     averaged_spectrum,
     averaged_spectrum_in_loop,
     line_spectrum,
-    noise_power_of,
 )
-from ssm_study.robustness.mismatch import MOVING, Mismatch, unscored_samples
-from ssm_study.robustness.return_to_rest import is_return, swing
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.record_errors import moving_loop_errors, noise_of, open_loop_errors
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 
@@ -141,43 +139,19 @@ def measure_premise(
         reason = NOT_AT_REST
     elif model.linear.spectral_radius >= 1:
         reason = INTEGRATES
-    driven = _driven_runs(model, validation, trials, start_up_samples)
+    in_open_loop = open_loop_errors(model, validation, trials, start_up_samples)
+    driven = [run for run in in_open_loop if run.u.any()]
     periodic = [run for run in driven if run.period is not None]
-    noise = noise_power_of(periodic) if periodic else None
+    noise = noise_of(periodic) if periodic else None
     repeating = list[MismatchSpectrum]()
     averaged = list[AveragedSpectrum]()
     if noise is None:
         averaged += [averaged_spectrum(run) for run in driven]
     else:
         repeating += [line_spectrum(run, noise) for run in periodic]
-    for run in _moving_loops(model, trials, start_up_samples):
+    for run in moving_loop_errors(model, trials, start_up_samples):
         averaged.append(averaged_spectrum_in_loop(run, noise))
     return Premise(repeating=tuple(repeating), averaged=tuple(averaged), reason=reason)
-
-
-def _driven_runs(
-    model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
-) -> list[ScoredRun]:
-    """The records in open loop whose input moves; returns to rest are not among them."""
-    runs = []
-    open_trials = [trial for trial in trials if not trial.closed_loop and not is_return(trial)]
-    for record in (*validation, *open_trials):
-        run = ScoredRun.of(model, record, start_up_samples)
-        if run.u.any():
-            runs.append(run)
-    return runs
-
-
-def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> list[ScoredRun]:
-    """The trials in closed loop that do not come to rest, without the samples that tell their
-    initial state."""
-    loops = []
-    for record in trials:
-        if record.closed_loop:
-            run = ScoredRun.of(model, record, unscored_samples(record, start_up_samples))
-            if run.u.any() and swing(run.e + run.m) > MOVING:
-                loops.append(run)
-    return loops
 
 
 def running_sum(

@@ -5,19 +5,15 @@ averages.
 docs/theory.md, "Measured discs".
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.models.metrics import free_run
-from ssm_study.models.structured import Model
-from ssm_study.robustness.bands import ANGLES, bands_of
-from ssm_study.robustness.record_errors import QUIET
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.record_errors import QUIET, RecordErrors
 from ssm_study.robustness.return_to_rest import SURE
-from ssm_study.signals import Trajectory, repetition
 
 Powers = Float[np.ndarray, "L"]
 
@@ -76,92 +72,39 @@ class AveragedSpectrum:
         return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScoredRun:
-    """One record: scaled input, the model's output m, what it misses; `period` samples repeat from
-    `start`, twice."""
-
-    name: str
-    u: Float[np.ndarray, "T m"]
-    m: Float[np.ndarray, "T p"]
-    e: Float[np.ndarray, "T p"]
-    start: int
-    period: int | None
-
-    @classmethod
-    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "ScoredRun":
-        """Simulate the model on the record and take what it misses, scaled."""
-        simulated = free_run(model, record, start_up_samples)
-        scored = slice(start_up_samples, None)
-        start, period = repetition(record.u[scored]) or (0, None)
-        scaled_input = model.scale.scaled_input(record.u)
-        error = (record.y - simulated) / model.scale.output_scale
-        return cls(
-            name=f"input of rms {np.sqrt((scaled_input**2).mean()):.2g}",
-            u=scaled_input[scored],
-            m=model.scale.scaled_output(simulated)[scored],
-            e=error[scored],
-            start=start,
-            period=period,
-        )
-
-    def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
-        """The transforms of both periods."""
-        assert self.period is not None
-        pieces = signal[self.start : self.start + 2 * self.period]
-        return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
-
-
 def power_of(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
     """Power of each line, summed over the channels."""
     return np.asarray((np.abs(spectrum) ** 2).sum(axis=1))
 
 
-def noise_power_of(records: Sequence[ScoredRun]) -> Float[np.ndarray, "F"]:
-    """Noise power of a sample in each band, from what does not repeat: the median over the
-    records."""
-    powers = []
-    for run in records:
-        first, second = run.periods(run.e)
-        half = power_of(first - second) / 2
-        bands, lines = bands_of(len(half))
-        sums = np.bincount(bands, weights=half[1:], minlength=len(ANGLES))
-        powers.append(sums / lines / float(run.period or 1))
-    return np.asarray(np.median(powers, axis=0))
-
-
-def line_spectrum(run: ScoredRun, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
+def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
     """Both periods of a record whose input repeats, line by line."""
     assert run.period is not None
     angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
     alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
     return MismatchSpectrum(
         name=run.name,
-        amplitude=float(np.sqrt((run.u**2).mean())),
+        amplitude=run.amplitude,
         angles=angles,
         sides=np.where(alone, 1.0, 2.0),
-        model=run.periods(run.m),
+        model=run.periods(run.model),
         error=run.periods(run.e),
         input_power=power_of(run.periods(run.u)[1]),
         noise=run.period * np.interp(angles, ANGLES, noise),
     )
 
 
-def averaged_spectrum(run: ScoredRun) -> AveragedSpectrum:
+def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
     """Welch's powers of a record in open loop: its noise counts as mismatch."""
     powers = _welch_powers(run)
     count = len(powers["angles"])
     return AveragedSpectrum(
-        name=run.name,
-        amplitude=float(np.sqrt((run.u**2).mean())),
-        drawn=np.zeros(count),
-        sure=np.ones(count),
-        **powers,
+        name=run.name, amplitude=run.amplitude, drawn=np.zeros(count), sure=np.ones(count), **powers
     )
 
 
 def averaged_spectrum_in_loop(
-    run: ScoredRun, noise: Float[np.ndarray, "F"] | None
+    run: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
     """Welch's powers of a record in closed loop, which the noise drives too: as `noise` says, which
     records in open loop show; without any it is taken for white, as strong as e in its quietest
@@ -177,21 +120,21 @@ def averaged_spectrum_in_loop(
     relative_error = float(np.sqrt(1.06 * len(angles) / samples))
     return AveragedSpectrum(
         name=run.name,
-        amplitude=float(np.sqrt((run.u**2).mean())),
+        amplitude=run.amplitude,
         drawn=sides * one_sided,
         sure=np.full(len(angles), 1 + SURE * relative_error),
         **powers,
     )
 
 
-def _welch_powers(run: ScoredRun) -> dict[str, Powers]:
+def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
     """Angles, and powers of model, error and input and the cross power at them."""
     segment = 2 * (len(ANGLES) - 1)
     even = max(min(segment, len(run.u)) // 2 * 2, 2)
     pairs = {
-        "model_power": (run.m, run.m),
+        "model_power": (run.model, run.model),
         "error_power": (run.e, run.e),
-        "cross": (run.e, run.m),
+        "cross": (run.e, run.model),
         "input_power": (run.u, run.u),
     }
     powers = {}

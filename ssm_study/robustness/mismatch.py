@@ -26,7 +26,9 @@ from ssm_study.robustness.record_errors import (
     EXCITED,
     RecordErrors,
     View,
+    moving_loop_errors,
     noise_of,
+    open_loop_errors,
     view_in_loop,
     view_of_averages,
     view_of_periods,
@@ -40,18 +42,13 @@ from ssm_study.robustness.return_to_rest import (
     left,
     swing,
 )
-from ssm_study.signals import Trajectories, Trajectory
+from ssm_study.signals import Trajectories
 
 # share of the farthest start on record (of the output's scale without one) that counts as settled
 BAND = 0.05
 # where friction leaves the output is uniform up to the worst; all of N below `p^(1/N)` of it:
 # chance p
 MISSED = 0.05
-# share, and most samples, of a trial in closed loop that only tell its initial state
-IN_LOOP = (1 / 3, 300)
-# share of the output's scale by which it swings in the last quarter of a loop that does not come to
-# rest
-MOVING = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,14 +128,10 @@ def measure_mismatch(
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
     not count. Raises `BadRequest` without a record that moves the input.
     """
-    closed_loop_errors = _moving_loops(model, mismatch_records, start_up_samples)
-    open_loop_records = [*validation]
-    for trial in mismatch_records:
-        if not trial.closed_loop and not is_return(trial):
-            open_loop_records.append(trial)
-    open_loop_errors = [RecordErrors.of(model, one, start_up_samples) for one in open_loop_records]
-    moving = [errors for errors in open_loop_errors if errors.u.any()]
-    resting = [errors for errors in open_loop_errors if not errors.u.any()]
+    closed_loop_errors = moving_loop_errors(model, mismatch_records, start_up_samples)
+    in_open_loop = open_loop_errors(model, validation, mismatch_records, start_up_samples)
+    moving = [errors for errors in in_open_loop if errors.u.any()]
+    resting = [errors for errors in in_open_loop if not errors.u.any()]
     problem = "the input never leaves its equilibrium, so no mismatch can be measured"
     remedy = "give a validation record that excites the plant"
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
@@ -167,18 +160,6 @@ def measure_mismatch(
         farthest=max(starts, default=1.0),
         unexcited=_unexcited_bands(largest),
     )
-
-
-def _moving_loops(model: Model, trials: Trajectories, start_up_samples: int) -> list[RecordErrors]:
-    """The trials in closed loop that do not come to rest, without the samples that tell their
-    initial state."""
-    loops = []
-    for trial in trials:
-        if trial.closed_loop:
-            errors = RecordErrors.of(model, trial, unscored_samples(trial, start_up_samples))
-            if errors.u.any() and swing(errors.output) > MOVING:
-                loops.append(errors)
-    return loops
 
 
 def _rests_after_motion(
@@ -210,9 +191,3 @@ def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
     power_u = welch([errors.u])
     is_dark = power_u < EXCITED * power_u.mean()
     return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])
-
-
-def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Samples at the beginning of a trial in closed loop that tell its initial state: a third,
-    `IN_LOOP` at most."""
-    return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))

@@ -14,8 +14,8 @@ from jaxtyping import Complex, Float
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES, banded, bands_of, divided, power, welch
-from ssm_study.robustness.return_to_rest import SURE
-from ssm_study.signals import Trajectory, repetition
+from ssm_study.robustness.return_to_rest import SURE, is_return, swing
+from ssm_study.signals import Trajectories, Trajectory, repetition
 
 # A band with less than this share of the input's mean power is not excited: g is measured there,
 # and uncertain.
@@ -23,6 +23,11 @@ EXCITED = 0.01
 # quantile of the bands of e that is taken for white noise in a closed loop where no record measured
 # it
 QUIET = 0.25
+# share, and most samples, of a trial in closed loop that only tell its initial state
+IN_LOOP = (1 / 3, 300)
+# share of the output's scale by which it swings in the last quarter of a loop that does not come to
+# rest
+MOVING = 0.05
 BLOCKS = 8  # pieces of the largest record, whose scatter tells how far its gain is known
 Spectra = tuple[
     Complex[np.ndarray, "2 K p"], Complex[np.ndarray, "K m"], Complex[np.ndarray, "K p"]
@@ -49,8 +54,9 @@ class View:
 @dataclass(frozen=True, kw_only=True)
 class RecordErrors:
     """One record: scaled input, the model's output, what it misses; `period` samples repeat from
-    `start`, twice."""
+    `start`, twice. `name` tells it by its input's rms."""
 
+    name: str
     u: Float[np.ndarray, "T m"]
     model: Float[np.ndarray, "T p"]
     e: Float[np.ndarray, "T p"]
@@ -63,9 +69,11 @@ class RecordErrors:
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         start, period = repetition(record.u[scored]) or (0, None)
+        scaled_input = model.scale.scaled_input(record.u)
         error = (record.y - simulated) / model.scale.output_scale
         return cls(
-            u=model.scale.scaled_input(record.u)[scored],
+            name=f"input of rms {np.sqrt((scaled_input**2).mean()):.2g}",
+            u=scaled_input[scored],
             model=model.scale.scaled_output(simulated)[scored],
             e=error[scored],
             start=start,
@@ -76,6 +84,11 @@ class RecordErrors:
     def output(self) -> Float[np.ndarray, "T p"]:
         """The measured output, scaled."""
         return self.e + self.model
+
+    @property
+    def amplitude(self) -> float:
+        """Root mean square of the input."""
+        return float(np.sqrt((self.u**2).mean()))
 
     def strength(self) -> float:
         """Mean square of the input."""
@@ -95,16 +108,46 @@ class RecordErrors:
         standard_error = np.std(np.log(ratios)) / np.sqrt(len(ratios))
         return 0.5 * float(standard_error)  # half: of g, not of g^2
 
+    def periods(self, signal: Float[np.ndarray, "T c"]) -> Complex[np.ndarray, "2 L c"]:
+        """Fourier transforms of both periods of a signal."""
+        assert self.period is not None
+        pieces = signal[self.start : self.start + 2 * self.period]
+        return np.asarray(np.fft.rfft(pieces.reshape(2, self.period, -1), axis=1))
+
     def spectra(self) -> Spectra:
         """Fourier transforms of both periods of e, and of input and model over the second."""
-        assert self.period is not None
-        middle = self.start + self.period
-        first = slice(self.start, middle)
-        second = slice(middle, middle + self.period)
-        both = np.stack([np.fft.rfft(self.e[part], axis=0) for part in (first, second)])
-        drive = np.fft.rfft(self.u[second], axis=0)
-        model = np.fft.rfft(self.model[second], axis=0)
-        return both, drive, model
+        return self.periods(self.e), self.periods(self.u)[1], self.periods(self.model)[1]
+
+
+def open_loop_errors(
+    model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
+) -> list[RecordErrors]:
+    """Errors in every record in open loop; returns to rest are not among them."""
+    records = [*validation]
+    for trial in trials:
+        if not trial.closed_loop and not is_return(trial):
+            records.append(trial)
+    return [RecordErrors.of(model, record, start_up_samples) for record in records]
+
+
+def moving_loop_errors(
+    model: Model, trials: Trajectories, start_up_samples: int
+) -> list[RecordErrors]:
+    """Errors in the trials in closed loop that do not come to rest, without the samples that tell
+    their initial state."""
+    loops = []
+    for trial in trials:
+        if trial.closed_loop:
+            errors = RecordErrors.of(model, trial, unscored_samples(trial, start_up_samples))
+            if errors.u.any() and swing(errors.output) > MOVING:
+                loops.append(errors)
+    return loops
+
+
+def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
+    """Samples at the beginning of a trial in closed loop that tell its initial state: a third,
+    `IN_LOOP` at most."""
+    return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
 def view_of_averages(records: list[RecordErrors]) -> View:
@@ -212,7 +255,7 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     linear = np.where(unexcited, 0.0, linear)
     answered = (power_model * np.abs(1 + linear) ** 2 + rest).sum()
     return View(
-        amplitude=float(np.sqrt((record.u**2).mean())),
+        amplitude=record.amplitude,
         gain=float(np.sqrt(whole.sum() / power_u.sum())),
         by_frequency=np.sqrt(divided(whole, power_u)),
         linear=linear,

@@ -1,10 +1,11 @@
-"""Refinement of a run: measure the mismatch again in the loop itself and choose again, until what
-is proved covers what is seen.
+"""Refinement of a run: measure the mismatch again in the loop itself and choose again, until the
+proof covers what the records and the loop show, or the loop comes to rest.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,11 +17,13 @@ from omegaconf import DictConfig
 from ssm_study.engine.records import FAILED, INFEASIBLE, OK, read_record
 from ssm_study.engine.runs import Outcome
 from ssm_study.refusal import require
+from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import named, of_loops, read_logs
+from ssm_study.synthesis.measured_discs_run import coverage_facts
 
 # iterations at most: of the designs that failed on plants whose record hid something, two mended
 # most
@@ -44,20 +47,19 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
     """
     files = _refinable_run(run, log)
     for _ in range(1 if log else times):
-        proved = files.record.get("certified_tolerance") or 0.0
-        mismatch_gain = _mismatch_in_trial(files, log)
-        if mismatch_gain <= proved:
-            yield Step(said=_covered_sentence(proved, mismatch_gain))
+        trial = _measure_trial(files, log)
+        if trial.ends_refinement:
+            yield Step(said=trial.end_sentence)
             return
         config = _next_configuration(files, log)
         outcome: Outcome = STUDY.job(config)
         child = RunFiles(path=outcome.folder, record=read_record(outcome.folder) or {})
-        sentence = _outcome_sentence(child, proved, mismatch_gain, outcome)
+        sentence = _outcome_sentence(child, trial, outcome)
         yield Step(said=sentence, config=config)
         if outcome.status == FAILED:
             return
         if _has_same_gains(files, child):
-            reason = f"the choice no longer changes, although only {proved:.3g} is proved"
+            reason = "the choice no longer changes, although the proof does not cover the loop"
             yield Step(said=f"Stopped: {reason}.")
             return
         files = child
@@ -102,8 +104,34 @@ def _refinable_run(run: Path, log: Path | None) -> RunFiles:
     return files
 
 
-def _mismatch_in_trial(files: RunFiles, log: Path | None) -> float:
-    """Largest mismatch gain that the trial shows, given the noise that the run's records show."""
+@dataclass(frozen=True, kw_only=True)
+class TrialMismatch:
+    """The largest mismatch gain that a trial of the loop shows, zero where it comes to rest; and
+    the coverage of records and trial together by the run's own proof, None without any."""
+
+    gain: float
+    coverage: float | None
+
+    @property
+    def ends_refinement(self) -> bool:
+        """Whether the loop comes to rest, or is covered by the proof."""
+        return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
+
+    @property
+    def end_sentence(self) -> str:
+        """Sentence on why the refinement stops here."""
+        if self.gain and self.coverage is not None:
+            times = math.floor(100 * self.coverage) / 100
+            return (
+                f"Stopped: the proof covers a model error {times:.2f} times as large as the "
+                "records and the loop show."
+            )
+        reason = "the loop comes to rest, so it shows nothing that makes it swing"
+        return f"Stopped: {reason}; the choice stays as it is."
+
+
+def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
+    """What the trial shows, given the noise that the run's records show."""
     if log is None:
         closed, _ = read_experiment(files.path)
         trial = of_loops(closed.controlled)
@@ -112,19 +140,14 @@ def _mismatch_in_trial(files: RunFiles, log: Path | None) -> float:
         trial = read_logs([str(log)], data, files.model.step_s)
     validation = files.simulated.validation
     open_loop = tuple(record for record in files.trials if not record.closed_loop)
-    mismatch = measure_mismatch(
-        files.model, validation.records, validation.start_up_samples, open_loop + trial
-    )
-    return 0.0 if mismatch.loop is None else mismatch.loop.gain
-
-
-def _covered_sentence(proved: float, mismatch_gain: float) -> str:
-    """Why the refinement stops where what is proved covers what the loop shows."""
-    if mismatch_gain:
-        gains = f"what is proved ({proved:.3g}) covers what the loop shows ({mismatch_gain:.3g})"
-        return f"Stopped: {gains}."
-    reason = "the loop comes to rest, so it shows nothing that makes it swing"
-    return f"Stopped: {reason}; the choice stays as it is."
+    measured = (validation.records, validation.start_up_samples, open_loop + trial)
+    mismatch = measure_mismatch(files.model, *measured)
+    if mismatch.loop is None:
+        return TrialMismatch(gain=0.0, coverage=None)
+    records, start_up_samples, trials = measured
+    premise = measure_premise(files.model, records, mismatch, start_up_samples, trials)
+    facts = coverage_facts(files.design, files.model, premise)
+    return TrialMismatch(gain=mismatch.loop.gain, coverage=facts.get("coverage"))
 
 
 def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
@@ -141,9 +164,7 @@ def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
     return config
 
 
-def _outcome_sentence(
-    child: RunFiles, proved: float, mismatch_gain: float, outcome: Outcome
-) -> str:
+def _outcome_sentence(child: RunFiles, trial: TrialMismatch, outcome: Outcome) -> str:
     """Sentence on one iteration: why it was made, and what came of it."""
     name = child.path.name
     if outcome.status == FAILED:
@@ -160,5 +181,5 @@ def _outcome_sentence(
         cases = record.get("initial_conditions")
         settled = f", {stable:.0f} of {cases:.0f} settle"
     prediction = predictions[record["predicted_stable"]]
-    cause = f"the loop showed a mismatch of {mismatch_gain:.3g}, {proved:.3g} was proved"
+    cause = f"the loop showed a mismatch of {trial.gain:.3g}, which the proof does not cover"
     return f"{name}: {cause}; chosen again: {prediction}{settled}"

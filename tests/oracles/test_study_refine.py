@@ -3,6 +3,7 @@ settles."""
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from ssm_study.engine.runs import seal_run
 from ssm_study.refusal import BadRequest
 from ssm_study.study import allow_list
 from ssm_study.study.line import STUDY
-from ssm_study.study.refine import refine
+from ssm_study.study.refine import _measure_trial, refine
+from ssm_study.study.run_files import RunFiles
 from ssm_study.study.trials import TRIED, named
 from ssm_study.study.verify import verify
 
@@ -136,6 +138,19 @@ def test_where_the_loop_rests_nothing_is_chosen_again(second, smoke_run):
         assert step.config is None
         assert "comes to rest" in step.said
         assert sorted(run.parent.glob("*/record.json")) == before
+
+
+def test_a_loop_within_the_proof_needs_no_other_choice(first, second):
+    """The run's own proof, with the trial of its loop among the records that it must cover."""
+    swings = _measure_trial(RunFiles(path=first, record=read_record(first)), None)
+    assert swings.gain > 0
+    assert not swings.ends_refinement
+    assert replace(swings, coverage=1.234).ends_refinement
+    assert "1.23 times" in replace(swings, coverage=1.234).end_sentence
+    assert not replace(swings, coverage=0.999).ends_refinement
+    rests = _measure_trial(RunFiles(path=second, record=read_record(second)), None)
+    assert rests.ends_refinement
+    assert "comes to rest" in rests.end_sentence
 
 
 def write(path: Path, u: np.ndarray, y: np.ndarray, head: str = "input,output") -> Path:
