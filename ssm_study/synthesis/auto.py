@@ -25,16 +25,22 @@ from ssm_study.robustness.sensitivity import peaks_on_grid
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.covered_gains import GainSearch
 from ssm_study.synthesis.design import Synthesis, contraction_rate
-from ssm_study.synthesis.expected_response import ATTEMPTS, ExpectedResponse, RankedPair
+from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
-from ssm_study.synthesis.measured_discs_choice import prefer_covered
+from ssm_study.synthesis.measured_discs_choice import Search, prefer_covered
 from ssm_study.systems import Balls
 
 # Frequencies (rad/sample) that rank the candidates; the chosen one is then judged on a finer grid.
 GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 SHARES = ("stretch_shares", "observer_rates")
 WEIGHTS = ("input_weights", "output_noises", "integral_weights")
+# Rounds of the search for covered gains, and how much slower they may be on the model.
+ROUNDS = 12
+SLOWER = 1.15
+ROUNDS_ASKED = 60  # where a coverage is asked for
+SLOWER_ASKED = 2.5
 LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 
@@ -159,12 +165,44 @@ class Auto:
         pairs = response.ordered_pairs(peaks, validation, self.limits)
         if self.premise is None or not (self.cover or isinstance(model, SSM)):
             pairs = islice(pairs, ATTEMPTS)
+        search = None
+        if self.premise is not None:
+            search = self._covered_gains(model, balls, self.premise, mismatch, validation)
         chosen, status = prefer_covered(
-            pairs, certified_and_predicted, model, balls, self.premise, self.cover
+            pairs, certified_and_predicted, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
             return self._reported(chosen, status + unsolved_note(candidates))
         return self._largest_margin(model, balls, candidates, peaks)
+
+    def _covered_gains(
+        self,
+        model: Model,
+        balls: Balls,
+        premise: Premise,
+        mismatch: Mismatch,
+        validation: Trajectories,
+    ) -> Search:
+        """The search around the grid's gains for those that are covered; longer, and for slower
+        ones too, where a coverage is asked for."""
+        search = GainSearch(
+            model=model,
+            balls=balls,
+            premise=premise,
+            mismatch=mismatch,
+            validation=validation,
+            limits=self.limits,
+            margin=self.margin,
+        )
+        is_asked = self.cover is not None
+        rounds = ROUNDS_ASKED if is_asked else ROUNDS
+        slower = SLOWER_ASKED if is_asked else SLOWER
+
+        def covered_gains(first: Design, most: Design, target: float) -> Design | None:
+            largest_area = min(slower * search.area_of(first.pair), FASTER)
+            return search.improve(most, target, rounds, largest_area)
+
+        return covered_gains
 
     def _largest_margin(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]

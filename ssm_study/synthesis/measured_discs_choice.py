@@ -8,6 +8,7 @@ docs/closed_loop.md, "Rates chosen for you".
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -19,6 +20,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_run import exclusion_reason
 from ssm_study.systems import Balls, StructuredSystem
 
@@ -26,13 +28,16 @@ LOOKED_AT = (0, 1, 2, 4, 7, 11, 16, 23, 32, 45, 60)  # places in the order, of o
 FARTHER = (85, 120, 170, 240, 320)  # also, where more than one is asked for
 WITH_NEURONS = (0, 3, 10, 25)  # each takes seconds
 LOST = 1.02  # kappa by frequency over that of the certificate, at most (as a rule)
+NEARLY = 0.7  # of the coverage wanted: below, gains around the best pair are not searched unasked
 COVERED = "best expected response of those predicted to be stable and covered"
+SEARCHED = "gains searched around the grid's, predicted to be stable and covered"
 NOT_COVERED = (
     "best expected response of those predicted to be stable; no design looked at is covered"
 )
 LESS_COVERED = f"{COVERED}, though less than synthesis.cover asks for"
 PREDICTED = "best expected response of those predicted to be stable"
 Make = Callable[[Any], Design | None]
+Search = Callable[[Design, Design, float], Design | None]
 
 
 def prefer_covered(
@@ -42,34 +47,117 @@ def prefer_covered(
     balls: Balls,
     premise: Premise | None,
     cover: float | None,
+    search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """The first design among some of these pairs that is covered as asked for, else the first that
-    is covered at all, else the first; and which of these it is.
+    """The first design among some of these pairs that is covered as asked for; else what a search
+    gives around the one that covers most; else the first that is covered at all, else the first.
+    And which of these it is.
 
-    With neurons, where one look takes seconds, only where a coverage is asked for.
+    `search(first, most, target)` is given the first design, the one that covers most, and the
+    coverage wanted; unasked only where that one nearly covers. With neurons, where one look takes
+    seconds, coverage counts only where it is asked for.
     """
     neurons = isinstance(model.system, StructuredSystem)
     places = WITH_NEURONS if neurons else LOOKED_AT + (FARTHER if cover is not None else ())
     looks = premise is not None and (cover is not None or not neurons)
     judged = premise is not None and looks and premise.missing(0.0) is None
     target = LOST * (1.0 if cover is None else cover)
-    first: Design | None = None
-    barely: Design | None = None
+    seen = SeenDesigns()
     for place, pair in enumerate(islice(pairs, places[-1] + 1)):
-        if first is not None and place not in places:
+        if seen.first is not None and place not in places:
             continue
         design = make(pair)
         if design is None:
             continue
-        first = first or design
         if premise is None or not judged or exclusion_reason(design, model):
-            return first, PREDICTED
+            return seen.first or design, PREDICTED
         coverage = coverage_by_frequency(design, model, balls, premise, target)
         if coverage >= target:
             return design, COVERED
-        if barely is None and coverage >= LOST:
-            barely = design
-    return (first, NOT_COVERED) if barely is None else (barely, LESS_COVERED)
+        seen.note(design, coverage)
+    if search is not None and (cover is not None or seen.largest >= NEARLY * target):
+        searched = seen.search_around(search, target)
+        if searched is not None:
+            return searched, SEARCHED
+    return (seen.first, NOT_COVERED) if seen.barely is None else (seen.barely, LESS_COVERED)
+
+
+@dataclass(kw_only=True)
+class SeenDesigns:
+    """Designs looked at whose coverage is not what is wanted: the first, the first that is covered
+    at all, and the one that covers `most`, with its `largest` coverage."""
+
+    first: Design | None = None
+    barely: Design | None = None
+    most: Design | None = None
+    largest: float = 0.0
+
+    def note(self, design: Design, coverage: float) -> None:
+        """Take note of one more."""
+        self.first = self.first or design
+        if self.barely is None and coverage >= LOST:
+            self.barely = design
+        if self.most is None or coverage > self.largest:
+            self.most = design
+            self.largest = coverage
+
+    def search_around(self, search: Search, target: float) -> Design | None:
+        """What a search finds around the design that covers most; None without any."""
+        if self.first is None or self.most is None:
+            return None
+        return search(self.first, self.most, target)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopCoverage:
+    """Coverage by frequency of any gains of one loop, for the items of one premise."""
+
+    context: VerificationContext
+    items: dict[float, tuple[Item, ...]]
+
+    @classmethod
+    def of(cls, model: Model, controlled: Any, balls: Balls, premise: Premise) -> "LoopCoverage":
+        """The items around each centre are measured once."""
+        from ssm_study.synthesis.measured_discs_search import CENTRES
+
+        context = VerificationContext(
+            system=model.system, controlled=controlled, balls=balls, gains={}
+        )
+        items = {}
+        for centre in CENTRES:
+            items[centre] = tuple(item for item in premise.items(centre) if item.seen > 0)
+        return cls(context=context, items=items)
+
+    def around(self, gains: dict[str, Any], centre: float) -> float:
+        """The largest kappa of the joint program around one centre; zero where it has none."""
+        from ssm_study.synthesis.measured_discs_program import LoopForms
+        from ssm_study.synthesis.measured_discs_search import theorem_of
+        from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
+
+        context = replace(self.context, gains=gains)
+        forms = LoopForms.of(theorem_of(context), context, (centre,))
+        program = WeightProgram(
+            forms=forms,
+            grid=forms.at(forms.angles),
+            centre=centre,
+            items=self.items[centre],
+            basis=WeightBasis(),
+        )
+        try:
+            with within_floats():
+                return float(max(program.largest()[0], 0.0) ** 0.5)
+        except NoSolution:
+            return 0.0
+
+    def largest(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
+        """The largest kappa over the centres, and its centre; it ends at the first that is
+        `enough`."""
+        best = (0.0, next(iter(self.items)))
+        for centre in self.items:
+            best = max(best, (self.around(gains, centre), centre))
+            if best[0] >= enough:
+                break
+        return best
 
 
 def coverage_by_frequency(
@@ -77,31 +165,7 @@ def coverage_by_frequency(
 ) -> float:
     """The largest kappa of the joint program over the centres; it ends at the first that is
     `enough`."""
-    from ssm_study.synthesis.measured_discs_program import LoopForms
-    from ssm_study.synthesis.measured_discs_search import CENTRES, theorem_of
-    from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
-
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
-    context = VerificationContext(
-        system=model.system,
-        controlled=controlled_system(model, feedback),
-        balls=balls,
-        gains=design.gains,
-    )
-    forms = LoopForms.of(theorem_of(context), context, CENTRES)
-    grid = forms.at(forms.angles)
-    largest = 0.0
-    for centre in CENTRES:
-        items = tuple(item for item in premise.items(centre) if item.seen > 0)
-        program = WeightProgram(
-            forms=forms, grid=grid, centre=centre, items=items, basis=WeightBasis()
-        )
-        try:
-            with within_floats():
-                largest = max(largest, max(program.largest()[0], 0.0) ** 0.5)
-        except NoSolution:
-            continue
-        if largest >= enough:
-            break
-    return largest
+    loop = LoopCoverage.of(model, controlled_system(model, feedback), balls, premise)
+    return loop.largest(design.gains, enough)[0]

@@ -1,0 +1,185 @@
+"""Gains whose proof covers more, searched around given ones where a grid does not reach them.
+
+Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
+allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
+smallest area at which it still is. The step grows where a round helps and shrinks where none does.
+Coverage is that of the frequency inequality around one centre; what comes out is certified exactly.
+Rounds and random numbers are fixed, so the outcome is the same on every run.
+Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md, "Measured discs".
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ssm_study.certificates.certificate import Design, Observer, StateFeedback
+from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.theorems.integral_action import controlled_system
+from ssm_study.models.structured import Model
+from ssm_study.robustness.coverage import Premise
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.sensitivity import controller_radius
+from ssm_study.signals import Ends, Trajectories
+from ssm_study.synthesis.deployed import at_largest_rate
+from ssm_study.synthesis.integrated_error import relative_areas
+from ssm_study.synthesis.measured_discs_choice import LoopCoverage
+from ssm_study.systems import Balls, Gains
+
+PROPOSALS = 8  # pairs of gains in one round
+FIRST_STEP = 0.15  # standard deviation of the logarithm of each entry's factor
+LARGEST_STEP = 0.3
+SMALLEST_STEP = 0.01
+LENGTHEN = 1.4  # of the step, after a round that helped
+SHORTEN = 0.75  # and after one that did not
+LEAST_RATE = 1e-9  # any larger one is stored
+SEED = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoredGains:
+    """One pair of gains, its area on the model in areas of the open loop, and its coverage."""
+
+    gains: Gains
+    area: float
+    coverage: float
+
+    def is_better_than(self, other: "ScoredGains", target: float) -> bool:
+        """Whether this covers more, or, where both cover the target, is faster."""
+        if min(self.coverage, other.coverage) >= target:
+            return self.area < other.area
+        return self.coverage > other.coverage
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainSearch:
+    """Search around a design, with what the model and the records say of each trial.
+
+    `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
+    the stability margin that the prediction must exceed.
+    """
+
+    model: Model
+    balls: Balls
+    premise: Premise
+    mismatch: Mismatch
+    validation: Trajectories
+    limits: Ends | None
+    margin: float
+
+    def improve(
+        self, start: Design, target: float, rounds: int, largest_area: float
+    ) -> Design | None:
+        """The fastest certified design found whose coverage by frequency reaches the target; None
+        where none does."""
+        best = self.search(start, target, rounds, largest_area)
+        if best.coverage < target:
+            return None
+        return self.certified_design(start, best.gains)
+
+    def area_of(self, gains: Gains) -> float:
+        """Area of one pair on the model, in areas of the open loop."""
+        return self._areas([gains])[0]
+
+    def search(self, start: Design, target: float, rounds: int, largest_area: float) -> ScoredGains:
+        """The best gains after so many rounds, covered or not, not yet certified."""
+        feedback = start.state_feedback
+        assert isinstance(feedback, StateFeedback)
+        controlled = controlled_system(self.model, feedback)
+        loop = LoopCoverage.of(self.model, controlled, self.balls, self.premise)
+        coverage, centre = loop.largest(gain_fields(start.pair))
+        best = ScoredGains(gains=start.pair, area=self.area_of(start.pair), coverage=coverage)
+        random = np.random.default_rng(SEED)
+        step = FIRST_STEP
+        for _ in range(rounds):
+            proposals = [scaled_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
+            trials = self._scored(proposals, loop, centre, best, target, largest_area)
+            better = self._best_predicted(trials, best, target)
+            step *= SHORTEN if better is None else LENGTHEN
+            step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
+            best = better or best
+        return best
+
+    def _scored(
+        self,
+        proposals: list[Gains],
+        loop: "LoopCoverage",
+        centre: float,
+        best: ScoredGains,
+        target: float,
+        largest_area: float,
+    ) -> list[ScoredGains]:
+        """The proposals that are fast enough and whose controllers are stable, with their
+        coverage."""
+        allowed = best.area if best.coverage >= target else max(largest_area, best.area)
+        trials = []
+        for gains, area in zip(proposals, self._areas(proposals), strict=True):
+            if area > allowed or controller_radius(self.model.system, gains, self.balls) >= 1:
+                continue
+            coverage = loop.around(gain_fields(gains), centre)
+            trials.append(ScoredGains(gains=gains, area=area, coverage=coverage))
+        return trials
+
+    def _best_predicted(
+        self, trials: list[ScoredGains], best: ScoredGains, target: float
+    ) -> ScoredGains | None:
+        """The best trial that is better than the best so far and predicted to be stable."""
+        leader: ScoredGains | None = None
+        for trial in trials:
+            if not trial.is_better_than(leader or best, target):
+                continue
+            prediction = predict(self.model, trial.gains, self.balls, self.mismatch)
+            if prediction.predicts_stability(self.margin):
+                leader = trial
+        return leader
+
+    def _areas(self, proposals: list[Gains]) -> list[float]:
+        first = proposals[0]
+        stacked = replace(
+            first,
+            k=np.stack([gains.k for gains in proposals]),
+            l=np.stack([gains.l for gains in proposals]),
+            l_z=None if first.l_z is None else np.stack([gains.l_z for gains in proposals]),
+        )
+        areas = relative_areas(self.model, stacked, self.validation, self.limits)
+        return [float(area) for area in areas]
+
+    def certified_design(self, start: Design, gains: Gains) -> Design | None:
+        """These gains with certificates at the largest rates that are proved for them, exactly
+        verified; None where there are none, or where they are not predicted to be stable."""
+        feedback, observer = start.parts()
+        new_feedback = certified_at_gain(feedback, k=gains.k)
+        injected: dict[str, Any] = {"l": gains.l}
+        if gains.l_z is not None:
+            injected["l_z"] = gains.l_z
+        new_observer = certified_at_gain(observer, **injected)
+        if not isinstance(new_feedback, StateFeedback) or not isinstance(new_observer, Observer):
+            return None
+        return Design(state_feedback=new_feedback, observer=new_observer)
+
+
+def certified_at_gain(part: Any, **gains: Any) -> Any:
+    """The part's theorem for other gains, at the largest rate that is proved for them; None where
+    none is."""
+    try:
+        with within_floats():
+            return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
+    except NoSolution:
+        return None
+
+
+def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
+    """The gains with every entry times its own random factor."""
+
+    def scaled(matrix: Any) -> Any:
+        return matrix * np.exp(step * random.standard_normal(matrix.shape))
+
+    l_z = None if gains.l_z is None else scaled(gains.l_z)
+    return replace(gains, k=scaled(gains.k), l=scaled(gains.l), l_z=l_z)
+
+
+def gain_fields(gains: Gains) -> dict[str, Any]:
+    """The gain matrices by their letters, those that there are."""
+    matrices = {"k": gains.k, "l": gains.l, "l_z": gains.l_z}
+    return {letter: matrix for letter, matrix in matrices.items() if matrix is not None}

@@ -1,0 +1,122 @@
+"""The search for covered gains: it covers more, its gains are certified, it ends without a design
+where none is covered, and the choice turns to it only where the grid does not reach."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "oracles"))
+from test_coverage import BALLS, MODEL, design, premise, records, scaled_model
+
+from ssm_study.models.identified import SSM
+from ssm_study.robustness.mismatch import measure_mismatch
+from ssm_study.synthesis.covered_gains import GainSearch
+from ssm_study.synthesis.measured_discs_choice import (
+    COVERED,
+    LOST,
+    NOT_COVERED,
+    SEARCHED,
+    coverage_by_frequency,
+    prefer_covered,
+)
+from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+
+SSM_MODEL = SSM.of(MODEL, 0.01)
+SHARE = 0.2  # by which the plant answers more than its model
+RECORDS = records(scaled_model(SHARE))
+PREMISE = premise(scaled_model(SHARE))
+FAST = design(input_weight=1e-3)
+AREA_TOO_LARGE = 0.99
+TARGET_SHARE = 1.05  # of the coverage of the first gains
+
+
+@pytest.fixture(scope="module")
+def search() -> GainSearch:
+    return GainSearch(
+        model=SSM_MODEL,
+        balls=BALLS,
+        premise=PREMISE,
+        mismatch=measure_mismatch(SSM_MODEL, RECORDS),
+        validation=RECORDS[:1],
+        limits=None,
+        margin=1.0,
+    )
+
+
+@pytest.fixture(scope="module")
+def coverage_of_grid() -> float:
+    return coverage_by_frequency(FAST, SSM_MODEL, BALLS, PREMISE)
+
+
+@pytest.fixture(scope="module")
+def improved(search, coverage_of_grid):
+    return search.improve(
+        FAST, TARGET_SHARE * coverage_of_grid, rounds=4, largest_area=AREA_TOO_LARGE
+    )
+
+
+def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_of_grid) -> None:
+    assert improved.certified
+    by_frequency = coverage_by_frequency(improved, SSM_MODEL, BALLS, PREMISE)
+    assert by_frequency >= TARGET_SHARE * coverage_of_grid
+    proved = with_coverage(improved, SSM_MODEL, BALLS, PREMISE)
+    facts = coverage_facts(proved, SSM_MODEL, PREMISE)
+    assert facts["coverage"] > 0.94 * by_frequency
+
+
+def test_the_search_gives_the_same_gains_again(search) -> None:
+    first, again = (search.search(FAST, 1e4, 1, AREA_TOO_LARGE) for _ in range(2))
+    assert first.coverage == again.coverage
+    np.testing.assert_array_equal(first.gains.k, again.gains.k)
+    assert not np.array_equal(first.gains.k, FAST.pair.k)
+
+
+def test_where_nothing_covers_the_search_has_no_design(search) -> None:
+    assert search.improve(FAST, 1e4, rounds=1, largest_area=AREA_TOO_LARGE) is None
+
+
+def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid) -> None:
+    target = 0.8 * coverage_of_grid
+    slow = design(input_weight=30.0)
+    faster = search.improve(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
+    assert search.area_of(faster.pair) < search.area_of(slow.pair)
+    assert coverage_by_frequency(faster, SSM_MODEL, BALLS, PREMISE) >= target
+
+
+@pytest.mark.parametrize(
+    ("share_of_coverage", "cover", "searches"),
+    [(0.8, None, True), (0.5, None, False), (0.5, 1.0, True), (1.1, None, False)],
+)
+def test_the_choice_searches_only_where_the_grid_nearly_covers(
+    monkeypatch, share_of_coverage, cover, searches
+) -> None:
+    coverage = share_of_coverage * LOST
+    monkeypatch.setattr(
+        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: coverage
+    )
+    asked = []
+    found = design(input_weight=1.0)
+
+    def note(first, most, target):
+        asked.append((first, most, target))
+        return found
+
+    chosen = prefer_covered(iter([FAST]), lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
+    if searches:
+        assert chosen == (found, SEARCHED)
+        assert asked == [(FAST, FAST, LOST)]
+    else:
+        assert chosen == (FAST, COVERED if coverage > LOST else NOT_COVERED)
+        assert not asked
+
+
+def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
+    monkeypatch.setattr(
+        "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: 0.9 * LOST
+    )
+    chosen = prefer_covered(
+        iter([FAST]), lambda one: one, SSM_MODEL, BALLS, PREMISE, None, lambda *_: None
+    )
+    assert chosen == (FAST, NOT_COVERED)
