@@ -38,6 +38,7 @@ from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
+from ssm_study.synthesis.decay_response import decays_of
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.synthesis.measured_discs_run import (
     coverage_facts,
@@ -107,8 +108,11 @@ class IdentifiedCase:
 
         balls = certified_balls(self.model)
         with patch.object(auto, "prefer_covered", prefer_and_note):
-            chosen: Design = synthesis.covering(self.premise).design(
-                self.model, balls, self.data.validation, self.mismatch
+            decays = decays_of(self.model, self.data.mismatch_records, self.data.validation)
+            chosen: Design = (
+                synthesis.covering(self.premise)
+                .starting_from(decays)
+                .design(self.model, balls, self.data.validation, self.mismatch)
             )
         plain = certified[0] if certified else chosen
         return plain, with_coverage(chosen, self.model, balls, self.premise)

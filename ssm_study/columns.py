@@ -26,6 +26,7 @@ ADDED_COLUMNS = frozenset(
         "fresh_sets",
         "noise_gain_model",
         "faster_than_open_loop",
+        "predicted_faster",
         "settling_time_pi_s",
         "stable_count_pi",
         "swings_at_rest",

@@ -18,6 +18,7 @@ from ssm_study.api.scratch import new_folder
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.evidence.metrics import withheld
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.models.identified import SSM
@@ -25,6 +26,7 @@ from ssm_study.models.structured import StructuredSSM, model_from_json
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
+from ssm_study.synthesis.expected_response import response_facts
 from ssm_study.synthesis.measured_discs_run import coverage_facts
 from ssm_study.synthesis.metrics import design_facts
 
@@ -115,9 +117,16 @@ class Design:
         balls = certified_balls(self.model)
         facts = design_facts(self.certificate, self.model, balls, self.origin.mismatch)
         facts |= self._coverage_facts()
+        data = self.origin.data
+        facts |= response_facts(
+            self.certificate,
+            self.model,
+            self.origin.mismatch,
+            data.validation,
+            data.mismatch_records,
+        )
         evidence = self.origin.evidence
-        if evidence.level == "cannot judge":
-            facts["predicted_stable"] = None
+        facts = withheld(facts, evidence.level)
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
 

@@ -84,6 +84,7 @@ def design_controller(
     evidence allows no judgement, `auto` takes the largest stability margin.
     """
     from ssm_study.synthesis.auto import Auto
+    from ssm_study.synthesis.decay_response import decays_of
     from ssm_study.synthesis.deployed import with_gain_certificates
     from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
 
@@ -94,7 +95,8 @@ def design_controller(
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.cautious()
-        synthesis = synthesis.covering(premise)
+        decays = decays_of(model, data.mismatch_records, data.validation)
+        synthesis = synthesis.covering(premise).starting_from(decays)
         synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = with_gain_certificates(design, model, balls, (lower, upper))

@@ -88,8 +88,7 @@ def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 def withheld(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
     """The facts of a design with no prediction where the evidence allows none."""
-    return (
-        facts | {"predicted_stable": None}
-        if level == CANNOT_JUDGE and "predicted_stable" in facts
-        else facts
-    )
+    if level != CANNOT_JUDGE:
+        return facts
+    predictions = ("predicted_stable", "predicted_faster")
+    return facts | {name: None for name in predictions if name in facts}

@@ -167,18 +167,21 @@ def free_run(
     return model.simulate(record.u, initial_state(model, record, start_up_samples))
 
 
-def initial_state(model: Any, record: Trajectory, samples: int) -> Float[np.ndarray, "n"]:
+def initial_state(
+    model: Any, record: Trajectory, samples: int, reached_by: Trajectory | None = None
+) -> Float[np.ndarray, "n"]:
     """`argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the
     input reaches.
 
-    W is that of the record's own lifted input over the record's length, so a state that the input
+    W is that of the lifted input of the record, or of the one that is given (a decay has no input
+    of its own), over its length, so a state that the input
     cannot reach is not invented to fit the noise; a mode near the unit circle, whose Gramian over
     all time is singular, does no harm. The current sample's output error is linearised through the
     model and solved by Gauss-Newton.
     """
     lifted = model.lift(record.u)
     target = model.scale.scaled_output(record.y[:samples])
-    prior = _reached(model, lifted)
+    prior = _reached(model, lifted if reached_by is None else model.lift(reached_by.u))
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         ybar, by_state = _linearised(model, lifted[:samples], x0)

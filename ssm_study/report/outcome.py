@@ -230,6 +230,8 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         yield "evidence", label, "none: the evidence allows no judgement"
         return
     word = "stays stable" if record.get("predicted_stable") else "not predicted to be stable"
+    if record.get("predicted_faster") is False:
+        word += ", no faster than without control"
     if record.get("evidence") == DOUBT:
         word += ", with doubts"
     names = ("resolved_margin", "controller_radius", "noise_peak")

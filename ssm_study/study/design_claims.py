@@ -30,6 +30,7 @@ from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agree
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import starts_at_rest
 from ssm_study.synthesis.design import failed_checks
+from ssm_study.synthesis.expected_response import response_facts
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
 from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
 from ssm_study.synthesis.metrics import design_facts
@@ -53,8 +54,12 @@ def certificate(run: RunFiles) -> Claims:
     yield from internal_model_claim(run)
     yield from limits_claim(run)
     yield from starts_claim(run)
-    facts = design_facts(design, run.model, balls, mismatch_again(run))
+    mismatch = mismatch_again(run)
+    facts = design_facts(design, run.model, balls, mismatch)
     facts |= coverage_again(run)
+    if "predicted_faster" in run.record:
+        records = run.simulated.validation.records, run.trials
+        facts |= response_facts(design, run.model, mismatch, *records)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
 

@@ -131,7 +131,7 @@ class TrialMismatch:
 
 
 def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
-    """What the trial shows, given the noise that the run's records show."""
+    """Measure the trial, given the noise that the run's records show."""
     if log is None:
         closed, _ = read_experiment(files.path)
         trial = of_loops(closed.controlled)

@@ -6,7 +6,7 @@ Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, ClassVar
 
@@ -26,6 +26,7 @@ from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.covered_gains import GainSearch
+from ssm_study.synthesis.decay_response import NO_DECAYS
 from ssm_study.synthesis.design import Synthesis, contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
@@ -69,6 +70,7 @@ class Auto:
     invert_input: bool = False
     cover: float | None = None
     premise: Premise | None = None
+    decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS, repr=False)
 
     method: ClassVar[str] = "auto"
 
@@ -143,25 +145,14 @@ class Auto:
         mismatch = mismatch or measure_mismatch(model, validation)
         peaks = coarse_peaks(model, balls, candidates, mismatch)
         response = ExpectedResponse(
-            model=model, balls=balls, candidates=candidates, mismatch=mismatch, margin=self.margin
+            model=model,
+            balls=balls,
+            candidates=candidates,
+            mismatch=mismatch,
+            margin=self.margin,
+            decays=self.decays,
         )
-
-        faster_designs: list[Design] = []
-
-        def certified_and_predicted(ranked: RankedPair) -> Design | None:
-            """The certified design of a pair, if it is predicted to be stable; None otherwise."""
-            if faster_designs and not ranked.is_faster:
-                return None  # an idle controller, covered or not, while a faster one is predicted
-            design = candidates.specification(ranked.pair).design(model, balls)
-            if not design.certified:
-                return None
-            prediction = predict(model, design.pair, balls, mismatch)
-            if not prediction.predicts_stability(self.margin):
-                return None
-            if ranked.is_faster:
-                faster_designs.append(design)
-            return design
-
+        make = CertifiedDesigns(response=response)
         pairs = response.ordered_pairs(peaks, validation, self.limits)
         if self.premise is None or not (self.cover or isinstance(model, SSM)):
             pairs = islice(pairs, ATTEMPTS)
@@ -169,7 +160,7 @@ class Auto:
         if self.premise is not None:
             search = self._covered_gains(model, balls, self.premise, mismatch, validation)
         chosen, status = prefer_covered(
-            pairs, certified_and_predicted, model, balls, self.premise, self.cover, search
+            pairs, make.certified_and_predicted, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
             return self._reported(chosen, status + unsolved_note(candidates))
@@ -193,6 +184,7 @@ class Auto:
             validation=validation,
             limits=self.limits,
             margin=self.margin,
+            decays=self.decays,
         )
         is_asked = self.cover is not None
         rounds = ROUNDS_ASKED if is_asked else ROUNDS
@@ -227,6 +219,10 @@ class Auto:
         """This choice, preferring designs whose proof covers what these records show."""
         return replace(self, premise=premise)
 
+    def starting_from(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
+        """This choice, preferring designs that settle sooner than these decays (`decays_of`)."""
+        return replace(self, decays=decays)
+
     def cautious(self) -> "Auto":
         """The same grids, from which the largest margin is taken."""
         return replace(self, margin=float("inf"))
@@ -252,6 +248,29 @@ class Auto:
                 observer, method=self.method, solver_status=f"{status}; {observer.solver_status}"
             ),
         )
+
+
+@dataclass(kw_only=True)
+class CertifiedDesigns:
+    """Designs of pairs in their order; once one is faster than the open loop, none that is not."""
+
+    response: ExpectedResponse
+    has_faster: bool = False
+
+    def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
+        """The certified design of a pair, if it is predicted to be stable; None otherwise, and for
+        an idle controller, covered or not, while a faster one is predicted."""
+        if self.has_faster and not ranked.is_faster:
+            return None
+        known = self.response
+        design = known.candidates.specification(ranked.pair).design(known.model, known.balls)
+        if not design.certified:
+            return None
+        prediction = predict(known.model, design.pair, known.balls, known.mismatch)
+        if not prediction.predicts_stability(known.margin):
+            return None
+        self.has_faster = self.has_faster or ranked.is_faster
+        return design
 
 
 def coarse_peaks(

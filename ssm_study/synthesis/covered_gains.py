@@ -8,10 +8,11 @@ Rounds and random numbers are fixed, so the outcome is the same on every run.
 Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md, "Measured discs".
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.problem import NoSolution, within_floats
@@ -22,7 +23,9 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import controller_radius
 from ssm_study.signals import Ends, Trajectories
+from ssm_study.synthesis.decay_response import NO_DECAYS, slowest_ratios
 from ssm_study.synthesis.deployed import at_largest_rate
+from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.measured_discs_choice import LoopCoverage
 from ssm_study.systems import Balls, Gains
@@ -67,6 +70,7 @@ class GainSearch:
     validation: Trajectories
     limits: Ends | None
     margin: float
+    decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
@@ -92,9 +96,11 @@ class GainSearch:
         best = ScoredGains(gains=start.pair, area=self.area_of(start.pair), coverage=coverage)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
+        slowest = max(FASTER, self._decay_ratios([start.pair])[0])
         for _ in range(rounds):
             proposals = [scaled_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
-            trials = self._scored(proposals, loop, centre, best, target, largest_area)
+            fast = self._faster_than(proposals, slowest)
+            trials = self._scored(fast, loop, centre, best, target, largest_area)
             better = self._best_predicted(trials, best, target)
             step *= SHORTEN if better is None else LENGTHEN
             step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
@@ -112,6 +118,8 @@ class GainSearch:
     ) -> list[ScoredGains]:
         """The proposals that are fast enough and whose controllers are stable, with their
         coverage."""
+        if not proposals:
+            return []
         allowed = best.area if best.coverage >= target else max(largest_area, best.area)
         trials = []
         for gains, area in zip(proposals, self._areas(proposals), strict=True):
@@ -134,15 +142,19 @@ class GainSearch:
                 leader = trial
         return leader
 
-    def _areas(self, proposals: list[Gains]) -> list[float]:
-        first = proposals[0]
-        stacked = replace(
-            first,
-            k=np.stack([gains.k for gains in proposals]),
-            l=np.stack([gains.l for gains in proposals]),
-            l_z=None if first.l_z is None else np.stack([gains.l_z for gains in proposals]),
+    def _faster_than(self, proposals: list[Gains], slowest: float) -> list[Gains]:
+        """The proposals that settle recorded decays in less than this share of their own time."""
+        ratios = self._decay_ratios(proposals)
+        return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
+
+    def _decay_ratios(self, proposals: list[Gains]) -> list[float]:
+        ratios = slowest_ratios(
+            self.model, stacked_gains(proposals), self.decays, self.mismatch.band, self.limits
         )
-        areas = relative_areas(self.model, stacked, self.validation, self.limits)
+        return [float(ratio) for ratio in ratios]
+
+    def _areas(self, proposals: list[Gains]) -> list[float]:
+        areas = relative_areas(self.model, stacked_gains(proposals), self.validation, self.limits)
         return [float(area) for area in areas]
 
     def certified_design(self, start: Design, gains: Gains) -> Design | None:
@@ -177,6 +189,17 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
 
     l_z = None if gains.l_z is None else scaled(gains.l_z)
     return replace(gains, k=scaled(gains.k), l=scaled(gains.l), l_z=l_z)
+
+
+def stacked_gains(proposals: list[Gains]) -> Gains:
+    """Pairs of gains as one batch."""
+    first = proposals[0]
+    return replace(
+        first,
+        k=np.stack([gains.k for gains in proposals]),
+        l=np.stack([gains.l for gains in proposals]),
+        l_z=None if first.l_z is None else np.stack([gains.l_z for gains in proposals]),
+    )
 
 
 def gain_fields(gains: Gains) -> dict[str, Any]:

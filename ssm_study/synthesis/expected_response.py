@@ -3,19 +3,20 @@
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
 Pairs that are faster than the open loop on the model come before all others: a controller that does
-next to nothing is safe, and helps nobody. The mismatch is not a number but a sample: the fastest
-design that just passes is the one that any
-optimism of the measured mismatch lets through.
+next to nothing is safe, and helps nobody. Faster also from the starts of recorded decays: an output
+that falls by itself before the observer knows is only stirred up by a fast controller. The mismatch
+is not a number but a sample: the fastest design that just passes is the one that any optimism of
+the measured mismatch lets through.
 Source: docs/closed_loop.md, "Rates chosen for you"; of the margin: docs/theory.md, "Small gain for
 the plant".
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
@@ -23,8 +24,9 @@ from ssm_study.robustness.prediction import noise_peak, robustness_measure
 from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
+from ssm_study.synthesis.decay_response import NO_DECAYS, decays_of, slowest_ratios
 from ssm_study.synthesis.integrated_error import relative_areas
-from ssm_study.systems import Balls
+from ssm_study.systems import Balls, Gains
 
 Pair = Int[np.ndarray, "2"]
 Rank = tuple[bool, float]
@@ -32,8 +34,8 @@ ATTEMPTS = 20  # pairs verified exactly before the search gives up: each costs t
 # Pairs compared with all that the records show: the fastest, and of the rest as many.
 COMPARED = 200
 LOSS = 10.0  # area of a design that fails on the plant, in areas of the plant left alone
-# Area on the model, in areas of the plant left alone, below which a pair counts as faster than
-# none.
+# Area on the model, in areas of the plant left alone, and time to settle from recorded starts, in
+# that of the decay, below which a pair counts as faster than none.
 FASTER = 0.9
 # No record is known better than this: Welch's estimate alone scatters by half of it.
 LEAST_SPREAD = 0.1
@@ -55,11 +57,6 @@ class RankedPair(NamedTuple):
     is_faster: bool
 
 
-def rank(area: float, score: float) -> Rank:
-    """Rank of a pair, the smallest first: slower than `FASTER` or not, then its expected area."""
-    return bool(area >= FASTER), float(score)
-
-
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
     """Data needed to score the pairs of one grid against the records."""
@@ -69,6 +66,7 @@ class ExpectedResponse:
     candidates: Candidates
     mismatch: Mismatch
     margin: float
+    decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, shared: Responses) -> float:
         """Inverse of the pair's stability margin; cut short from `1 / margin` on."""
@@ -105,33 +103,59 @@ class ExpectedResponse:
         pairs = self.stable_pairs(peaks)
         if not len(pairs) or not self.mismatch.rests:
             return
-        areas = relative_areas(self.model, self.candidates.gains(pairs), validation, limits)
+        gains = self.candidates.gains(pairs)
+        areas = relative_areas(self.model, gains, validation, limits)
+        ratios = slowest_ratios(self.model, gains, self.decays, self.mismatch.band, limits)
+        slow = np.maximum(areas, ratios) >= FASTER
         coarse = Responses(angles=FINE_ANGLES[::2])
         fine = Responses(angles=FINE_ANGLES)
         passing: list[tuple[Rank, int]] = []
-        remaining = compared_indices(areas)
+        remaining = compared_indices(areas, slow)
         while remaining or passing:
             while remaining:
-                best_possible = rank(areas[remaining[0]], areas[remaining[0]])
+                best_possible = (bool(slow[remaining[0]]), float(areas[remaining[0]]))
                 if passing and best_possible >= min(passing)[0]:
                     break
                 index = remaining.pop(0)
                 loop_gain = self.loop_gain(pairs[index], coarse)
                 if self.margin * loop_gain < 1 and self.resists_noise(pairs[index]):
                     score = expected_area(float(areas[index]), loop_gain, self.mismatch.spread)
-                    passing.append((rank(areas[index], score), index))
+                    passing.append(((bool(slow[index]), score), index))
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
             best = [index for _, index in passing[:ATTEMPTS]]
             scores = [self.expected(pairs[index], areas[index], fine) for index in best]
-            ranks = [rank(areas[index], score) for index, score in zip(best, scores, strict=True)]
+            ranks = [(bool(slow[index]), score) for index, score in zip(best, scores, strict=True)]
             for _, index in sorted(zip(ranks, best, strict=True)):
-                yield RankedPair(pairs[index], bool(areas[index] < FASTER))
+                yield RankedPair(pairs[index], not slow[index])
             del passing[:ATTEMPTS]
 
 
-def compared_indices(areas: Float[np.ndarray, "N"]) -> list[int]:
-    """Indices of the `COMPARED` smallest areas, and as many spread over the rest."""
-    order = np.argsort(areas, kind="stable")
+def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
+    """Indices of the `COMPARED` smallest areas, the slow pairs behind all others, and as many
+    spread over the rest."""
+    order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
+
+
+def predicts_faster_response(
+    model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
+) -> bool:
+    """Whether a pair is clearly faster than the open loop: on the model, and from where records at
+    rest input start; input limits are left out."""
+    one = replace(
+        pair, k=pair.k[None], l=pair.l[None], l_z=None if pair.l_z is None else pair.l_z[None]
+    )
+    area = relative_areas(model, one, validation)[0]
+    decays = decays_of(model, trials, validation)
+    ratio = slowest_ratios(model, one, decays, mismatch.band)[0]
+    return bool(max(area, ratio) < FASTER)
+
+
+def response_facts(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
+    """The column of `predicts_faster_response`, of validation records and trials; none without a
+    design, and for a law that undoes the input map."""
+    if not design.feasible or design.inverts:
+        return {}
+    return {"predicted_faster": predicts_faster_response(model, design.pair, mismatch, *records)}

@@ -102,7 +102,7 @@ class SeenDesigns:
             self.largest = coverage
 
     def search_around(self, search: Search, target: float) -> Design | None:
-        """What a search finds around the design that covers most; None without any."""
+        """The design that a search finds around the one that covers most; None without any."""
         if self.first is None or self.most is None:
             return None
         return search(self.first, self.most, target)

@@ -198,6 +198,12 @@ COLUMNS = (
     Column(
         "predicted_stable", "boolean", "high", "predicted", "Plant predicted stable", shown=True
     ),
+    Column(
+        "predicted_faster",
+        "boolean",
+        "high",
+        word="Predicted to settle sooner than without control",
+    ),
     Column("lmi_*_status", "string", unchecked=OPINION),
     Column("lmi_*_certified", "boolean", unchecked=OPINION),
 )

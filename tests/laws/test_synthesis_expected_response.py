@@ -1,5 +1,6 @@
 """The order in which `auto` tries pairs of gains: never idle where a faster one is predicted."""
 
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -8,14 +9,19 @@ import pytest
 from loop_cases import BALLS, motor_model
 
 from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.signals import Trajectory
 from ssm_study.synthesis import expected_response
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, compared_indices, rank
+from ssm_study.synthesis.decay_response import NO_DECAYS, decays_of, slowest_ratios
+from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, compared_indices
+from ssm_study.systems import Gains
 
 # Relative area on the model and loop gain (1 / margin) of four pairs: fast and near the edge, idle,
 # slower than nothing, and refused.
 AREAS = np.array([0.3, 1.0, 2.4, 0.1])
 LOOP_GAINS = (0.95, 0.01, 0.01, 1.5)
+RNG = np.random.default_rng(0)
+START = np.array([0.5, 0.0])
 PAIRS = np.array([[0, 0], [1, 0], [2, 0], [3, 0]])
 
 
@@ -62,10 +68,45 @@ def test_a_plant_that_does_not_rest_is_offered_nothing(response):
     assert order_of(moving) == []
 
 
-def test_rank_and_compared_pairs():
-    assert rank(FASTER - 0.01, 5.0) < rank(FASTER, 0.0)
+def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monkeypatch):
+    """The fast pair settles no sooner than the plant does by itself from where it was recorded."""
+    ratios = np.array([1.2, 0.5, 0.5, 0.5])
+    monkeypatch.setattr(expected_response, "slowest_ratios", lambda *_: ratios)
+    monkeypatch.setattr(expected_response, "relative_areas", lambda *_: 0.5 * AREAS)
+    pairs = [
+        (int(ranked.pair[0]), ranked.is_faster)
+        for ranked in response.ordered_pairs(np.zeros((4, 1)), (), None)
+    ]
+    assert pairs == [(1, True), (2, False), (0, False)]
+
+
+def test_the_compared_pairs_are_the_fastest_and_some_of_the_rest():
     areas = np.linspace(1.0, 0.0, 1000)
-    compared = compared_indices(areas)
+    compared = compared_indices(areas, areas >= FASTER)
     assert compared[0] == 999
     assert set(compared[:200]) == set(range(800, 1000))
     assert min(compared) < 10  # the slowest are among them
+    assert compared_indices(np.array([0.1, 0.8]), np.array([True, False])) == [1, 0]
+
+
+def test_a_decay_is_answered_by_the_model_alone():
+    """Without gains the decay is what it was; gains that act at once settle it sooner."""
+    model = motor_model()
+    linear = model.linear
+    trial = Trajectory(
+        u=np.tile(model.scale.input_equilibrium, (200, 1)),
+        y=model.simulate(np.tile(model.scale.input_equilibrium, (200, 1)), START),
+        step_s=model.step_s,
+    )
+    excited = Trajectory(
+        u=model.scale.input_equilibrium + RNG.standard_normal((400, linear.b.shape[1])),
+        y=np.zeros((400, len(linear.c))),
+        step_s=model.step_s,
+    )
+    decays = decays_of(model, (trial,), (excited,))
+    assert len(decays) == 1
+    none = Gains(k=np.zeros((1, 1, model.order)), l=np.zeros((1, model.order, 1)))
+    assert slowest_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
+    assert not slowest_ratios(model, none, NO_DECAYS, 0.05).any()
+    moving = replace(trial, u=trial.u + 1.0)
+    assert not len(decays_of(model, (moving,), (excited,)))

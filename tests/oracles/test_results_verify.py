@@ -119,6 +119,7 @@ PARTS = [
 WORDS = (
     "bound_method",
     "predicted_stable",
+    "predicted_faster",
     "local_controllability",
     "local_observability",
     "judged_noise_free",

@@ -35,6 +35,7 @@ def compute_synthesis(
     within `limits` that are `applied` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
+    from ssm_study.synthesis.decay_response import decays_of
     from ssm_study.synthesis.deployed import with_gain_certificates
     from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
 
@@ -46,7 +47,8 @@ def compute_synthesis(
     method: Any = synthesis
     if isinstance(synthesis, Auto):
         judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
-        method = judgeable.covering(premise)
+        decays = decays_of(model, data.mismatch_records, data.validation)
+        method = judgeable.covering(premise).starting_from(decays)
         if limits["applied"]:
             lower, upper = (model.scale.scaled_input(end) for end in ends)
             method = method.within(lower, upper)
@@ -86,6 +88,7 @@ def measure_synthesis(
     design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
 ) -> Facts:
     """Columns of the design and of its prediction."""
+    from ssm_study.synthesis.expected_response import response_facts
     from ssm_study.synthesis.measured_discs_run import coverage_facts
 
     model = bounded.model
@@ -95,6 +98,7 @@ def measure_synthesis(
     fresh = fresh_premise(model, data, shown)
     facts = design_facts(design, model, balls, mismatch)
     facts |= coverage_facts(design, model, premise, fresh)
+    facts |= response_facts(design, model, mismatch, data.validation, data.mismatch_records)
     return withheld(facts, judged.level) | opinion_facts(design, model, balls)
 
 

@@ -1,0 +1,118 @@
+"""Response of a loop from the starts of recorded decays, against the decay itself.
+
+A decay is a record at rest input that starts away from rest. Its output is what the plant does
+without control; to it is added what the model answers to the loop's input from rest:
+
+    y_k = decay_k + y_model(u)_k,     u = K xh,     xh+ = A xh + B S_u(u) + L (yh - y)
+
+so the plant's own start counts, which the model may never visit. Exact for a linear plant whose
+model is right. Source: docs/closed_loop.md, "Rates chosen for you".
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.metrics import initial_state
+from ssm_study.models.structured import Model
+from ssm_study.signals import Ends, Trajectories
+from ssm_study.synthesis.integrated_error import LARGEST, SAMPLES, SETTLED
+from ssm_study.systems import Gains
+
+FITTED = 0.3  # share of a decay's energy that the model may miss: beyond, it says nothing of it
+
+NO_DECAYS = np.zeros((0, 0, 1))
+BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
+
+
+def decays_of(
+    model: Model, trials: Trajectories, validation: Trajectories
+) -> Float[np.ndarray, "N T p"]:
+    """Scaled outputs of the model from the states at which recorded decays start, noise-free.
+
+    Decays at rest input count that start beyond the band of settling and that the model follows.
+    """
+    decays = []
+    for trial in trials:
+        if trial.closed_loop or model.scale.scaled_input(trial.u).any():
+            continue
+        samples = min(SAMPLES[1], len(trial))
+        measured = model.scale.scaled_output(trial.y[:samples])
+        start = initial_state(model, trial, samples, reached_by=validation[0])
+        simulated = model.scale.scaled_output(model.simulate(trial.u[:samples], start))
+        missed = ((measured - simulated) ** 2).sum()
+        if np.linalg.norm(simulated[0]) > SETTLED and missed < FITTED * (measured**2).sum():
+            decays.append(simulated)
+    if not decays:
+        return NO_DECAYS
+    shortest = min(len(decay) for decay in decays)
+    return np.stack([decay[:shortest] for decay in decays])
+
+
+def slowest_ratios(
+    model: Model,
+    gains: Gains,
+    decays: Float[np.ndarray, "N T p"],
+    band: float,
+    limits: Ends | None = None,
+) -> Float[np.ndarray, "P"]:
+    """The larger of the ratios at each of `BANDS`; zero without decays, and with an internal model,
+    which settles at its own pace."""
+    if gains.modes.size:
+        return np.zeros(len(gains.k))
+    ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
+    return np.asarray(np.max(ratios, axis=0))
+
+
+def decay_ratios(
+    model: Model,
+    gains: Gains,
+    decays: Float[np.ndarray, "N T p"],
+    band: float,
+    limits: Ends | None = None,
+) -> Float[np.ndarray, "P"]:
+    """Mean over the decays of the samples until the output stays within the band of settling, with
+    the loop over without it, for each of many pairs of gains; zero without decays."""
+    pairs = len(gains.k)
+    if not len(decays):
+        return np.zeros(pairs)
+    alone = _settled_sample(np.linalg.norm(decays, axis=2), band)
+    outputs = _closed_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
+    settled = _settled_sample(np.linalg.norm(outputs, axis=3), band)
+    return np.asarray(settled.mean(axis=1) / max(float(alone.mean()), 1.0))
+
+
+def _settled_sample(
+    sizes: Float[np.ndarray, "*pairs T"], band: float
+) -> Float[np.ndarray, "*pairs"]:
+    """The first sample from which the size stays within the band."""
+    outside = sizes > band
+    samples = np.arange(1, sizes.shape[-1] + 1)
+    return np.asarray((outside * samples).max(axis=-1).astype(float))
+
+
+def _closed_outputs(
+    model: Model,
+    gains: Gains,
+    decays: Float[np.ndarray, "N T p"],
+    limits: Ends | tuple[float, float],
+) -> Float[np.ndarray, "P N T p"]:
+    """The output of every pair's loop on every decay."""
+    k = gains.k.transpose(0, 2, 1)[:, : model.order]
+    l_ = gains.l.transpose(0, 2, 1)
+    l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)
+    count, horizon, _ = decays.shape
+    x = np.zeros((len(k), count, model.order))
+    x_hat = np.zeros_like(x)
+    outputs = np.zeros((len(k), *decays.shape))
+    for sample in range(horizon):
+        u = np.clip(x_hat @ k, *limits)
+        lifted = model.scaffold_in(u)
+        y = model.read_scaled(x, lifted) + decays[:, sample]
+        outputs[:, :, sample] = y
+        innovation = model.read_scaled(x_hat, lifted) - y
+        injected = () if l_z is None else (innovation @ l_z,)
+        x = model.advance(x, lifted)
+        estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_
+        x_hat = np.clip(estimate, -LARGEST, LARGEST)
+        x = np.clip(x, -LARGEST, LARGEST)
+    return outputs
