@@ -27,6 +27,7 @@ ADDED_COLUMNS = frozenset(
         "noise_gain_model",
         "faster_than_open_loop",
         "predicted_faster",
+        "sine_margin",
         "settling_time_pi_s",
         "stable_count_pi",
         "swings_at_rest",

@@ -7,7 +7,7 @@ little of what happens near rest, above its own band, or from where the loop sta
 docs/trust.md.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,8 @@ RETURNS = (
 )  # input levels, as SHARES, from which a straight line leads back to rest
 
 
+SINE_SHARES = (0.01, 0.05, 0.2, 1.0)  # amplitudes of single sines
+SINES = 13  # marks the seed of their noise
 FRESH = 11  # marks the seeds of fresh data sets
 
 
@@ -124,6 +126,14 @@ class SimulatedData:
                 trials = mismatch_records(plant, rng, self.deviation(plant))
             yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
 
+    def simulate_sines(
+        self, plant: Plant, seed: int, lines: Sequence[int]
+    ) -> tuple[Trajectory, ...]:
+        """Single sines at these lines of a period, for a design that is most sensitive there."""
+        return sine_records(
+            plant, np.random.default_rng([seed, SINES]), self.deviation(plant), lines
+        )
+
     def deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
         """Standard deviation of the sensor's noise, physical: `noise_variance`, or the plant's
         own."""
@@ -191,6 +201,30 @@ def mismatch_records(
             for i, name in enumerate(names)
         ]
     return tuple(found)
+
+
+def sine_records(
+    plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"], lines: Sequence[int]
+) -> tuple[Trajectory, ...]:
+    """Single sines at these lines of `PERIOD`, at each of `SINE_SHARES` of the amplitude: one
+    period of lead-in and two that count; every input moves alike."""
+    rest = plant.equilibrium()
+    amplitude = np.array(plant.input_amplitude)
+    inputs = []
+    for line in lines:
+        period = np.sin(2 * np.pi * line * np.arange(PERIOD) / PERIOD)[:, None]
+        wave = np.tile(period, (3, 1))  # the same bits in every period
+        inputs += [rest.u + share * amplitude * wave for share in SINE_SHARES]
+    if not inputs:
+        return ()
+    u = np.stack(inputs)
+    y = plant.simulate(u)[1]
+    noisy = y + deviation * rng.standard_normal(y.shape)
+    names = [f"sine_{line}_at_{share:g}" for line in lines for share in SINE_SHARES]
+    return tuple(
+        Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name)
+        for i, name in enumerate(names)
+    )
 
 
 def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:

@@ -236,6 +236,10 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         word += ", with doubts"
     names = ("resolved_margin", "controller_radius", "noise_peak")
     grounds = decides(*(record.get(name) for name in names))
+    sine_margin = record.get("sine_margin")
+    if sine_margin is not None and sine_margin <= 1 < (record.get("resolved_margin") or 0.0):
+        margin = printed(record, "sine_margin")
+        grounds = f"single sines show more than the other records (margin {margin})"
     yield "predicted_stable", label, f"{word}: {grounds}" if grounds else word
 
 

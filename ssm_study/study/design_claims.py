@@ -34,7 +34,8 @@ from ssm_study.synthesis.expected_response import response_facts
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
 from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.systems import System
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_facts
+from ssm_study.systems import Balls, System
 
 
 def certificate(run: RunFiles) -> Claims:
@@ -60,6 +61,7 @@ def certificate(run: RunFiles) -> Claims:
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.trials
         facts |= response_facts(design, run.model, mismatch, *records)
+    facts |= sines_again(run, balls, mismatch)
     yield Derived(withheld(facts, run.record.get("evidence")))
 
 
@@ -166,6 +168,23 @@ def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dic
     start_up = run.simulated.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
     return fresh_facts(fresh_needs(run.design, run.model, premise, mismatch, fresh, start_up))
+
+
+def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
+    """The columns of the single sines, which are simulated again; none for a run of before."""
+    specification = run.specification
+    if "sine_margin" not in run.record or not specification.has_sine_trials:
+        return {}
+    sines = simulated_sines(
+        run.design,
+        run.model,
+        balls,
+        mismatch,
+        specification.data,
+        specification.plant,
+        specification.seed,
+    )
+    return sine_facts(run.design, run.model, balls, mismatch, sines)
 
 
 def requested_system(run: RunFiles) -> System:

@@ -148,6 +148,7 @@ class Study(Task["Specification"]):
         from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
         from ssm_study.study.stages.mismatch import MISMATCH
+        from ssm_study.study.stages.sine_trials import SINE_TRIALS
         from ssm_study.study.stages.synthesis import SYNTHESIS
         from ssm_study.study.stages.textbook_pi import TEXTBOOK_PI
 
@@ -167,6 +168,9 @@ class Study(Task["Specification"]):
         }
         inputs = request.select("synthesis", computed={"limits": limits})
         design = stages.run_stage(SYNTHESIS, *inputs, data, bounded, mismatch, judgement)
+        if request.has_sine_trials:
+            inputs = request.sine_inputs()
+            stages.run_stage(SINE_TRIALS, *inputs, bounded, mismatch, judgement, design)
         if with_fresh_data:
             inputs = request.select("data", "seed", *plant)
             stages.run_stage(FRESH_DATA, *inputs, data, bounded, mismatch, design)

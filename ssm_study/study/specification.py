@@ -176,12 +176,25 @@ class Specification:
         """Settings and arguments of the run's records: without `data.fresh_sets`, which changes
         none of them."""
         plant = ("plant", "excitation") if self.plant else ()
-        settings, arguments = self.select("data", "seed", *plant)
+        return self._select_with_data("seed", *plant)
+
+    def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Settings and arguments of the sines that try a design on the simulated plant."""
+        return self._select_with_data("seed", "plant")
+
+    def _select_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        settings, arguments = self.select("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
             settings = Settings({**settings, "data": own})
             arguments["data"] = replace(self.data, fresh_sets=0)
         return settings, arguments
+
+    @property
+    def has_sine_trials(self) -> bool:
+        """Whether a chosen design is tried by single sines: on a simulated plant with trials."""
+        simulated = isinstance(self.data, SimulatedData) and self.data.trials
+        return simulated and self.plant is not None and not self.plant.real
 
     @property
     def has_fresh_sets(self) -> bool:

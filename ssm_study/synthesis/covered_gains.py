@@ -193,12 +193,12 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
 
 def stacked_gains(proposals: list[Gains]) -> Gains:
     """Pairs of gains as one batch."""
-    first = proposals[0]
+    injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     return replace(
-        first,
+        proposals[0],
         k=np.stack([gains.k for gains in proposals]),
         l=np.stack([gains.l for gains in proposals]),
-        l_z=None if first.l_z is None else np.stack([gains.l_z for gains in proposals]),
+        l_z=np.stack(injections) if injections else None,
     )
 
 

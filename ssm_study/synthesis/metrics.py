@@ -179,6 +179,14 @@ COLUMNS = (
         shown=True,
     ),
     Column(
+        "sine_margin",
+        "Float64",
+        "high",
+        word="Prediction margin with single sines after the choice",
+        unit="–",
+        tolerance=ITERATED,
+    ),
+    Column(
         "controller_radius",
         "Float64",
         "low",

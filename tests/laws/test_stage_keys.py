@@ -32,10 +32,11 @@ ALL = [
     "mismatch",
     "evidence",
     "synthesis",
+    "sine_trials",
     "fresh_data",
     "loop",
 ]
-OF_A_PLANT = ("textbook_pi", "fresh_data")
+OF_A_PLANT = ("textbook_pi", "sine_trials", "fresh_data")
 COLUMNS = " columns"
 
 

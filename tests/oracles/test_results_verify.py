@@ -71,7 +71,14 @@ NUMBERS = {
     **dict.fromkeys(("certified_tolerance", "coverage", "coverage_needed"), ITERATED),
     **{f"{side}_margin": ITERATED for side in ("controller", "observer", "mismatch", "resolved")},
     **dict.fromkeys(
-        ("mismatch_gain", "mismatch_seen", "mismatch_spread", "controller_radius", "noise_peak"),
+        (
+            "mismatch_gain",
+            "mismatch_seen",
+            "mismatch_spread",
+            "controller_radius",
+            "noise_peak",
+            "sine_margin",
+        ),
         ITERATED,
     ),
     **{f"fit_{record}_percent": ONE_FORMULA for record in ("train", "validation", "test")},

@@ -8,6 +8,7 @@ from ssm_study.study.stages.fresh_data import FRESH_DATA
 from ssm_study.study.stages.loop import LOOP
 from ssm_study.study.stages.mismatch import MISMATCH
 from ssm_study.study.stages.model import MODEL
+from ssm_study.study.stages.sine_trials import SINE_TRIALS
 from ssm_study.study.stages.synthesis import SYNTHESIS
 from ssm_study.study.stages.textbook_pi import TEXTBOOK_PI
 
@@ -20,6 +21,7 @@ STAGES = (
     MISMATCH,
     EVIDENCE,
     SYNTHESIS,
+    SINE_TRIALS,
     FRESH_DATA,
     LOOP,
 )

@@ -1,0 +1,60 @@
+"""Single sines on a simulated plant after the choice, where the loop is most sensitive; the design
+is then judged again."""
+
+from pathlib import Path
+from typing import Any
+
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
+from ssm_study.engine.stages import Facts, Stage
+from ssm_study.evidence.metrics import Judgement, withheld
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.sine_trials import SineMismatch
+from ssm_study.study.stages.files import read_json, write_json
+from ssm_study.study.stages.free_run import ModelRun
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_facts
+
+FILE = "sine_trials.json"
+FIELDS = ("angle", "amplitude", "gain")
+
+
+def compute_sine_trials(
+    folder: Path,
+    bounded: ModelRun,
+    mismatch: Mismatch,
+    judged: Judgement,
+    design: Design,
+    *,
+    data: Any,
+    seed: int,
+    plant: Any,
+) -> None:
+    """Simulate the sines and measure the mismatch at each."""
+    del judged
+    model = bounded.model
+    balls = certified_balls(model)
+    sines = simulated_sines(design, model, balls, mismatch, data, plant, seed)
+    rows = [{name: repr(getattr(sine, name)) for name in FIELDS} for sine in sines]
+    write_json(folder / FILE, {"sines": rows})
+
+
+def read_sine_trials(folder: Path) -> list[SineMismatch]:
+    """Read what the sines show."""
+    rows = read_json(folder / FILE)["sines"]
+    return [SineMismatch(**{name: float(row[name]) for name in FIELDS}) for row in rows]
+
+
+def measure_sine_trials(
+    sines: list[SineMismatch],
+    bounded: ModelRun,
+    mismatch: Mismatch,
+    judged: Judgement,
+    design: Design,
+) -> Facts:
+    """The margin with the sines, and the prediction, which they may refute."""
+    model = bounded.model
+    facts = sine_facts(design, model, certified_balls(model), mismatch, sines)
+    return withheld(facts, judged.level)
+
+
+SINE_TRIALS = Stage("sine_trials", compute_sine_trials, read_sine_trials, measure_sine_trials)

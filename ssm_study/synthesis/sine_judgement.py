@@ -1,0 +1,48 @@
+"""Judgement of a chosen design by single sines at the frequencies where its loop is most sensitive.
+
+The prediction is made again with what the sines show beside the other records; it stands only where
+both predict stability. Source: docs/trust.md, "What is measured for it".
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ssm_study.certificates.certificate import Design
+from ssm_study.models.structured import Model
+from ssm_study.robustness.mismatch import Mismatch
+from ssm_study.robustness.prediction import predict
+from ssm_study.robustness.sine_trials import SineMismatch, measure_sines, peak_lines, with_sines
+from ssm_study.systems import Balls
+
+
+def design_lines(
+    design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
+) -> list[int]:
+    """Lines of a period at which the design is to be tried; none for a law that undoes the input
+    map, nor where the noise is not known."""
+    if not design.feasible or design.inverts or not mismatch.noise:
+        return []
+    return peak_lines(model, design.pair, balls, period)
+
+
+def simulated_sines(
+    design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
+) -> list[SineMismatch]:
+    """What single sines on the simulated plant show of the mismatch, for this design."""
+    from ssm_study.data.simulated import PERIOD
+
+    lines = design_lines(design, model, balls, mismatch, PERIOD)
+    return measure_sines(model, data.simulate_sines(plant, seed, lines), mismatch, PERIOD)
+
+
+def sine_facts(
+    design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
+) -> dict[str, Any]:
+    """The margin with the sines among the records, and the prediction from both; none without
+    sines."""
+    if not sines:
+        return {}
+    without = predict(model, design.pair, balls, mismatch)
+    prediction = predict(model, design.pair, balls, with_sines(mismatch, sines))
+    both = without.predicts_stability() and prediction.predicts_stability()
+    return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}
