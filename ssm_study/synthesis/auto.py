@@ -158,7 +158,7 @@ class Auto:
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
-            search = self._covered_gains(model, balls, self.premise, mismatch, validation)
+            search = self._covered_gains(response, self.premise, validation)
         chosen, status = prefer_covered(
             pairs, make.certified_and_predicted, model, balls, self.premise, self.cover, search
         )
@@ -167,20 +167,15 @@ class Auto:
         return self._largest_margin(model, balls, candidates, peaks)
 
     def _covered_gains(
-        self,
-        model: Model,
-        balls: Balls,
-        premise: Premise,
-        mismatch: Mismatch,
-        validation: Trajectories,
+        self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
         """The search around the grid's gains for those that are covered; longer, and for slower
         ones too, where a coverage is asked for."""
         search = GainSearch(
-            model=model,
-            balls=balls,
+            model=response.model,
+            balls=response.balls,
             premise=premise,
-            mismatch=mismatch,
+            mismatch=response.mismatch,
             validation=validation,
             limits=self.limits,
             margin=self.margin,

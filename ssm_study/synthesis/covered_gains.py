@@ -194,12 +194,10 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
 def stacked_gains(proposals: list[Gains]) -> Gains:
     """Pairs of gains as one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
-    return replace(
-        proposals[0],
-        k=np.stack([gains.k for gains in proposals]),
-        l=np.stack([gains.l for gains in proposals]),
-        l_z=np.stack(injections) if injections else None,
-    )
+    k = np.stack([gains.k for gains in proposals])
+    l_ = np.stack([gains.l for gains in proposals])
+    l_z = np.stack(injections) if injections else None
+    return replace(proposals[0], k=k, l=l_, l_z=l_z)
 
 
 def gain_fields(gains: Gains) -> dict[str, Any]:

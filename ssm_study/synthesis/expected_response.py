@@ -144,9 +144,8 @@ def predicts_faster_response(
 ) -> bool:
     """Whether a pair is clearly faster than the open loop: on the model, and from where records at
     rest input start; input limits are left out."""
-    one = replace(
-        pair, k=pair.k[None], l=pair.l[None], l_z=None if pair.l_z is None else pair.l_z[None]
-    )
+    l_z = None if pair.l_z is None else pair.l_z[None]
+    one = replace(pair, k=pair.k[None], l=pair.l[None], l_z=l_z)
     area = relative_areas(model, one, validation)[0]
     decays = decays_of(model, trials, validation)
     ratio = slowest_ratios(model, one, decays, mismatch.band)[0]

@@ -28,7 +28,7 @@ def design_lines(
 def simulated_sines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
 ) -> list[SineMismatch]:
-    """What single sines on the simulated plant show of the mismatch, for this design."""
+    """Mismatch that single sines on the simulated plant show, for this design."""
     from ssm_study.data.simulated import PERIOD
 
     lines = design_lines(design, model, balls, mismatch, PERIOD)
