@@ -6,7 +6,7 @@ without control; to it is added what the model answers to the loop's input from 
     y_k = decay_k + y_model(u)_k,     u = K xh,     xh+ = A xh + B S_u(u) + L (yh - y)
 
 so the plant's own start counts, which the model may never visit. Exact for a linear plant whose
-model is right. Source: docs/closed_loop.md, "Rates chosen for you".
+model is right. Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
 """
 
 import numpy as np
