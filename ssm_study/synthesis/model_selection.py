@@ -57,7 +57,7 @@ class LargestCertifiableRate:
             return near[0]
 
         models: list[Any] = [identified.model for identified in near]
-        rates = [fastest(model.system, certified_balls(model).input) for model in models]
+        rates = [self.largest_rate(model) for model in models]
         rate_enough = self.rate_enough or 1.0
         fast_enough = [
             identified for identified, rate in zip(near, rates, strict=True) if rate >= rate_enough
@@ -65,6 +65,11 @@ class LargestCertifiableRate:
         if fast_enough:
             return max(fast_enough, key=lambda identified: identified.fit_validation_percent)
         return near[int(np.argmax(rates))]
+
+    def largest_rate(self, model: Any) -> float:
+        """The largest rate of a certified state feedback of one model; zero where there is
+        none."""
+        return max(0.0, fastest(model.system, certified_balls(model).input))
 
     def _within(self, model: Any) -> float:
         """Points of fit that count as about as good, by kind of model."""

@@ -2,7 +2,7 @@
 are compared."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -10,10 +10,11 @@ from jaxtyping import Float
 
 from ssm_study.models.baselines.regression import output_error
 from ssm_study.models.identified import SSM
+from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.models.warm_start import PAST, SAMPLES, states_from_past
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
-from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_fit import StructuredFit
 
 LARGEST_ERROR = 100.0  # percent: of a free run no better than the mean; one piece decides nothing
@@ -31,13 +32,16 @@ class Candidate:
     """Settings that were tried, and the error of the free run on each held-out fold.
 
     An error is `100 - fit`, in percent, at most `LARGEST_ERROR`. Folds that were left out, because
-    the candidate was far behind, are missing at the end of `errors`.
+    the candidate was far behind, are missing at the end of `errors`. `start` says from where the
+    held-out pieces were simulated, `example` is the model trained without the last fold.
     """
 
     question: str
     model: str
     settings: Settings
     errors: Float[np.ndarray, "folds"]
+    start: str = SAMPLES
+    example: Any = field(default=None, repr=False, compare=False)
 
     @property
     def mean_error(self) -> float:
@@ -52,8 +56,8 @@ class Candidate:
         standard_error = float(excess.std(ddof=1)) / np.sqrt(len(excess))
         return bool(excess.mean() > max(by * other.mean_error, standard_error))
 
-    def row(self, *, chosen: bool) -> Row:
-        """Line of the table of what was tried."""
+    def row(self, *, chosen: bool, certified: bool | None) -> Row:
+        """Line of the table of what was tried; `certified` is None where nobody looked."""
         fits = 100.0 - self.errors
         return {
             "question": self.question,
@@ -62,6 +66,8 @@ class Candidate:
             "fit_held_out_percent": float(fits.mean()),
             "fit_worst_fold_percent": float(fits.min()),
             "folds": len(fits),
+            "piece_start": self.start,
+            "certified": certified,
             "chosen": chosen,
         }
 
@@ -83,16 +89,46 @@ def first_not_behind(candidates: Sequence[Candidate], by: float = NEARLY) -> Can
     return next(candidate for candidate in candidates if not candidate.is_behind(best, by))
 
 
-def linear_errors(folds: Sequence[DataSet], order: int, delay: int) -> Float[np.ndarray, "folds"]:
-    """Errors of a linear output-error model on each held-out fold; delay 1 is no dead time, 0 a
-    direct path."""
-    errors = []
+@dataclass
+class Trial:
+    """Errors of one candidate on the folds so far, from both starts of a held-out piece: its first
+    samples, and the log before it (`models.warm_start`)."""
+
+    by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
+    example: Any = None
+
+    def add(self, model: Any, fold: DataSet) -> None:
+        """Simulate the held-out part of one more fold; None of a model counts as a failed one."""
+        self.example = model
+        states = () if model is None else states_from_past(model, fold, fold.test)
+        starts = {SAMPLES: (None,) * len(states), PAST: states}
+        for name, errors in self.by_start.items():
+            if model is None:
+                errors.append(LARGEST_ERROR)
+                continue
+            run = Simulation.of(model, fold.test, fold.start_up_samples, starts[name])
+            errors.append(bounded_error(run.fit_percent))
+
+    @property
+    def start(self) -> str:
+        """The start from which the mean error is smaller; the first samples where both are."""
+        return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
+
+    @property
+    def errors(self) -> Float[np.ndarray, "folds"]:
+        """Errors from that start."""
+        return np.array(self.by_start[self.start])
+
+
+def linear_trial(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
+    """A linear output-error model on each held-out fold; delay 1 is no dead time, 0 a direct
+    path."""
+    trial = Trial()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
-            model = linear_model(part, order, direct=delay == 0)
-            errors.append(bounded_error(mean_fit(model, part.test, part)))
-    return np.array(errors)
+            trial.add(linear_model(part, order, direct=delay == 0), part)
+    return trial
 
 
 def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
@@ -114,28 +150,24 @@ def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
     return SSM.of(system, data.step_s, scale)
 
 
-def structured_errors(
+def structured_trial(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
-) -> Float[np.ndarray, "folds"]:
-    """Errors of a structured model trained for a few steps without each fold; the last folds are
-    left out where it is far behind `best`."""
+) -> Trial:
+    """A structured model trained for a few steps without each fold; the last folds are left out
+    where it is far behind `best`."""
     brief = replace(spec, draws=min(DRAWS, spec.draws))
-    errors: list[float] = []
+    trial = Trial()
     for fold in folds:
-        if best is not None and is_hopeless(errors, best):
+        if best is not None and is_hopeless(trial.errors, best):
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
         fit.advance(STEPS)
-        errors.append(
-            bounded_error(mean_fit(fit.stored(), part.test, part))
-            if np.isfinite(float(fit.loss))
-            else LARGEST_ERROR
-        )
-    return np.array(errors)
+        trial.add(fit.stored() if np.isfinite(float(fit.loss)) else None, part)
+    return trial
 
 
-def is_hopeless(errors: Sequence[float], best: Candidate) -> bool:
+def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
     """Whether the errors so far are `HOPELESS` times those of the best candidate."""
     count = len(errors)
     so_far = float(np.sum(errors))

@@ -6,24 +6,26 @@ good the smallest is taken. The test records are not looked at. What is fixed in
 stays fixed. Why so, and what was tried: docs/models.md, "What the log decides".
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
 from ssm_study.data.log_dynamics import first_answer
-from ssm_study.models.baselines.regression import output_error
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import (
     Candidate,
     Row,
     Settings,
+    Trial,
     best_of,
     first_not_behind,
-    linear_errors,
-    structured_errors,
+    linear_model,
+    linear_trial,
+    structured_trial,
 )
 from ssm_study.training.folds import FOLDS, folds_of, with_joined_records
 
@@ -35,13 +37,22 @@ SLOW_ORDER = 3  # of the linear model whose slowest mode is looked at
 DELAY_GAIN = 0.1  # of the error that a dead time must remove, and an integrator, and a free path
 DIRECT_GAIN = 0.25  # a direct path more: with it no loop is closed
 INTEGRATES = 0.99  # radius of a linear model's slowest mode above which an integrator is tried
+CARRIES = 0.25  # share of the modes' gains that such modes have
+MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
 REFIT_BEYOND = 1.25  # times the error on held-out folds
-LINEAR_ORDERS = (2, 4, 6, 10)
+LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
+HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
+ONE_LAYER_ORDERS = (3, 8)  # least and most
 TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths are chosen
-SIZES: tuple[Settings, ...] = (  # the smallest first
-    {"order": 3, "neurons": 0, "knots": 16},
+SIZES: tuple[Settings, ...] = (  # the smallest first; with one layer before them
     {"order": 3, "neurons": 1, "knots": 0},
     TRIED_SIZE,
+)
+INTEGRATING_SIZES: tuple[Settings, ...] = (  # one friction neuron on a velocity can be certified
+    {"order": 1, "neurons": 1, "knots": 0},
+    {"order": 1, "neurons": 2, "knots": 0},
+    {"order": 2, "neurons": 1, "knots": 0},
+    *SIZES,
 )
 LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are behind
     {"order": 5, "neurons": 5, "knots": 16},
@@ -52,11 +63,15 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 @dataclass(frozen=True, kw_only=True)
 class Choice:
     """The specification with everything decided, the table of what was tried, and the mean error
-    of the chosen model on held-out folds, percent; without a table nothing was tried."""
+    of the chosen model on held-out folds, percent; without a table nothing was tried.
+
+    `is_linear`: the output-error model itself is to be taken, of this order and delay.
+    """
 
     spec: StructuredSpec
     rows: tuple[Row, ...] = ()
     error: float | None = None
+    is_linear: bool = False
 
     def words(self, automatic: Sequence[str]) -> str:
         """Settings that were left open and what was chosen, of how many; "" if nothing was."""
@@ -91,6 +106,7 @@ class Search:
     decided: Settings = field(default_factory=dict)
     tried: list[Candidate] = field(default_factory=list)
     chosen: list[Candidate] = field(default_factory=list)
+    certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
 
     def is_open(self, name: str) -> bool:
         """Whether the user left this setting to the log, and nothing decided it yet."""
@@ -103,9 +119,10 @@ class Search:
         known = self.already_tried(STRUCTURED, settings)
         if known is not None:
             return known
-        best = best_of(self.structured_candidates) if self.structured_candidates else None
-        errors = structured_errors(spec, self.folds, self.seed, best)
-        return self.note(question, STRUCTURED, settings, errors)
+        best = best_of(self.tried) if self.tried else None
+        return self.note(
+            question, STRUCTURED, settings, structured_trial(spec, self.folds, self.seed, best)
+        )
 
     def completed(self, settings: Settings) -> StructuredSpec:
         """The specification with these settings, those decided, and defaults for the others."""
@@ -123,11 +140,44 @@ class Search:
         known = self.already_tried(LINEAR, settings)
         if known is not None:
             return known
-        return self.note(question, LINEAR, settings, linear_errors(self.folds, order, delay))
+        return self.note(question, LINEAR, settings, linear_trial(self.folds, order, delay))
 
-    def note(self, question: str, model: str, settings: Settings, errors: np.ndarray) -> Candidate:
+    def value_of(self, name: str) -> Any:
+        """A setting as it was decided, or as the user has it."""
+        return self.decided.get(name, getattr(self.spec, name))
+
+    @property
+    def integrates(self) -> bool:
+        """Whether an integrator is set apart behind the model."""
+        return self.value_of("integrating_output") is True
+
+    @property
+    def may_be_linear(self) -> bool:
+        """Whether neither neurons nor an input or output map were asked for."""
+        open_or_none = (AUTO, 0)
+        sizes = (self.spec.neurons, self.spec.knots)
+        return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
+
+    def can_be_certified(self, candidate: Candidate) -> bool:
+        """Whether a state feedback of its example is certified at any rate; yes where nobody
+        asks."""
+        largest_rate = getattr(self.spec.among_starts, "largest_rate", None)
+        if largest_rate is None or candidate.example is None:
+            return True
+        if id(candidate) not in self.certified:
+            self.certified[id(candidate)] = largest_rate(candidate.example) > 0.0
+        return self.certified[id(candidate)]
+
+    def note(self, question: str, model: str, settings: Settings, trial: Trial) -> Candidate:
         """Put a candidate on the list, and say how it did."""
-        candidate = Candidate(question=question, model=model, settings=settings, errors=errors)
+        candidate = Candidate(
+            question=question,
+            model=model,
+            settings=settings,
+            errors=trial.errors,
+            start=trial.start,
+            example=trial.example,
+        )
         self.tried.append(candidate)
         self.announce(candidate.words)
         return candidate
@@ -137,19 +187,35 @@ class Search:
         alike = [one for one in self.tried if (one.model, one.settings) == (model, settings)]
         return alike[0] if alike else None
 
-    @property
-    def structured_candidates(self) -> list[Candidate]:
-        return [candidate for candidate in self.tried if candidate.model == STRUCTURED]
-
     def take(self, candidate: Candidate, settings: Settings) -> None:
         """Decide settings that are open, by this candidate."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
 
-    def rows(self) -> tuple[Row, ...]:
+    def choice_of(self, candidate: Candidate | None) -> Choice:
+        """The specification with all that was decided, and the sizes of this candidate."""
+        decided = dict(self.decided)
+        is_linear = candidate is not None and candidate.model == LINEAR
+        if candidate is not None:
+            without_neurons = {"neurons": 0, "knots": 0, "input_path": "none"}
+            decided |= candidate.settings | (without_neurons if is_linear else {})
+        automatic = self.spec.automatic
+        open_settings = {name: decided[name] for name in automatic if name in decided}
+        chosen = [*self.chosen] if candidate is None else [*self.chosen, candidate]
+        return Choice(
+            spec=with_defaults(replace(self.spec, **open_settings)),
+            rows=self.rows(chosen),
+            error=None if candidate is None else candidate.mean_error,
+            is_linear=is_linear,
+        )
+
+    def rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
         """The table of what was tried."""
         return tuple(
-            candidate.row(chosen=any(candidate is one for one in self.chosen))
+            candidate.row(
+                chosen=any(candidate is one for one in chosen),
+                certified=self.certified.get(id(candidate)),
+            )
             for candidate in self.tried
         )
 
@@ -161,19 +227,32 @@ def choose_model(
 
     Records too short for folds choose nothing: the defaults of `model=structured` are taken.
     """
+    return next(ranked_choices(spec, data, seed, announce))
+
+
+def ranked_choices(
+    spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
+) -> Iterator[Choice]:
+    """The choice, and after it those that would be made if no model of it could be certified; the
+    paths are the same in all."""
     folds = folds_of(data) if spec.automatic else ()
     if not folds:
-        return Choice(spec=with_defaults(spec))
+        yield Choice(spec=with_defaults(spec))
+        return
     search = Search(spec=spec, folds=folds, seed=seed, announce=announce)
     choose_delay(search, data)
     choose_integrator(search, data)
     choose_input_path(search)
-    final = choose_size(search)
-    return Choice(
-        spec=with_defaults(replace(spec, **search.decided)),
-        rows=search.rows(),
-        error=None if final is None else final.mean_error,
-    )
+    candidates = sized_candidates(search)
+    if not candidates:
+        yield search.choice_of(None)
+    while candidates:
+        chosen = first_certified(search, candidates)
+        yield search.choice_of(chosen)
+        if not search.can_be_certified(chosen):  # then none of them can
+            return
+        search.certified[id(chosen)] = False  # trained on all records it was not
+        candidates.remove(chosen)
 
 
 def announcer(progress: bool) -> Callable[[str], None]:
@@ -250,13 +329,22 @@ def choose_integrator(search: Search, data: DataSet) -> None:
 
 
 def nearly_integrates(data: DataSet) -> bool:
-    """Whether the slowest mode of a linear model hardly forgets; no for several outputs."""
+    """Whether modes of a linear model that hardly forget make a good part of the output; no for
+    several outputs.
+
+    A mode that a zero cancels says nothing: a model of more states than the records need has such
+    modes anywhere.
+    """
     if data.scale.outputs != 1:
         return False
     with np.errstate(all="ignore"):
-        model = output_error(with_joined_records(data), SLOW_ORDER, 1)
-    recursion = np.concatenate([[1.0], -model.theta[1 : SLOW_ORDER + 1]])
-    return bool(np.abs(np.roots(recursion)).max() > INTEGRATES)
+        system = linear_model(with_joined_records(data), SLOW_ORDER, direct=False).linear
+        modes, vectors = np.linalg.eig(system.a)
+        residues = np.abs(system.c @ vectors).T * np.abs(np.linalg.solve(vectors, system.b + 0j))
+        radii = np.minimum(np.abs(modes), 1.0 - 1e-9)
+        gains = residues.sum(axis=1) / (1.0 - radii)
+    share = gains[radii > INTEGRATES].sum() / gains.sum()
+    return bool(share > CARRIES)
 
 
 def choose_input_path(search: Search) -> None:
@@ -264,47 +352,70 @@ def choose_input_path(search: Search) -> None:
     can cut off the input leave nothing that could be certified."""
     if not search.is_open("input_path"):
         return
-    integrates = search.decided.get("integrating_output", search.spec.integrating_output) is True
-    if integrates or search.spec.neurons == 0:
+    if search.integrates or search.spec.neurons == 0:
         search.decided["input_path"] = "none"
         return
     decide(search, "input path", "input_path", ("none", "free"), DELAY_GAIN)
 
 
-def choose_size(search: Search) -> Candidate | None:
-    """Decide order, neurons and knots: the smallest candidate that is not behind the best.
+def sized_candidates(search: Search) -> list[Candidate]:
+    """Candidates for order, neurons and knots, the smallest first; none where nothing is open.
 
-    Linear models of growing order are tried by output error first, and the best of them as a
-    structured model without neurons. None where nothing is open.
+    Linear models of growing order are tried by output error first.
     """
     if not any(search.is_open(name) for name in ("order", "neurons", "knots")):
-        return None
-    integrates = search.decided.get("integrating_output", search.spec.integrating_output) is True
-    # A model without neurons has no integrator set apart.
-    settings = [size for size in SIZES if size["neurons"] or not integrates]
-    if not integrates:
-        settings = linear_sizes(search) + settings
-    candidates = [search.structured("size", size) for size in settings]
-    needs_order = settings[0]["order"] > TRIED_SIZE["order"]
+        return []
+    candidates = [] if search.integrates else static_input_sizes(search)
+    sizes = INTEGRATING_SIZES if search.integrates else SIZES
+    candidates += [search.structured("size", size) for size in sizes]
+    needs_order = int(candidates[0].settings["order"]) > int(TRIED_SIZE["order"])
     for larger in LARGER:
-        chosen = first_not_behind(candidates)
-        if chosen is not candidates[-1] and not needs_order:
+        if first_not_behind(candidates) is not candidates[-1] and not needs_order:
             break
         needs_order = False
-        settings.append(larger)
         candidates.append(search.structured("size", larger))
-    chosen = first_not_behind(candidates)
-    search.take(chosen, settings[candidates.index(chosen)])
-    return chosen
+    return candidates
 
 
-def linear_sizes(search: Search) -> list[Settings]:
-    """The linear model of the smallest order that is not behind the best of several."""
-    if search.folds[0].scale.outputs != 1 or not search.is_open("order"):
-        return []
-    feedthrough = search.decided.get("feedthrough", search.spec.feedthrough) is True
-    dead_time = int(search.decided.get("dead_time", search.spec.dead_time))
-    delay = 0 if feedthrough else 1 + dead_time
+def static_input_sizes(search: Search) -> list[Candidate]:
+    """Candidates without neurons: the best linear one, and one layer of about its order."""
+    order = int(TRIED_SIZE["order"])
+    candidates = []
+    if search.folds[0].scale.outputs == 1 and search.is_open("order"):
+        linear = best_linear(search)
+        order = int(linear.settings["order"])
+        candidates.append(
+            linear
+            if search.may_be_linear
+            else search.structured("size", {"order": order, "neurons": 0, "knots": 0})
+        )
+    least, most = ONE_LAYER_ORDERS
+    one_layer = {"order": min(max(order, least), most), "neurons": 0, "knots": 16}
+    return [*candidates, search.structured("size", one_layer)]
+
+
+def best_linear(search: Search) -> Candidate:
+    """The linear output-error model of the smallest order that is not behind the best."""
+    feedthrough = search.value_of("feedthrough") is True
+    delay = 0 if feedthrough else 1 + int(search.value_of("dead_time"))
     tried = [search.linear("linear order", order, delay) for order in LINEAR_ORDERS]
-    order = first_not_behind(tried).settings["order"]
-    return [{"order": order, "neurons": 0, "knots": 0}]
+    for order in HIGH_LINEAR_ORDERS:
+        if first_not_behind(tried) is not tried[-1]:
+            break
+        tried.append(search.linear("linear order", order, delay))
+    return first_not_behind(tried)
+
+
+def first_certified(search: Search, candidates: Sequence[Candidate]) -> Candidate:
+    """The smallest candidate that is not behind the best of those that can be certified; where none
+    can, of all.
+
+    Certificates are asked for as they are needed, of the model trained without the last fold.
+    """
+    left = list(candidates)
+    while left:
+        chosen = first_not_behind(left)
+        if search.can_be_certified(chosen):
+            return chosen
+        left.remove(chosen)
+    return first_not_behind(candidates)

@@ -10,7 +10,8 @@ from ssm_study.models.spec import arx, impulse_response, realise
 from ssm_study.models.structured import phi, shapes
 from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
 
-ARX_LAGS = 10
+ARX_LAGS = 10  # of a start with at most half as many states
+LAGS_PER_STATE = 4  # of a larger one: noise hides lightly damped modes from few lags
 SLOWEST = 0.998  # a starting pole outside is pulled inside this radius
 SCREENED = 24  # sets of random poles, of which the best is taken
 LONGEST = 600.0  # samples: the slowest time constant that is drawn
@@ -29,7 +30,7 @@ def linear_start(
     if problem.integrating_output:
         records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
     shortest = min(len(u) for u, _ in records)
-    lags = min(ARX_LAGS, shortest // 4)
+    lags = min(lags_for(order), shortest // 4)
     response = impulse_response(*arx(records, lags, feedthrough))
     system = realise(response, order, rng)
 
@@ -46,6 +47,11 @@ def linear_start(
     start["scaffold_in"] = problem.lift.start(inputs)
     start["scaffold_out"] = problem.read.start(outputs)
     return unit_states(problem, start)
+
+
+def lags_for(order: int) -> int:
+    """Lags of the ARX model that a start of this order is realised from."""
+    return ARX_LAGS if 2 * order <= ARX_LAGS else LAGS_PER_STATE * order
 
 
 def recorded_pairs(

@@ -16,6 +16,7 @@ from ssm_study.training.windows import Windows
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
     from ssm_study.models.structured_spec import StructuredSpec
+    from ssm_study.training.choice import Choice
     from ssm_study.training.metrics import Identification
 
 
@@ -105,39 +106,84 @@ class Training:
     ) -> "Identification":
         """The model that the records choose; trained on the validation records too where folds
         predict these far better than the training records do."""
-        from ssm_study.training.choice import announcer, choose_model, refit_words
+        from itertools import islice
+
+        from ssm_study.training.choice import MOST_TRAINED, announcer, ranked_choices
+
+        began = time.perf_counter()
+        choices = ranked_choices(spec, data, session.seed, announcer(session.progress))
+        best: Identification | None = None
+        for k, choice in enumerate(islice(choices, MOST_TRAINED)):
+            folder = session.folder / f"choice_{k}" if k else session.folder
+            identified = self._identify_choice(choice, data, replace(session, folder=folder))
+            chosen = choice.words(spec.automatic)
+            best = best or replace(identified, choice=choice.rows, chosen=chosen)
+            if can_be_certified(choice.spec, identified.model):
+                best = replace(identified, choice=choice.rows, chosen=chosen)
+                break
+        assert best is not None
+        return replace(best, seconds=time.perf_counter() - began)
+
+    def _identify_choice(
+        self, choice: "Choice", data: DataSet, session: "Session"
+    ) -> "Identification":
+        """The chosen model, trained; on the validation records too where the choice asks for it."""
+        from ssm_study.training.choice import refit_words
         from ssm_study.training.folds import with_joined_records
         from ssm_study.training.metrics import mean_fit
 
+        best = self._train_choice(choice, data, session)
+        if not choice.asks_for_refit(best.fit_validation_percent):
+            return best
+        words = refit_words(best.fit_validation_percent)
+        again = replace(session, folder=session.folder / "refit")
+        best = self._train_choice(choice, with_joined_records(data), again)
+        return replace(
+            best,
+            ended=best.ended + words,
+            refitted=True,
+            fit_validation_percent=mean_fit(best.model, data.validation, data),
+        )
+
+    def _train_choice(
+        self, choice: "Choice", data: DataSet, session: "Session"
+    ) -> "Identification":
+        """The output-error model where that was chosen, else the best of several trainings."""
+        if not choice.is_linear:
+            starts = [choice.spec] * choice.spec.starts
+            return self._best_start(starts, data, session, only_certified=True)
+        from ssm_study.training.candidates import linear_model
+        from ssm_study.training.metrics import Identification
+
         began = time.perf_counter()
-        choice = choose_model(spec, data, session.seed, announcer(session.progress))
-        choice_s = time.perf_counter() - began
-        starts = [choice.spec] * choice.spec.starts
-        best = self._best_start(starts, data, session)
-        seconds = choice_s + best.seconds
-        if choice.asks_for_refit(best.fit_validation_percent):
-            words = refit_words(best.fit_validation_percent)
-            whole = with_joined_records(data)
-            again = replace(session, folder=session.folder / "refit")
-            best = self._best_start(starts, whole, again)
-            seconds += best.seconds
-            best = replace(
-                best,
-                ended=best.ended + words,
-                refitted=True,
-                fit_validation_percent=mean_fit(best.model, data.validation, data),
-            )
-        chosen = choice.words(spec.automatic)
-        return replace(best, seconds=seconds, choice=choice.rows, chosen=chosen)
+        dead_time = int(choice.spec.dead_time)
+        records = data.shift_out_dead_time(dead_time) if dead_time else data
+        direct = choice.spec.feedthrough is True
+        model: Any = linear_model(records, int(choice.spec.order), direct=direct)
+        if dead_time:
+            model = model.delayed(dead_time)
+        seconds = time.perf_counter() - began
+        ended = "the error of a linear free run no longer falls"
+        return Identification.of(model, data, seconds=seconds, curve=[], ended=ended)
 
     def _best_start(
-        self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
+        self,
+        starts: Sequence["ModelSpec"],
+        data: DataSet,
+        session: "Session",
+        only_certified: bool = False,
     ) -> "Identification":
-        """The best of several trainings, by the rule of the specification or by validation fit."""
+        """The best of several trainings, by the rule of the specification or by validation fit.
+
+        With `only_certified` those without a certified state feedback are dropped, if any has one.
+        """
         dead_time = int(getattr(starts[0], "dead_time", 0))
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         identified = self._train_starts(starts, records, session)
         rule = getattr(starts[0], "among_starts", None)
+        if only_certified:
+            certified = [one for one in identified if can_be_certified(starts[0], one.model)]
+            identified = certified or identified
         if rule is None:
             best = max(identified, key=lambda start: start.fit_validation_percent)
         else:
@@ -170,6 +216,13 @@ class Training:
             if start.ended.startswith(saving.INTERRUPTED):
                 break
         return identified
+
+
+def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
+    """Whether a state feedback of the model is certified at any rate; yes where the rule among
+    starts does not say."""
+    largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
+    return largest_rate is None or largest_rate(model) > 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,6 +2,7 @@
 large a model they deserve; training starts where they move."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from models_cases import data_set
 
 from ssm_study.models.baselines.regression import output_error
+from ssm_study.models.identified import SSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
@@ -17,17 +19,28 @@ from ssm_study.systems import StateSpace
 from ssm_study.training import choice as choosing
 from ssm_study.training.candidates import (
     Candidate,
+    Trial,
     best_of,
     first_not_behind,
     is_hopeless,
     linear_model,
 )
-from ssm_study.training.choice import Choice, choose_model, nearly_integrates
+from ssm_study.training.choice import (
+    Choice,
+    Search,
+    choose_model,
+    first_certified,
+    nearly_integrates,
+)
 from ssm_study.training.folds import folds_of, joined_pieces, with_joined_records
+from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.structured_problem import Batch
 from ssm_study.training.training import Training
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from log_kinds import KINDS
 
 BRIEF = {"starts": 1, "draws": 1, "start_steps": (5, 3, 3)}
 FIXED = {"order": 2, "neurons": 1, "knots": 0, "input_path": "none"}
@@ -162,6 +175,62 @@ def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> Non
     np.testing.assert_allclose(
         model.simulate(u)[late], recursion.simulate(u)[late], atol=1e-6 * np.ptp(data.test[0].y)
     )
+
+
+def test_lightly_damped_modes_are_found_by_a_long_regression_cut_down() -> None:
+    """A regression of as many lags as the beam has states is led astray by one percent of noise."""
+    kind = next(kind for kind in KINDS if kind.name == "resonances")
+    table = kind.log(0, 1500)
+    data = data_set(samples=400)
+    record = replace(
+        data.training[0], u=table[["u"]].to_numpy(), y=table[["y"]].to_numpy(), step_s=kind.step_s
+    )
+    data = replace(data, training=(record[:1000],), test=(record[1000:],), start_up_samples=20)
+    assert mean_fit(linear_model(data, 10, direct=False), data.test, data) > 95.0
+
+
+class OnlyLinear:
+    """A rule among starts that certifies models without neurons."""
+
+    def largest_rate(self, model: object) -> float:
+        return 0.1 if model == "linear" else 0.0
+
+    def __call__(self, found: object) -> object:
+        raise NotImplementedError
+
+
+def test_what_cannot_be_certified_is_dropped_and_told() -> None:
+    spec = StructuredSpec(**FIXED | BRIEF | {"order": "auto"}, among_starts=OnlyLinear())  # type: ignore[arg-type]
+    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    behind = replace(candidate("behind", 9.0, 9.0), example="linear")
+    best = replace(candidate("best", 2.0, 2.0), example="neurons")
+    search.tried += [behind, best]
+    assert first_not_behind([behind, best]) is best
+    assert first_certified(search, [behind, best]) is behind
+    certified = [row["certified"] for row in search.rows([behind])]
+    assert certified == [True, False]
+    assert first_certified(search, [best]) is best
+
+
+def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> None:
+    """Twenty samples that a knock disturbed say little about a mode of five hundred samples; the
+    log before them does."""
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.normal(size=(40, 1)), 60, axis=0)
+    system = StateSpace(
+        a=np.array([[0.998]]), b=np.array([[0.01]]), c=np.eye(1), d=np.zeros((1, 1))
+    )
+    model = SSM.of(system, 1.0)
+    y = model.simulate(u)
+    y[1800:1820] += y.std()
+    log = Trajectory(u=u, y=y, step_s=1.0, log=1)
+    data = replace(
+        data_set(samples=400), training=(log[:1800],), validation=(log[1800:],), test=(log[1800:],)
+    )
+    trial = Trial()
+    trial.add(model, replace(data, scale=model.scale, start_up_samples=20))
+    assert trial.start == "past"
+    assert trial.errors[0] < trial.by_start["samples"][0]
 
 
 def test_pieces_that_follow_each_other_are_joined_and_folds_cover_them() -> None:

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from ssm_study.models.identified import Inputs, Measured, Outputs, Simulator
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.spec import Pairs, scaled
+from ssm_study.models.spec import Pairs, arx, impulse_response, realise, scaled
 from ssm_study.signals import DataSet, Scale
 
 OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
@@ -28,6 +28,7 @@ ARX_ORDERS = (1, 2, 3, 4, 6, 8, 10, 15, 20)
 DELAYS = (0, 1, 2, 3, 5, 8)
 OUTPUT_ERROR_ORDERS = (1, 2, 3, 4, 6)
 OUTPUT_ERROR_STEPS = 30
+LONG_LAGS = 40  # of an ARX model that is cut down to start an output-error model
 NARX_LAGS = (2, 3)
 NARX_DEGREES = (2, 3)
 NARX_TERMS = (4, 6, 9, 12, 16, 20)
@@ -170,19 +171,32 @@ def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
     """Linear recursion with the least squared error of its free run, each record from its own
     start.
 
-    `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX. Source: Ljung (1999),
+    `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX of as many lags, and
+    from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
     System Identification, section 4.2.
     """
-    start = linear_regression(data, order, delay)
-    f = -start.theta[1 : order + 1]
     problem = _OutputError(scaled(data), order, delay)
-    parameters = np.concatenate([_stabilised(f), start.theta[order + 1 :], np.zeros(problem.extra)])
-    parameters = problem.minimised(parameters)
+    starts = [problem.started(f) for f in _starting_denominators(data, order, delay)]
+    parameters = min((problem.minimised(start) for start in starts), key=problem.loss)
     f = parameters[:order]
     offset = parameters[-problem.extra] * (1.0 + f.sum())
     b = parameters[order : -problem.extra]
     codes = np.array([CONSTANT, *variables(order, delay, data.scale.inputs)])[:, None]
     return Polynomial(codes=codes, theta=np.concatenate([[offset], -f, b]), scale=data.scale)
+
+
+def _starting_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
+    """Stable denominators F that a descent begins with: of ARX, and of a long ARX cut down to the
+    order by a balanced realisation of its impulse response."""
+    short = linear_regression(data, order, delay)
+    starts = [_stabilised(-short.theta[1 : order + 1])]
+    records = scaled(data)
+    lags = min(LONG_LAGS, min(len(u) for u, _ in records) // 4)
+    if lags > order:
+        response = impulse_response(*arx(records, lags, delay == 0))
+        system = realise(response, order, np.random.default_rng(0))
+        starts.append(_stabilised(np.poly(np.linalg.eigvals(system.a)).real[1:]))
+    return starts
 
 
 def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -205,6 +219,25 @@ class _OutputError:
     def extra(self) -> int:
         """The offset, and a decay per record."""
         return 1 + self.order * len(self.records)
+
+    def started(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
+        """Parameters with this F and all others by least squares: the free run is linear in
+        them."""
+        parameters = np.concatenate([f, np.zeros(self.extra + self._gains)])
+        residual, jacobian = self.linearised(parameters)
+        others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
+        return np.concatenate([f, others])
+
+    @property
+    def _gains(self) -> int:
+        """Number of the input's coefficients."""
+        return self.order * self.records[0][0].shape[1]
+
+    def loss(self, parameters: Float[np.ndarray, "P"]) -> float:
+        """Squared error of the free run; infinite where that is not finite."""
+        residual, _ = self.linearised(parameters)
+        value = float(residual @ residual)
+        return value if np.isfinite(value) else np.inf
 
     def linearised(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Free run minus output of all records in a row, and its Jacobian."""
