@@ -16,8 +16,8 @@ from ssm_study.training.windows import Windows
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
     from ssm_study.models.structured_spec import StructuredSpec
-    from ssm_study.training.choice import Choice
     from ssm_study.training.metrics import Identification
+    from ssm_study.training.search import Choice
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,11 +12,10 @@ from models_cases import data_set
 
 from ssm_study.models.baselines.regression import output_error
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.models.structured_spec import AUTO, StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
-from ssm_study.training import choice as choosing
 from ssm_study.training.candidates import (
     Candidate,
     Trial,
@@ -25,16 +24,13 @@ from ssm_study.training.candidates import (
     is_hopeless,
     linear_model,
 )
-from ssm_study.training.choice import (
-    Choice,
-    Search,
-    choose_model,
-    first_certified,
-    nearly_integrates,
-)
+from ssm_study.training.choice import choose_model
+from ssm_study.training.choice_of_paths import nearly_integrates
+from ssm_study.training.choice_of_size import first_certified
 from ssm_study.training.folds import folds_of, joined_pieces, with_joined_records
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.search import Choice, Search
 from ssm_study.training.structured_fit import StructuredFit
 from ssm_study.training.structured_problem import Batch
 from ssm_study.training.training import Training
@@ -296,7 +292,7 @@ def test_a_size_is_a_number_or_auto() -> None:
         StructuredSpec(order="some", neurons=1)
     with pytest.raises(BadRequest, match=r"model.integrating_output = perhaps"):
         StructuredSpec(order=2, neurons=1, integrating_output="perhaps")
-    assert choosing.AUTO == "auto"
+    assert AUTO == "auto"
 
 
 def moving_late(samples: int = 6000) -> Batch:

@@ -1,0 +1,102 @@
+"""Questions about the paths of a model, in their order: how late the output answers, whether it is
+a running sum, whether the input reaches the neurons."""
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from ssm_study.data.log_dynamics import first_answer
+from ssm_study.signals import DataSet
+from ssm_study.training.candidates import Settings, linear_model
+from ssm_study.training.folds import with_joined_records
+from ssm_study.training.search import Search
+
+LATE = 3  # samples until the output answers, from which on a dead time is tried
+SHORTEST = 200  # samples: of shorter records no lag is read
+SLOW_ORDER = 3  # of the linear model whose slowest mode is looked at
+DELAY_GAIN = 0.1  # of the error that a dead time must remove, and an integrator, and a free path
+DIRECT_GAIN = 0.25  # a direct path more: with it no loop is closed
+INTEGRATES = 0.99  # radius of a linear model's slowest mode above which an integrator is tried
+CARRIES = 0.25  # share of the modes' gains that such modes have
+TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths are chosen
+
+
+def choose_delay(search: Search, data: DataSet) -> None:
+    """Decide whether the output answers late, or within the sample.
+
+    The samples until the output answers are read off the records. A dead time is compared where
+    they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
+    """
+    lag = answering_lag(data)
+    if search.is_open("dead_time"):
+        late = lag is not None and lag >= LATE and search.spec.feedthrough is not True
+        values = (0, lag - 1) if lag is not None and late else (0,)
+        decide(search, "dead time", "dead_time", values, DELAY_GAIN)
+    if search.is_open("feedthrough"):
+        values = (False, True) if lag is None or lag < LATE - 1 else (False,)
+        decide(search, "direct path", "feedthrough", values, DIRECT_GAIN)
+
+
+def decide(search: Search, question: str, name: str, values: Sequence[object], gain: float) -> None:
+    """Take the second value of a setting where it removes that share of the error, else the first.
+
+    Models of one size with and without it are compared; a single value is taken as it is.
+    """
+    if len(values) == 1:
+        search.decided[name] = values[0]
+        return
+    size = TRIED_SIZE | {"input_path": "none"}
+    without, with_it = (search.structured(question, size | {name: value}) for value in values)
+    is_needed = without.is_behind(with_it, gain)
+    search.take(with_it if is_needed else without, {name: values[int(is_needed)]})
+
+
+def answering_lag(data: DataSet) -> int | None:
+    """Samples until the output first answers any input; None where noise hides it."""
+    record = max(with_joined_records(data).training, key=len)
+    lags = [
+        first_answer(u, y)
+        for u, y in product(record.u.T, record.y.T)
+        if np.ptp(u) > 0 and np.ptp(y) > 0 and len(record) > SHORTEST
+    ]
+    answered = [lag for lag in lags if lag is not None]
+    return min(answered, default=None)
+
+
+def choose_integrator(search: Search, data: DataSet) -> None:
+    """Decide whether the output is a running sum: tried where a linear model nearly integrates."""
+    if search.is_open("integrating_output"):
+        tried = search.spec.neurons != 0 and nearly_integrates(data)
+        values = (False, True) if tried else (False,)
+        decide(search, "integrator", "integrating_output", values, DELAY_GAIN)
+
+
+def nearly_integrates(data: DataSet) -> bool:
+    """Whether modes of a linear model that hardly forget make a good part of the output; no for
+    several outputs.
+
+    A mode that a zero cancels says nothing: a model of more states than the records need has such
+    modes anywhere.
+    """
+    if data.scale.outputs != 1:
+        return False
+    with np.errstate(all="ignore"):
+        system = linear_model(with_joined_records(data), SLOW_ORDER, direct=False).linear
+        modes, vectors = np.linalg.eig(system.a)
+        residues = np.abs(system.c @ vectors).T * np.abs(np.linalg.solve(vectors, system.b + 0j))
+        radii = np.minimum(np.abs(modes), 1.0 - 1e-9)
+        gains = residues.sum(axis=1) / (1.0 - radii)
+    share = gains[radii > INTEGRATES].sum() / gains.sum()
+    return bool(share > CARRIES)
+
+
+def choose_input_path(search: Search) -> None:
+    """Decide whether the input reaches the neurons. With an integrator it never does: neurons that
+    can cut off the input leave nothing that could be certified."""
+    if not search.is_open("input_path"):
+        return
+    if search.integrates or search.spec.neurons == 0:
+        search.decided["input_path"] = "none"
+        return
+    decide(search, "input path", "input_path", ("none", "free"), DELAY_GAIN)

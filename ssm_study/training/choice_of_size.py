@@ -1,0 +1,88 @@
+"""The question of size: linear models of growing order, one layer, few neurons, many."""
+
+from collections.abc import Sequence
+
+from ssm_study.training.candidates import Candidate, Settings, first_not_behind
+from ssm_study.training.choice_of_paths import TRIED_SIZE
+from ssm_study.training.search import Search
+
+LINEAR_ORDERS = (1, 2, 3, 4, 6, 8, 10)
+HIGH_LINEAR_ORDERS = (14, 20)  # one by one, while all that are smaller are behind
+ONE_LAYER_ORDERS = (3, 8)  # least and most
+SIZES: tuple[Settings, ...] = (  # the smallest first; with one layer before them
+    {"order": 3, "neurons": 1, "knots": 0},
+    TRIED_SIZE,
+)
+INTEGRATING_SIZES: tuple[Settings, ...] = (  # one friction neuron on a velocity can be certified
+    {"order": 1, "neurons": 1, "knots": 0},
+    {"order": 1, "neurons": 2, "knots": 0},
+    {"order": 2, "neurons": 1, "knots": 0},
+    *SIZES,
+)
+LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are behind
+    {"order": 5, "neurons": 5, "knots": 16},
+    {"order": 8, "neurons": 5, "knots": 16},
+)
+
+
+def sized_candidates(search: Search) -> list[Candidate]:
+    """Candidates for order, neurons and knots, the smallest first; none where nothing is open.
+
+    Linear models of growing order are tried by output error first.
+    """
+    if not any(search.is_open(name) for name in ("order", "neurons", "knots")):
+        return []
+    candidates = [] if search.integrates else static_input_sizes(search)
+    sizes = INTEGRATING_SIZES if search.integrates else SIZES
+    candidates += [search.structured("size", size) for size in sizes]
+    needs_order = int(candidates[0].settings["order"]) > int(TRIED_SIZE["order"])
+    for larger in LARGER:
+        if first_not_behind(candidates) is not candidates[-1] and not needs_order:
+            break
+        needs_order = False
+        candidates.append(search.structured("size", larger))
+    return candidates
+
+
+def static_input_sizes(search: Search) -> list[Candidate]:
+    """Candidates without neurons: the best linear one, and one layer of about its order."""
+    order = int(TRIED_SIZE["order"])
+    candidates = []
+    if search.folds[0].scale.outputs == 1 and search.is_open("order"):
+        linear = best_linear(search)
+        order = int(linear.settings["order"])
+        candidates.append(
+            linear
+            if search.may_be_linear
+            else search.structured("size", {"order": order, "neurons": 0, "knots": 0})
+        )
+    least, most = ONE_LAYER_ORDERS
+    one_layer = {"order": min(max(order, least), most), "neurons": 0, "knots": 16}
+    return [*candidates, search.structured("size", one_layer)]
+
+
+def best_linear(search: Search) -> Candidate:
+    """The linear output-error model of the smallest order that is not behind the best."""
+    feedthrough = search.value_of("feedthrough") is True
+    delay = 0 if feedthrough else 1 + int(search.value_of("dead_time"))
+    tried = [search.linear("linear order", order, delay) for order in LINEAR_ORDERS]
+    for order in HIGH_LINEAR_ORDERS:
+        if first_not_behind(tried) is not tried[-1]:
+            break
+        tried.append(search.linear("linear order", order, delay))
+    return first_not_behind(tried)
+
+
+def first_certified(search: Search, candidates: Sequence[Candidate]) -> Candidate:
+    """The smallest candidate that is not behind the best of those that can be certified; where none
+    can, of all.
+
+    Certificates are asked for as they are needed, of the model trained without the last fold.
+    """
+    left = list(candidates)
+    while left:
+        chosen = first_not_behind(left)
+        if search.can_be_certified(chosen):
+            return chosen
+        left.remove(chosen)
+    return first_not_behind(candidates)
