@@ -12,7 +12,6 @@ os.environ.setdefault(
 import gc
 import hashlib
 import pickle
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, wraps
@@ -87,10 +86,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 # Of each function, in each test: shapes that are wrong are wrong from the first calls on, and the
-# check of a call takes
-# longer than most calls.
-CHECKED_CALLS = 50
-calls: Counter[Callable[..., Any]] = Counter()
+# check of a call takes longer than most calls.
+CHECKED_CALLS = 10
+
+
+class Now:
+    """The test that runs, as a number that each function compares with that of its last call."""
+
+    test = 0
 
 
 def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
@@ -112,11 +115,20 @@ def checked_at_first(typechecker: Callable[..., Any]) -> Callable[[Any], Any]:
 def first(
     plain: Callable[..., Any], checked: Callable[[], Callable[..., Any]]
 ) -> Callable[..., Any]:
+    """The function, checked at its first calls in each test."""
+    test = -1
+    calls = 0
+
     @wraps(plain)
     def either(*given: Any, **named: Any) -> Any:
-        calls[plain] += 1
-        unchecked = calls[plain] > CHECKED_CALLS or jaxtyping.config.jaxtyping_disable
-        return (plain if unchecked else checked())(*given, **named)
+        nonlocal test, calls
+        if test != Now.test:
+            test = Now.test
+            calls = 0
+        if calls >= CHECKED_CALLS or jaxtyping.config.jaxtyping_disable:
+            return plain(*given, **named)
+        calls += 1
+        return checked()(*given, **named)
 
     return either
 
@@ -127,7 +139,7 @@ jaxtyping.jaxtyped = checked_at_first
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_protocol() -> None:
-    calls.clear()
+    Now.test += 1
 
 
 @contextmanager
