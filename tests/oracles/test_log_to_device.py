@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from docs_numbers import assert_outcome_holds, outcome_on_page, printed_outcome
 
 from benchmarks.log_to_device import told
 
@@ -24,7 +25,9 @@ def test_the_page_holds(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> No
         True,
         True,
     )
-    assert record["certified_tolerance"] > record["mismatch_seen"]
+    on_page = outcome_on_page("log_to_device.md", "MODEL")
+    assert_outcome_holds(on_page, printed_outcome(record))
+    assert record["coverage"] > record["coverage_needed"] > 1
     assert said["replay"].startswith("0 of 200 inputs differ, the largest by 0")
     trial = pd.read_csv(tmp_path / "first_trial.csv")
     assert trial["volts"].abs().max() < 3  # what the log visited, and so what the drive can do

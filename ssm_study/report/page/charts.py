@@ -109,6 +109,11 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
         description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, "
         "one point per run",
     )
+    return _dressed(chart)
+
+
+def _dressed(chart: alt.LayerChart) -> dict[str, Any]:
+    """The chart's specification in the page's fonts and colours."""
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
     )
@@ -122,7 +127,25 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     return spec
 
 
-def _points() -> alt.Chart:
+def groups_specification() -> dict[str, Any]:
+    """A row per group: a point per run, a bar at the mean of those shown, a ring around the best.
+
+    The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
+    """
+    x = alt.X("value:Q", title="", scale=alt.Scale(zero=False, padding=12))
+    y = alt.Y("label:N", title=None, sort=None, axis=alt.Axis(labelLimit=220, grid=True))
+    shown = alt.Chart().transform_filter("!length(mask) || mask[datum.i]")
+    grouped = shown.transform_aggregate(value="mean(value)", groupby=["label"])
+    means = grouped.mark_tick(color=style.INK, size=20, thickness=2, opacity=1, aria=False)
+    best = alt.Chart().transform_filter("datum.i === 0")
+    ring = best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
+    layers = (means.encode(x=x, y=y), ring.encode(x=x, y=y), _points("x").encode(x=x, y=y))
+    chart = alt.layer(*layers, data=alt.NamedData("runs"))
+    return _dressed(chart.properties(width="container", height=HEIGHT))
+
+
+def _points(*brushed: str) -> alt.Chart:
+    """A point per run; a brush over both axes, or over those that are named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
     known = "!length(mask) || mask[datum.i]"
@@ -139,7 +162,14 @@ def _points() -> alt.Chart:
         opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
         size=alt.condition(here, alt.value(220), alt.value(45)),
         stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
-    ).add_params(alt.selection_interval(name="brush"), mask, chosen)
+    ).add_params(_brush(*brushed), mask, chosen)
+
+
+def _brush(*encodings: str) -> alt.Parameter:
+    """A rectangle that the reader drags."""
+    if encodings:
+        return alt.selection_interval(name="brush", encodings=list(encodings))
+    return alt.selection_interval(name="brush")
 
 
 def _rule() -> alt.Chart:

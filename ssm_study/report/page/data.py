@@ -2,6 +2,7 @@
 provenance."""
 
 import base64
+import re
 from typing import Any
 
 import numpy as np
@@ -9,10 +10,28 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.report.answers import answers, parameters_line
+from ssm_study.report.page.compared import comparison_json
+from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
+from ssm_study.report.page.first_screen import (
+    cards,
+    introduction,
+    record_of,
+    remarks,
+    settings_line,
+)
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
-from ssm_study.report.words import CHOICES, VERDICTS, counts, spoken, verdicts, words
-from ssm_study.table.columns import DECLARED, FURTHER, RESULTS, by_part, column, swept, text
+from ssm_study.report.words import VERDICTS, counts, spoken, verdicts, words
+from ssm_study.table.columns import (
+    DECLARED,
+    FURTHER,
+    RESULTS,
+    by_part,
+    column,
+    requested,
+    swept,
+    text,
+)
 from ssm_study.table.rank import best_first
 
 MOST_TRAJECTORIES = 200  # best runs whose trajectories are embedded: about 10 kB each
@@ -32,33 +51,15 @@ ALSO_FIRST = (
     "input_peak_v",
     "evidence",
 )  # in the table
-COMPARED = ("controller", "situation", "design", "certified", "mismatch_margin", "stable_fraction",
-            "stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_worst_s",
-            "input_peak_v", "reason")  # fmt: skip
 
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Everything the page's script needs, as plain JSON values."""
     table = best_ordered(study.table)
-    best = study.best
-    named = [
-        (name, sorted({TREE.get(v, v) for v in text(table, name)} - {""}))
-        for name in PROVENANCE
-        if name in table
-    ]
-    config = best.path / ".hydra" / "config.yaml" if best else None
-    on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
-    subject = "".join(
-        f"{word}: {', '.join(names)}. "
-        for word, said in on.items()
-        if (names := sorted({*said} - {""}))
-    )
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
         "question": question(table),
-        "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
-        "answers": [vars(answer) for answer in answers(table)],
         "verdicts": [vars(verdict) for verdict in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
         "words": {str(name): words(name) for name in table},
@@ -76,15 +77,88 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "trajectories": trajectories(study, table),
         "pictures": pictures(study, table),
         "comparisons": comparisons(study, table),
-        "choices": CHOICES,
-        "configuration": config.read_text() if config and config.is_file() else "",
-        # Several values where the runs disagree, which a reader should know.
-        "provenance": [
-            (name.replace("git_dirty", "working tree").replace("_", " "), " or ".join(v))
-            for name, v in named
-            if v
-        ],
+        "slider": slider(table),
     }
+
+
+def slider(table: pd.DataFrame) -> dict[str, Any] | None:
+    """The swept number that a slider moves: the runs that share all other settings with the best,
+    in its order; a rate before other numbers. None where there is no such sweep."""
+    if not len(table):
+        return None
+    settings = swept(table)
+    rated = sorted(settings, key=lambda name: not name.startswith("rate_"))
+    for name in rated:
+        if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
+            continue
+        values = requested(table, name)
+        alike = pd.Series(True, index=table.index)
+        for other in settings:
+            own = requested(table, other)
+            alike &= (own == own.iloc[0]) if other != name else True
+        numbers = pd.to_numeric(values[alike], errors="coerce").dropna()
+        numbers = numbers[~numbers.duplicated()].sort_values()
+        if len(numbers) > 1:
+            title = words(name).partition(" (")[0]
+            return {"title": title, "runs": numbers.index.tolist(), "values": numbers.tolist()}
+    return None
+
+
+def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
+    """What the page says in words, for its HTML."""
+    best = study.best
+    config = best.path / ".hydra" / "config.yaml" if best else None
+    on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
+    subject = "".join(
+        f"{word}: {', '.join(names)}. "
+        for word, said in on.items()
+        if (names := sorted({*said} - {""}))
+    )
+    parts: dict[str, Any] = {
+        "title": study.name,
+        "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
+        "question": question(table),
+        "several": len(table) > 1,
+        "answers": answers(table),
+        "provenance": provenance(study, table),
+        "configuration": config.read_text() if config and config.is_file() else "",
+        "failures": failure_groups(table),
+        "most_reasons": MOST_REASONS,
+        "most_runs": MOST_RUNS,
+        "names": text(table, "run").tolist(),
+    }
+    if len(table):
+        first = record_of(table.iloc[0])
+        parts |= {
+            "introduction": introduction(table),
+            "settings": settings_line(table),
+            "cards": cards(first),
+            "remarks": list(remarks(first)),
+        }
+    return parts
+
+
+def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
+    """Where the runs come from; several values where they disagree, which a reader should know."""
+    facts = []
+    for name in PROVENANCE:
+        if name not in table:
+            continue
+        values = sorted({TREE.get(value, value) for value in text(table, name)} - {""})
+        if values:
+            title = name.replace("git_dirty", "working tree").replace("_", " ")
+            facts.append((title, " or ".join(values)))
+    if len(table):
+        folder, run = run_address(study, text(table, "run").iloc[0])
+        facts.append(("to check the best run", f"ssm-study verify results/{folder}/{run}"))
+    return facts
+
+
+def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
+    """The study folder of a run, which may be another study's, and the run's digits."""
+    other = re.match(r"\.\./([^/]+)/", name)
+    folder = other[1] if other else study.folder.resolve().name
+    return folder, name.rpartition("/")[2].rpartition("-")[2]
 
 
 def question(table: pd.DataFrame) -> str:
@@ -146,20 +220,12 @@ def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """`{run: {column: [...]}}`: controllers and situations, or certified designs, that the best
-    runs tried."""
+    """`{run: table or chart}`: controllers and situations, or certified designs, that the best runs
+    tried."""
     best = set(text(table, "run").head(MOST_TRAJECTORIES))
     compared = study.comparison
-    kept = [name for name in COMPARED if name in compared]
-    return {
-        str(run): {
-            name: [_plain(value) for value in rows[name]]
-            for name in kept
-            if rows[name].notna().any()
-        }
-        for run, rows in (compared.groupby("run") if len(compared) else ())
-        if run in best
-    }
+    runs = compared.groupby("run") if len(compared) else ()
+    return {str(run): comparison_json(rows) for run, rows in runs if run in best}
 
 
 def _recordings(run: RunFolder) -> dict[str, Any]:

@@ -6,10 +6,25 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.api.pictures.picture import Band, GuideLine, Picture, PicturePanel, Series, Values
+from ssm_study.report.page.chart_looks import STROKES, framed, quantitative
 from ssm_study.report.run_pictures import PICTURES, picture_of_run
 from ssm_study.report.study_folder import NothingToDraw, RunFolder
+from ssm_study.style import INK
 
 Stretch = Float[np.ndarray, "_"]
+PANEL_HEIGHT = 170  # pixels
+SQUARE = 280  # pixels, where both axes have one scale
+LINE = {"type": "line", "strokeWidth": 1.4}
+MARKS: dict[str, dict[str, Any]] = {
+    "line": LINE,
+    "steps": {**LINE, "interpolate": "step-after"},
+    "stems": {"type": "bar", "width": 3},
+    "dots": {"type": "point", "shape": "circle", "filled": True, "size": 8, "opacity": 1},
+    "point": {"type": "point", "shape": "circle", "filled": True, "size": 70, "opacity": 1},
+    "circles": {"type": "point", "shape": "circle", "size": 40},
+    "triangles": {"type": "point", "shape": "triangle-up", "size": 40},
+    "crosses": {"type": "point", "shape": "M-1,-1L1,1M1,-1L-1,1", "size": 30},
+}
 MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
@@ -26,58 +41,99 @@ def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
 
 def picture_json(name: str, picture: Picture) -> dict[str, Any]:
     """A picture as JSON values, with its name; empty panels are left out."""
-    panels = [_panel(panel) for panel in picture.panels if panel.series]
-    return {"name": name, "title": picture.title, "panels": panels}
+    panels = [panel for panel in picture.panels if panel.series]
+    charts = [
+        {"title": panel.title, "spec": panel_spec(panel, f"{picture.title}: {axes_words(panel)}")}
+        for panel in panels
+    ]
+    return {"name": name, "title": picture.title, "charts": charts}
 
 
-def _panel(panel: PicturePanel) -> dict[str, Any]:
-    """One pair of axes; what has its default is left out."""
-    values: dict[str, Any] = {
-        "x": panel.x_label,
-        "y": panel.y_label,
-        "title": panel.title,
-        "logX": panel.log_x,
-        "logY": panel.log_y,
-        "equal": panel.equal,
-        "rangeX": panel.x_range,
-        "rangeY": panel.y_range,
-        "series": [_series(series, panel.x_range) for series in panel.series],
-        "rules": [_rule(rule) for rule in panel.rules],
-        "bands": [_band(band, panel.x_range) for band in panel.bands],
+def axes_words(panel: PicturePanel) -> str:
+    """What is drawn against what."""
+    return f"{panel.y_label} against {panel.x_label}"
+
+
+def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
+    """The Vega-Lite specification of one pair of axes; what has a name is in the legend above."""
+    axes = {
+        "x": quantitative("x", panel.x_label, **scale(panel.log_x, panel.x_range)),
+        "y": quantitative("y", panel.y_label, **scale(panel.log_y, panel.y_range)),
     }
-    return {key: value for key, value in values.items() if value}
+    coloured = [(band.name, band.colour) for band in panel.bands]
+    coloured += [(rule.name, INK) for rule in panel.rules]
+    coloured += [(series.name, series.colour) for series in panel.series]
+    legend = {name: colour for name, colour in coloured if name}
+    layer = [band_layer(band, panel, axes, legend) for band in panel.bands]
+    layer += [rule_layer(rule, legend) for rule in panel.rules]
+    layer += [series_layer(series, panel, axes, legend) for series in panel.series]
+    size = {"width": SQUARE, "height": SQUARE} if panel.equal else {"height": PANEL_HEIGHT}
+    return framed({"layer": layer, **size}, description)
 
 
-def _series(series: Series, seen: tuple[float, float] | None) -> dict[str, Any]:
+def scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
+    """The scale of an axis; without limits a few pixels of room."""
+    room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
+    kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
+    return kind | room | {"nice": False}
+
+
+def colour_of(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
+    """The colour of a part, and its entry in the legend if it has a name."""
+    if not name:
+        return {"value": colour}
+    shown = {"title": None, "orient": "top", "columns": 2, "labelLimit": 260}
+    entries = {"domain": list(legend), "range": list(legend.values())}
+    return {"datum": name, "type": "nominal", "scale": entries, "legend": shown}
+
+
+def series_layer(
+    series: Series, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
+) -> dict[str, Any]:
     """One series, cut to what is seen, a long line thinned, gaps shortened to one missing point."""
-    x, y = thinned(*cut(series.x, series.y, seen))
-    look: dict[str, Any] = {
-        "name": series.name,
-        "mark": series.mark,
-        "colour": series.colour,
-        "dashed": series.dashed,
-    }
-    points = {"x": short_numbers(x), "y": short_numbers(y)}
-    return {key: value for key, value in look.items() if value} | points
-
-
-def _rule(rule: GuideLine) -> dict[str, Any]:
-    """A line across the panel."""
-    values = {"x": rule.x, "y": rule.y, "name": rule.name}
-    return {key: value for key, value in values.items() if value not in (None, "")}
-
-
-def _band(band: Band, seen: tuple[float, float] | None) -> dict[str, Any]:
-    """A shaded area, cut and thinned like a line."""
-    x, low = cut(band.x, band.low, seen)
-    high = cut(band.x, band.high, seen)[1]
-    every = _stride(len(x))
+    x, y = thinned(*cut(series.x, series.y, panel.x_range))
+    is_line = series.mark in ("line", "steps")
+    transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
+    encoding = {**axes, "color": colour_of(series.name, series.colour, legend)}
+    if is_line:  # curves may turn back: the points follow one another as computed
+        transform.append({"window": [{"op": "row_number", "as": "k"}]})
+        encoding["order"] = {"field": "k"}
+    dash = {"strokeDash": [5, 3]} if series.dashed else {}
     return {
-        "x": short_numbers(x[::every]),
-        "low": short_numbers(low[::every]),
-        "high": short_numbers(high[::every]),
-        "name": band.name,
-        "colour": band.colour,
+        "data": {"values": [{"x": short_numbers(x), "y": short_numbers(y)}]},
+        "transform": transform,
+        "mark": {**MARKS[series.mark], **dash, "clip": True},
+        "encoding": encoding,
+    }
+
+
+def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
+    """A line across the panel."""
+    place = {"y": {"datum": rule.y}} if rule.x is None else {"x": {"datum": rule.x}}
+    return {
+        "data": {"values": [{}]},
+        "mark": STROKES,
+        "encoding": {**place, "color": colour_of(rule.name, INK, legend)},
+    }
+
+
+def band_layer(
+    band: Band, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
+) -> dict[str, Any]:
+    """A shaded area, cut and thinned like a line."""
+    x, low = cut(band.x, band.low, panel.x_range)
+    high = cut(band.x, band.high, panel.x_range)[1]
+    every = _stride(len(x))
+    edges = {"x": x, "y": low, "y2": high}
+    return {
+        "data": {"values": [{name: short_numbers(edge[::every]) for name, edge in edges.items()}]},
+        "transform": [{"flatten": ["x", "y", "y2"]}],
+        "mark": {"type": "area", "opacity": 0.5, "clip": True},
+        "encoding": {
+            **axes,
+            "y2": {"field": "y2"},
+            "color": colour_of(band.name, band.colour, legend),
+        },
     }
 
 

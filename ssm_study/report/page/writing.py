@@ -1,28 +1,18 @@
 """The report page of a study: one HTML file that opens from disk, with no server and no network."""
 
 import json
-import re
-from html import escape
 from pathlib import Path
 
 from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.data import best_ordered, page_data
+from ssm_study.report.page.data import best_ordered, page_data, written_parts
+from ssm_study.report.page.templates import templates
 from ssm_study.report.study_folder import StudyFolder
 
 ASSETS = Path(__file__).parent / "assets"
-SCRIPTS = (
-    "state",
-    "shades",
-    "plots",
-    "table",
-    "compared",
-    "pictures",
-    "overlay",
-    "run",
-    "lead",
-    "groups",
-    "main",
+SCRIPTS = tuple(
+    f"{name}.js"
+    for name in ("state", "shades", "charts", "plots", "table", "run", "compare", "lead", "main")
 )  # in this order
 
 
@@ -35,34 +25,47 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
     library; its content policy forbids any request.
     """
     try:
-        from ssm_study.report.page.charts import EXPLORER, panels, specification
+        from jinja2 import Environment
+
+        from ssm_study.report.page.charts import (
+            EXPLORER,
+            groups_specification,
+            panels,
+            specification,
+        )
     except ImportError as error:
         remedy = "pip install 'ssm-study[report]'"
         raise BadRequest("report", "page", f"{error.name} is not installed", remedy) from error
     study = StudyFolder(folder=study_folder, others=others)
     table = best_ordered(study.table)
-    data = page_data(study) | {"panels": panels(table), "explorer": specification(EXPLORER, table)}
+    data = page_data(study) | {
+        "panels": panels(table),
+        "explorer": specification(EXPLORER, table),
+        "groups": groups_specification(),
+        "templates": templates(table),
+    }
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     for letter in "<>&":  # whatever the texts of a run contain, they end no <script> element
         text = text.replace(letter, f"\\u{ord(letter):04x}")
-    html = (ASSETS / "page.html").read_text(encoding="utf-8")
-    parts = {
-        "title": escape(study.name),
-        "style": (ASSETS / "page.css").read_text(encoding="utf-8"),
-        "data": text,
-        "library": _library(),
-        "script": "\n".join(
-            (ASSETS / f"{name}.js").read_text(encoding="utf-8") for name in SCRIPTS
-        ),
-    }
-    # In one pass: what is filled in may itself look like a place to be filled.
-    places = "|".join(parts)
-    html = re.sub(f"<!--({places})-->", lambda place: parts[place[1]], html)
+    files = {name: read_asset(name) for name in ("page.css", *SCRIPTS)}
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    html = environment.from_string(read_asset("page.html")).render(
+        **written_parts(study, table),
+        style=files["page.css"],
+        data=text,
+        library=_library(),
+        script="\n".join(files[name] for name in SCRIPTS),
+    )
     path = study_folder / (
         "_".join(["report", *(f"with_{other.resolve().name}" for other in others)]) + ".html"
     )
     write_atomically(path, html.encode(), durable=False)
     return path
+
+
+def read_asset(name: str) -> str:
+    """A file of the page as text."""
+    return (ASSETS / name).read_text(encoding="utf-8")
 
 
 def _library() -> str:

@@ -3,9 +3,15 @@
 const DATA = JSON.parse(document.getElementById("data").textContent);
 const RUNS = (DATA.columns.run || []).length; // all different, so never coded
 // Where few values differ, each once and which of them stands where; nowhere, if all are the same.
-const decoded = (column) => Array.isArray(column) ? column
-  : column.at.length ? column.at.map((k) => column.values[k]) : Array(RUNS).fill(column.values[0]);
-const COLUMNS = Object.fromEntries(Object.entries(DATA.columns).map(([name, column]) => [name, decoded(column)]));
+const decoded = (column) =>
+  Array.isArray(column)
+    ? column
+    : column.at.length
+      ? column.at.map((k) => column.values[k])
+      : Array(RUNS).fill(column.values[0]);
+const COLUMNS = Object.fromEntries(
+  Object.entries(DATA.columns).map(([name, column]) => [name, decoded(column)]),
+);
 
 const state = {
   text: "",
@@ -23,7 +29,12 @@ const state = {
 };
 
 const ALL_TEXT = Array.from({ length: RUNS }, (_, i) =>
-  Object.keys(COLUMNS).filter((name) => typeof COLUMNS[name][i] === "string").map((name) => COLUMNS[name][i]).join(" ").toLowerCase());
+  Object.keys(COLUMNS)
+    .filter((name) => typeof COLUMNS[name][i] === "string")
+    .map((name) => COLUMNS[name][i])
+    .join(" ")
+    .toLowerCase(),
+);
 
 function within(value, low, high) {
   return value != null && (low === null || value >= low) && (high === null || value <= high);
@@ -35,12 +46,15 @@ function mask() {
   const selects = Object.entries(state.selects).filter(([, value]) => value !== "");
   const brushes = Object.values(state.brushes).flatMap((brush) => Object.entries(brush));
   const ranged = state.range.column && (state.range.low !== null || state.range.high !== null);
-  return Array.from({ length: RUNS }, (_, i) => Number(
-    state.verdicts.has(COLUMNS.verdict[i]) &&
-    words.every((word) => ALL_TEXT[i].includes(word)) &&
-    selects.every(([name, value]) => String(setting(name, i)) === value) &&
-    (!ranged || within(COLUMNS[state.range.column][i], state.range.low, state.range.high)) &&
-    brushes.every(([name, [low, high]]) => within(COLUMNS[name][i], low, high))));
+  return Array.from({ length: RUNS }, (_, i) =>
+    Number(
+      state.verdicts.has(COLUMNS.verdict[i]) &&
+        words.every((word) => ALL_TEXT[i].includes(word)) &&
+        selects.every(([name, value]) => String(setting(name, i)) === value) &&
+        (!ranged || within(COLUMNS[state.range.column][i], state.range.low, state.range.high)) &&
+        brushes.every(([name, [low, high]]) => within(COLUMNS[name][i], low, high)),
+    ),
+  );
 }
 
 const ALPHABET = new Intl.Collator(); // ten times faster than localeCompare
@@ -55,7 +69,8 @@ function changed(keepPage = false) {
   waiting = true;
   requestAnimationFrame(async () => {
     waiting = false;
-    const shown = mask(), news = !state.shown || shown.some((here, i) => here !== state.shown[i]);
+    const shown = mask(),
+      news = !state.shown || shown.some((here, i) => here !== state.shown[i]);
     if (news) state.shown = shown;
     for (const listener of listeners) {
       listener(state.shown, news);
@@ -66,7 +81,9 @@ function changed(keepPage = false) {
 
 /** Let the page draw a frame and take a key or a click before the next piece of work. */
 function pause() {
-  return new Promise((done) => { setTimeout(done); });
+  return new Promise((done) => {
+    setTimeout(done);
+  });
 }
 
 function element(tag, attributes = {}, ...children) {
@@ -98,9 +115,15 @@ function besideOne(number) {
   return String(number);
 }
 
+/** A column's name without its unit. */
+function shortWord(name) {
+  return DATA.words[name].replace(/ \(.*/, "");
+}
+
 /** A value of the table; a prediction never stands without its doubt. */
 function cellOf(name, i) {
-  const value = COLUMNS[name][i], evidence = COLUMNS.evidence && COLUMNS.evidence[i];
+  const value = COLUMNS[name][i],
+    evidence = COLUMNS.evidence && COLUMNS.evidence[i];
   if (name !== "predicted_stable") return printed(value);
   if (evidence === "cannot judge") return evidence;
   return value && evidence === "doubt" ? "yes, doubt" : printed(value);
@@ -112,7 +135,9 @@ function isNumeric(name) {
 
 /** By size where both are numbers, else by the alphabet. */
 function inOrder(a, b) {
-  return typeof a === "number" && typeof b === "number" ? a - b : ALPHABET.compare(String(a), String(b));
+  return typeof a === "number" && typeof b === "number"
+    ? a - b
+    : ALPHABET.compare(String(a), String(b));
 }
 
 /** Words that need room; a yes or no does not. */
@@ -122,20 +147,34 @@ function isText(name) {
 
 /** The options of a menu of columns, by the part of the study that they describe; what never varies is left out. */
 function columnOptions(selected) {
-  const telling = (name) => COLUMNS[name] && isNumeric(name) && new Set(COLUMNS[name].filter((value) => value !== null)).size > 1;
-  return Object.entries(DATA.menus).map(([title, names]) => [title, names.filter(telling)]).filter(([, names]) => names.length).map(([title, names]) =>
-    element("optgroup", { label: title }, ...names.map((name) => element("option", { value: name, selected: name === selected }, DATA.words[name]))));
+  const telling = (name) =>
+    COLUMNS[name] &&
+    isNumeric(name) &&
+    new Set(COLUMNS[name].filter((value) => value !== null)).size > 1;
+  return Object.entries(DATA.menus)
+    .map(([title, names]) => [title, names.filter(telling)])
+    .filter(([, names]) => names.length)
+    .map(([title, names]) =>
+      element(
+        "optgroup",
+        { label: title },
+        ...names.map((name) =>
+          element("option", { value: name, selected: name === selected }, DATA.words[name]),
+        ),
+      ),
+    );
 }
 
-const SHAPES = { // by Vega's names for them
-  "circle": "M7 1a6 6 0 1 0 .01 0z",
+const SHAPES = {
+  // by Vega's names for them
+  circle: "M7 1a6 6 0 1 0 .01 0z",
   "triangle-up": "M7 1l6 11H1z",
   "triangle-left": "M1 7l11-6v12z",
   "triangle-right": "M13 7L2 1v12z",
-  "square": "M2 2h10v10H2z",
+  square: "M2 2h10v10H2z",
   "triangle-down": "M7 13L1 2h12z",
-  "cross": "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
-  "diamond": "M7 0l5 7-5 7-5-7z",
+  cross: "M5 1h4v4h4v4H9v4H5V9H1V5h4z",
+  diamond: "M7 0l5 7-5 7-5-7z",
 };
 
 function marker(word) {

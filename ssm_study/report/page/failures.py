@@ -1,0 +1,79 @@
+"""Runs that came to less than a certified loop that settles, grouped by their reason."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from ssm_study.report.page.first_screen import REASONS, reasons, record_of, verdict_of
+from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
+
+MOST_REASONS = 40
+MOST_RUNS = 12  # of a reason that are named
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
+SEVERITY = ("failed", "certified", "not certified", "infeasible")
+NEEDED = ("verdict", "stable_count", "initial_conditions", *REASONS)
+GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailureGroup:
+    """Runs that ended for one reason; `places` are the first of their rows in the table."""
+
+    reason: str
+    count: int
+    places: tuple[int, ...]
+
+
+def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
+    """Groups of runs whose reasons differ in their numbers alone, the worst first."""
+    groups: dict[str, list[tuple[int, str]]] = {}
+    needed = table[[name for name in NEEDED if name in table]]
+    for place, verdict in enumerate(table["verdict"]):
+        if verdict in GOOD:
+            continue
+        record = record_of(needed.iloc[place])
+        sentence = f"{record['verdict']}: {reason_of(record)}"
+        groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
+    ordered = sorted(groups.items(), key=lambda group: (severity(group[0]), group[0]))
+    return [
+        FailureGroup(
+            reason=with_ranges([sentence for _, sentence in runs]),
+            count=len(runs),
+            places=tuple(place for place, _ in runs[:MOST_RUNS]),
+        )
+        for _, runs in ordered
+    ]
+
+
+def severity(sentence: str) -> int:
+    """The place of a sentence's outcome in `SEVERITY`."""
+    return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
+
+
+def reason_of(record: dict[str, Any]) -> str:
+    """Why a run is listed, in a sentence."""
+    if record["verdict"] == UNTRIED.word:
+        return verdict_of(record).sentence
+    if record["verdict"] == LOST.word:
+        settled = record.get("stable_count") or 0
+        starts = record.get("initial_conditions") or 0
+        return f"{settled:.0f} of {starts:.0f} starts settle"
+    return " ".join(reasons(record)) or "no reason was recorded"
+
+
+def with_ranges(sentences: Sequence[str]) -> str:
+    """One sentence for several that differ in their numbers alone: each number that varies becomes
+    its range."""
+    texts = [NUMBER.findall(sentence) for sentence in sentences]
+    columns = iter(zip(*texts, strict=True))
+
+    def spanned(match: re.Match[str]) -> str:
+        column = next(columns)
+        low = min(column, key=float)
+        high = max(column, key=float)
+        return match[0] if float(low) == float(high) else f"{low} to {high}"
+
+    return NUMBER.sub(spanned, sentences[0])

@@ -1,0 +1,223 @@
+"""First screen of the report page: the best run in four cards, and what they rest on."""
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
+from ssm_study.report.outcome import loop_place, pi_words
+from ssm_study.report.words import SETTLED, VERDICTS, Verdict, digits_beside, words
+from ssm_study.table.columns import swept
+
+Record = Mapping[str, Any]
+SUPPORT = {
+    "sound": "No check of the records speaks against the prediction.",
+    DOUBT: "The records leave a doubt.",
+    CANNOT_JUDGE: "The records allow no judgement.",
+}
+FINDING = re.compile(r" (?=(?:note|doubt|cannot judge): )")
+REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One block of the outcome: a number, and a sentence on it."""
+
+    title: str
+    number: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remark:
+    """A sentence below the cards; `notes` stand behind a fold, a warning stands out."""
+
+    title: str
+    text: str
+    notes: tuple[str, ...] = ()
+    is_warning: bool = False
+
+
+def record_of(row: "pd.Series[Any]") -> dict[str, Any]:
+    """A row of the table as plain values; what is missing is None."""
+    return {str(name): None if pd.isna(value) else value for name, value in row.items()}
+
+
+def introduction(table: pd.DataFrame) -> str:
+    """The words before the best run's name: the rule by which it is the best, as far as it
+    applied."""
+    record = record_of(table.iloc[0])
+    if len(table) == 1:
+        return "Run: "
+    if record["verdict"] != SETTLED.word:
+        return "No run is certified and settles; the nearest: "
+    stable = ", predicted to be stable" if record.get("predicted_stable") else ""
+    return f"Best run (the fastest of those that are certified{stable} and settle): "
+
+
+def settings_line(table: pd.DataFrame) -> str:
+    """The settings of the best run in which runs differ, in a sentence; "" if they do not."""
+    record = record_of(table.iloc[0])
+    parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept(table)]
+    return f". Its settings: {', '.join(parts)}." if parts else ""
+
+
+def short_word(name: str) -> str:
+    """The printed name of a setting without symbol and unit, in lower case."""
+    return re.sub(r"[ ,]*[(,ρ].*", "", words(name)).lower()
+
+
+def setting_text(record: Record, name: str) -> str:
+    """A setting as it was requested: `auto` for a rate that `auto` chose."""
+    chosen = str(record.get("rates_chosen") or "")
+    if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
+        return "auto"
+    value = record.get(name)
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def cards(record: Record) -> list[Card]:
+    """Model, proof, prediction and closed loop, as far as the run has them."""
+    builders = (model_card, proved_card, predicted_card, seen_card)
+    built = [build(record) for build in builders]
+    return [card for card in built if card is not None]
+
+
+def model_card(record: Record) -> Card | None:
+    """How well the model predicts."""
+    fit = record.get("fit_test_percent")
+    if fit is None:
+        return None
+    return Card(title="Model", number=f"{fit:.1f} %", text="fit on the test record")
+
+
+def proved_card(record: Record) -> Card | None:
+    """The certified rates and what they cover, or the largest rate that could be certified."""
+    rate = record.get("controller_certified_rate")
+    requested = record.get("rate_controller")
+    limit = record.get("controller_rate_limit")
+    if rate is None:
+        rate = requested
+    if rate is None:
+        return None
+    if record.get("controller_certified") and record.get("observer_certified"):
+        shrinks = 100 - 100 * math.sqrt(1 - rate)
+        observer = record.get("observer_certified_rate")
+        also = "" if observer is None else f"; the observer at {observer:.3g}"
+        text = (
+            f"certified rate per sample: under control, distances shrink by {shrinks:.2g} % a "
+            f"sample{also}{coverage_words(record)}"
+        )
+        return Card(title="Proved of the model", number=f"{rate:.3g}", text=text)
+    if limit is None:
+        return Card(title="Proved of the model", number="nothing", text="there is no certificate")
+    asked = "" if requested is None else f"; requested: {requested:.3g}"
+    text = f"largest rate that can be certified{asked}"
+    return Card(title="Proved of the model", number=f"{limit:.3g}", text=text)
+
+
+def coverage_words(record: Record) -> str:
+    """What the proof says of the plant; below one it covers nothing."""
+    coverage = record.get("coverage")
+    if coverage is None:
+        return ""
+    if coverage < 1:
+        return "; the model error that the records show is not covered"
+    times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
+    return (
+        f"; a model error {times:.2f} times as large as the records show is covered, at every "
+        "frequency above zero"
+    )
+
+
+def predicted_card(record: Record) -> Card | None:
+    """The prediction made before the loop is closed, with the numbers that it rests on."""
+    title = f"Predicted for the {'model' if is_on_model(record) else 'plant'}"
+    evidence = record.get("evidence")
+    if evidence == CANNOT_JUDGE:
+        return Card(title=title, number="nothing", text=SUPPORT[CANNOT_JUDGE].lower().rstrip("."))
+    stable = record.get("predicted_stable")
+    margin = record.get("resolved_margin")
+    if stable is None or margin is None:
+        return None
+    word = "it stays stable" if stable else "the loop may be unstable"
+    if stable and evidence == DOUBT:
+        word += ", with doubts"
+    text = f"stability margin (above 1 is needed): {word}"
+    radius = record.get("controller_radius")
+    if radius is not None:
+        spectral = digits_beside(radius)
+        text += f"; spectral radius of the controller {spectral} (below 1 is needed)"
+    return Card(title=title, number=digits_beside(margin), text=text)
+
+
+def seen_card(record: Record) -> Card | None:
+    """How many starts settled, how fast, and how a PI does."""
+    count = record.get("stable_count")
+    if count is None:
+        return None
+    text = "starts settle"
+    mean_s = record.get("settling_time_mean_s")
+    if mean_s is not None:
+        text += f", in {mean_s:.3g} s on average"
+    alone_s = record.get("settling_time_open_loop_s")
+    if alone_s is not None:
+        text += f"; uncontrolled in {alone_s:.3g} s"
+    if record.get("stable_count_pi") is not None:
+        text += f"; a PI tuned from the same model: {pi_words(record)}"
+    number = f"{count:.0f} of {record.get('initial_conditions'):.0f}"
+    return Card(title=f"Seen on the {seen_place(record)}", number=number, text=text)
+
+
+def seen_place(record: Record) -> str:
+    """Where the loop was closed, in the page's words."""
+    return loop_place(record).replace("identified model", "model")
+
+
+def is_on_model(record: Record) -> bool:
+    """Whether the loop was closed on the model: a log has no plant."""
+    return seen_place(record) == "model"
+
+
+def verdict_of(record: Record) -> Verdict:
+    """The verdict on a run, by the word in the table."""
+    return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
+
+
+def reasons(record: Record) -> list[str]:
+    """Why a run is infeasible, not certified or failed, as its record says."""
+    return [str(record[name]) for name in REASONS if record.get(name)]
+
+
+def remarks(record: Record) -> Iterator[Remark]:
+    """The outcome where it is no success, and what the records say of the prediction."""
+    verdict = verdict_of(record)
+    if verdict != SETTLED:
+        sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
+        yield Remark(title="Outcome", text=sentences_of(sentences), is_warning=True)
+    evidence = record.get("evidence")
+    if evidence:
+        findings = FINDING.split(str(record.get("evidence_reasons") or ""))
+        notes = [text for text in findings if text.startswith("note: ")]
+        serious = [text for text in findings if text and text not in notes]
+        plain = [re.sub(r"^[a-z ]+: ", "", text) for text in serious]
+        yield Remark(
+            title=f"Evidence: {evidence}",
+            text=" ".join([SUPPORT[str(evidence)], *plain]),
+            notes=tuple(capitalised(note) for note in notes),
+            is_warning=evidence in (DOUBT, CANNOT_JUDGE),
+        )
+
+
+def sentences_of(parts: Sequence[str]) -> str:
+    """Parts as sentences: a capital first, a full stop last."""
+    return " ".join(f"{capitalised(part).rstrip('.')}." for part in parts)
+
+
+def capitalised(text: str) -> str:
+    """The text with a capital first; the rest as it is."""
+    return text[:1].upper() + text[1:]

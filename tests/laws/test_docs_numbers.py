@@ -1,0 +1,23 @@
+"""Numbers that the docs print are those that the program prints today."""
+
+import json
+from pathlib import Path
+
+import pytest
+from docs_numbers import assert_outcome_holds, outcome_on_page, printed_outcome
+
+
+def test_the_tutorials_first_outcome_holds(smoke_run: Path) -> None:
+    record = json.loads((smoke_run / "record.json").read_text())
+    on_page = outcome_on_page("tutorial.md", "Run                          smoke/")
+    assert_outcome_holds(on_page, printed_outcome(record))
+
+
+def test_another_number_or_word_is_noticed(smoke_run: Path) -> None:
+    record = json.loads((smoke_run / "record.json").read_text())
+    printed = printed_outcome(record)
+    other = printed_outcome(record | {"resolved_margin": 1.5 * record["resolved_margin"]})
+    with pytest.raises(AssertionError, match="on the page"):
+        assert_outcome_holds(other, printed)
+    with pytest.raises(AssertionError, match="other words"):
+        assert_outcome_holds(printed.replace("settled", "rested"), printed)
