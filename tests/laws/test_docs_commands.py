@@ -157,8 +157,10 @@ def test_the_tutorial_makes_the_log_that_it_names(
     ("commands", "swept", "column"),
     [
         (
-            ["ssm-study run experiment=smoke"]
-            + ["ssm-study run experiment=smoke model.slope_lower=0.2"],
+            [
+                "ssm-study run experiment=smoke",
+                "ssm-study run experiment=smoke model.slope_lower=0.2",
+            ],
             "slope_lower",
             "mu",
         ),
