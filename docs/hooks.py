@@ -1,5 +1,4 @@
-"""What MkDocs does not do by itself: navigation by chapter, the reference, formulas without a
-network, findings."""
+"""What MkDocs does not do by itself: the reference, formulas without a network, findings."""
 
 import re
 from pathlib import Path
@@ -15,54 +14,19 @@ from ssm_study.report.words import counts
 from ssm_study.table.columns import listed
 
 ROOT = Path(__file__).resolve().parents[1]
-CHAPTERS = {
-    "Start": ["index.md", "tutorial.md", "glossary.md"],
-    "How to": [
-        "howto_python.md",
-        "howto_data.md",
-        "howto_plant.md",
-        "howto_theorem.md",
-        "howto_figure.md",
-        "howto_cluster.md",
-        "log_to_device.md",
-        "howto_export.md",
-    ],
-    "Explained": [
-        "theory.md",
-        "plants.md",
-        "data.md",
-        "models.md",
-        "closed_loop.md",
-        "trust.md",
-        "engine.md",
-    ],
-    "Results": ["findings.md"],
-    "Notebooks": [
-        f"notebooks/{name}.md"
-        for name in (
-            "the_paper",
-            "reading_a_sweep",
-            "how_far_can_a_certificate_go",
-            "your_own_data",
-        )
-    ],
-    "Inside": ["architecture.md", "maintainers.md", "report_page.md"],
-}
 PICTURES = ROOT / "results" / "reference"
 ROOMS = sorted(path.parent.name for path in (ROOT / "ssm_study").glob("*/__init__.py"))
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
-    """Chapters in reading order; a page nobody sorted yet comes under its own heading rather than
-    nowhere."""
+    """The reference below Python; a page nobody sorted yet below Start rather than nowhere."""
     present = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
-    nav: list[Any] = [
-        {title: [page for page in pages if page in present]} for title, pages in CHAPTERS.items()
-    ]
-    unsorted = sorted(present - {page for pages in CHAPTERS.values() for page in pages})
-    nav += [{"More": unsorted}] if unsorted else []
-    nav.append({"Reference": [{room: f"reference/{room}.md"} for room in ("shared", *ROOMS)]})
-    config.nav = nav
+    assert config.nav is not None, "mkdocs.yml has the navigation"
+    tabs: dict[str, Any] = {title: pages for tab in config.nav for title, pages in tab.items()}
+    unsorted = sorted(present - set(re.findall(r"[\w/]+\.md", str(config.nav))))
+    tabs["Start"] += unsorted
+    rooms = [{room: f"reference/{room}.md"} for room in ("shared", *ROOMS)]
+    tabs["Python"].append({"Reference": rooms})
     return config
 
 

@@ -13,6 +13,7 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
+from docs_numbers import assert_outcome_holds, outcome_on_page
 from fresh_programs import start_program
 from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -271,6 +272,8 @@ print([name for name in sys.modules if name in ({rooms})])
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"
     assert "certified in exact arithmetic" in done.stdout
+    for block in ("Model\n", "Design\n"):
+        assert_outcome_holds(outcome_on_page("howto_python.md", block), done.stdout)
     assert (tmp_path / "controller.h").is_file()
 
 
