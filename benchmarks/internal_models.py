@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.cli.main import main
@@ -91,6 +92,13 @@ def row(folder: Path, situation: str) -> dict[str, object]:
 def draw(folders: list[Path], path: Path) -> None:
     """One start of seed 0 under the sine and the ramp load, the error over time on a logarithmic
     axis."""
+    with style.paper():
+        fig = drawn(folders)
+        fig.savefig(path, dpi=200, metadata={"Software": None})
+
+
+def drawn(folders: list[Path]) -> Figure:
+    """The two panels."""
     fig = style.canvas(style.PAGE_IN, 2.6)
     for axis, situation in zip(
         fig.subplots(1, 2, sharey=True), ("sine load", "ramp load"), strict=True
@@ -105,9 +113,10 @@ def draw(folders: list[Path], path: Path) -> None:
                 made.time_s, np.maximum(size, 1e-12), color=colour, lw=0.8, label=f"[{law}]"
             )
         axis.set(title=situation, xlabel="Time (s)")
-    fig.axes[0].set(ylabel="|speed - set point| (rad/s)")
-    fig.axes[0].legend(frameon=False, loc="lower left")
-    fig.savefig(path, dpi=110)
+    fig.axes[0].set(ylabel="|speed - set point| (rad/s)", ylim=(1e-6, None))
+    handles, labels = fig.axes[0].get_legend_handles_labels()
+    fig.legend(handles, labels, loc="outside upper left", ncols=4)
+    return fig
 
 
 if __name__ == "__main__":

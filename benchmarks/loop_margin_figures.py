@@ -95,8 +95,8 @@ def roc(table: pd.DataFrame) -> Figure:
     axes.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02))
     if axes.get_legend_handles_labels()[0]:
         title = (
-            "what own radius and noise pass first, by margin\n(dot: margin 1); dotted: by margin "
-            "in total"
+            "designs by stability margin (dot: margin 1), those last\nwhose controller or noise "
+            "refuses; dotted: by the gain alone"
         )
         axes.legend(loc="lower right", title=title, title_fontsize=6)
     return fig
@@ -111,7 +111,7 @@ def settling(table: pd.DataFrame) -> Figure:
         np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True
     ):
         _panel(axes, table[table["plant"] == plant])
-        axes.set(title=spoken(plant), xlabel="Prediction margin (–)")
+        axes.set(title=spoken(plant), xlabel="Stability margin (–)")
     fig.axes[0].set_ylabel("Settling time / uncontrolled (–)")
     handles, labels = fig.axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=2)
@@ -124,7 +124,7 @@ def _panel(axes: Axes, own: pd.DataFrame) -> None:
     settled = own["kind"].eq("settled")
     passed = (own[["controller_radius", "noise_peak"]] < 1).all(axis=1)
     for mask, colour, marker, label in (
-        (settled & passed, style.BLUE, "o", "own radius and noise pass, all starts settle"),
+        (settled & passed, style.BLUE, "o", "controller and noise pass, all starts settle"),
         (settled & ~passed, style.ORANGE, "o", "one of them refuses, all starts settle"),
         (~settled & passed, style.BLUE, "x", "both pass, not all settle (at the top: none)"),
         (~settled & ~passed, style.VERMILLION, "x", "one of them refuses, not all settle"),

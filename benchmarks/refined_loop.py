@@ -18,6 +18,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from omegaconf import open_dict
 
+from ssm_study import style
+
 HERE = Path(__file__).resolve().parent
 PLANT = {"_target_": "benchmarks.adversarial.plants.peaking_gain.PeakingGain"}
 PLANT |= {"first_s": 0.1, "second_s": 0.4, "peak": 10.0, "width": 0.01}
@@ -56,7 +58,6 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
 
 def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     """The noise-free output of each iteration's loop from its own starts, and its input."""
-    from ssm_study import style
     from ssm_study.study.loop_recordings import read_experiment
 
     fig = style.canvas(style.COLUMN_IN, 1.6 * len(runs))
@@ -69,8 +70,8 @@ def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
         axes.set_title(
             f"choice {row.refinements + 1:.0f}: {settled}, {proved:.2g} is proved", fontsize=8
         )
-        axes.set_ylabel("output")
-    panels[-1].set_xlabel("time in s")
+        axes.set_ylabel("Output")
+    panels[-1].set_xlabel("Time (s)")
     return fig
 
 
@@ -99,7 +100,9 @@ def main() -> None:
         table.to_csv(
             asked.to / "refined.csv", index=False, lineterminator="\n", float_format="%.4g"
         )
-        picture(runs, table).savefig(asked.to / "refined.png", dpi=160)
+        with style.paper():
+            figure = picture(runs, table)
+            figure.savefig(asked.to / "refined.png", dpi=200, metadata={"Software": None})
 
 
 if __name__ == "__main__":

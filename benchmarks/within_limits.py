@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.bounds.slopes import certified_balls
@@ -114,8 +115,13 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
 
 
 def draw(folder: Path, path: Path) -> None:
-    """The start farthest out under both: output above, what the law asks for and what acts
-    below."""
+    """The start farthest out under both, in the style of all figures."""
+    with style.paper():
+        drawn(folder).savefig(path, dpi=200, metadata={"Software": None})
+
+
+def drawn(folder: Path) -> Figure:
+    """Output above, what the law requests and the limits below."""
     files = RunFiles(path=folder, record={})
     _, told, naive = loops(files, integral=True)
     low, high = LIMITS[folder.parent.name]
@@ -133,14 +139,14 @@ def draw(folder: Path, path: Path) -> None:
             one.controlled.time_s, one.controlled.u[case, :, 0], color=colour, lw=1, where="post"
         )
     for limit in (low, high):
-        below.axhline(limit, color="black", lw=0.8, ls="--")
+        below.axhline(limit, color=style.INK, lw=0.8, ls="--")
     output = files.plant.outputs[0]
     applied = files.plant.inputs[0]
     above.set(ylabel=f"{output.name.replace('_', ' ')} ({output.unit})")
-    above.legend(frameon=False)
+    style.above(above)
     until = 2 * (pooled([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2)
-    below.set(ylabel=f"asked for ({applied.unit})", xlabel="Time (s)", xlim=(0, until))
-    fig.savefig(path, dpi=110)
+    below.set(ylabel=f"requested ({applied.unit})", xlabel="Time (s)", xlim=(0, until))
+    return fig
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@ and grey print."""
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ssm_study.durable import refuse_link, write_atomically
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Width = Literal["page", "column"]
 COLUMN_IN = 3.5
 PAGE_IN = 7.16
 
@@ -47,10 +49,18 @@ _PAPER: dict[str, dict[str, Any]] = {  # by group, as `matplotlib.rc` takes them
 }  # fmt: skip
 
 
+_PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
+
+
+def is_narrow() -> bool:
+    """Whether figures are asked for as wide as one column of a paper."""
+    return _PAGE.get() == COLUMN_IN
+
+
 @contextmanager
-def paper() -> Iterator[None]:
+def paper(width: Width = "page") -> Iterator[None]:
     """Everything drawn and saved inside has the look of this project; the caller's own settings
-    come back after."""
+    come back after. `width="column"`: figures that know how are drawn for one column."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
@@ -59,10 +69,14 @@ def paper() -> Iterator[None]:
         f"{group}.{name}": v for group, values in _PAPER.items() for name, v in values.items()
     }
     look["axes.prop_cycle"] = cycler(color=CYCLE)
+    asked = _PAGE.set(COLUMN_IN if width == "column" else PAGE_IN)
     with mpl.rc_context():
         mpl.rcdefaults()  # a user's own file may ask for TeX, which a run need not have
-        with sns.axes_style("ticks"), mpl.rc_context(look):
-            yield
+        try:
+            with sns.axes_style("ticks"), mpl.rc_context(look):
+                yield
+        finally:
+            _PAGE.reset(asked)
 
 
 def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":

@@ -10,12 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ssm_study.cli.browser import open_page
+from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
 from ssm_study.cli.new_study import new
 from ssm_study.refusal import at_least, require
 
 Command = Callable[[argparse.Namespace], int | None]
+# Figures of the paper: every run draws them when it ends.
+PAPER_FIGURES = ("validation_trajectory", "closed_loop_responses")
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 
@@ -181,13 +183,26 @@ def report_study(options: argparse.Namespace) -> None:
     try:  # first: after the figures of 20,000 runs it would take 80 MB more
         if not options.only:
             page = write_page(options.study, tuple(options.others))
-            print(page, flush=True)
+            print(page_link(page), flush=True)
             if options.open:
                 open_page(page)
     finally:
         if not options.others:
-            for path in draw(options.only, options.study, tell=print):
-                print(path)
+            reasons: list[str] = []
+            wanted = options.only or (PAPER_FIGURES if options.width else None)
+            paths = draw(wanted, options.study, reasons.append, width=options.width or "page")
+            told = bool(options.verbose or wanted)
+            lines = [*reasons, *map(str, paths)] if told else [figures_line(paths, len(reasons))]
+            print("\n".join(lines))
+
+
+def figures_line(paths: list[Path], left_out: int) -> str:
+    """How many figures were drawn and where they lie."""
+    if not paths:
+        return "no figure drawn; -v says why"
+    count = len({path.stem for path in paths})
+    more = f", {left_out} not drawn" if left_out else ""
+    return f"{count} figures in {paths[0].parent}{more}; -v lists them"
 
 
 def watch_study(options: argparse.Namespace) -> None:

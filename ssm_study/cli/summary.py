@@ -12,12 +12,13 @@ from rich.console import Console
 from rich.text import Text
 
 from ssm_study import __version__
+from ssm_study.cli.commands import PAPER_FIGURES
 from ssm_study.durable import refuse_link, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
 
-RUN_FIGURES = ("validation_trajectory", "closed_loop_responses")  # the paper's two
+RUN_FIGURES = PAPER_FIGURES
 WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 

@@ -15,6 +15,7 @@ from ssm_study.refusal import printable
 from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings, text
 from ssm_study.table.filters import where as filtered
 from ssm_study.table.gather import contradicted, gather
+from ssm_study.table.over_seeds import over_seeds
 from ssm_study.table.rank import ranked
 
 WIDTH = 80  # of a pipe, and the least of a terminal
@@ -61,6 +62,8 @@ def show(
         print("\n".join(lines))
         return table
     print_rows(rows, by)
+    for line in over_seeds(rows):
+        print(line)
     for line in summary(table, shown=len(rows)):
         print(SUMMARY_LINES.fill(line))
     return table

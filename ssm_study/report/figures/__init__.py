@@ -38,9 +38,9 @@ def caption(name: str) -> str:
     return " ".join((_module(name).__doc__ or "").split())
 
 
-def drawn(name: str, study: StudyFolder) -> "Figure":
+def drawn(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
     """The figure in the style of the paper. Raises `NothingToDraw` with the reason."""
-    with style.paper():
+    with style.paper(width):
         figure: Figure = _module(name).draw(study)
     return figure
 
@@ -50,6 +50,7 @@ def draw(
     study_folder: Path,
     tell: Callable[[str], object] = lambda _: None,
     run: str | None = None,
+    width: style.Width = "page",
 ) -> list[Path]:
     """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and
     PDF.
@@ -70,9 +71,10 @@ def draw(
             f"choose among {', '.join(names())}",
         )
     for name in wanted or names():
-        with style.paper():  # what is saved asks for the settings once more
+        with style.paper(width):  # what is saved asks for the settings once more
             try:
-                paths += style.save(drawn(name, study), study.folder / "figures", name)
+                figure = drawn(name, study, width)
+                paths += style.save(figure, study.folder / "figures", name)
             except NothingToDraw as reason:
                 tell(f"not drawn: {name}. {reason}")
     if paths:

@@ -1,0 +1,37 @@
+"""Means and deviations over seeds below the table of `show`."""
+
+import pandas as pd
+import pytest
+
+from ssm_study.table.over_seeds import mean_and_deviation, over_seeds
+
+
+def study(**more: object) -> pd.DataFrame:
+    """Two rates by three seeds; the last run has no result."""
+    table = pd.DataFrame(
+        {
+            "seed": [0, 1, 2] * 2,
+            "rate_controller": [0.1] * 3 + [0.3] * 3,
+            "fit_test_percent": [90.0, 91.0, 92.0, 90.0, 91.0, 92.0],
+            "resolved_margin": [2.0, 3.0, 4.0, 1.5, 2.5, None],
+        }
+    )
+    return table.assign(**more)
+
+
+def test_each_setting_has_its_mean_and_deviation() -> None:
+    lines = over_seeds(study())
+    assert lines[:2] == ["", "mean ± deviation over seeds"]
+    first, second = (line.split() for line in lines[-2:])
+    assert first == ["0.1", "3", "91", "±", "1", "3", "±", "1", "-", "-"]
+    assert second[5:8] == ["2", "±", "0.71"], "a seed without a result is left out"
+
+
+def test_one_seed_or_one_run_a_setting_has_no_deviation() -> None:
+    assert over_seeds(study(seed=0)) == []
+    assert over_seeds(study(rate_controller=range(6))) == []
+
+
+@pytest.mark.parametrize(("values", "words"), [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")])
+def test_the_words_of_a_group(values: list[float], words: str) -> None:
+    assert mean_and_deviation(pd.Series(values, dtype=float)) == words
