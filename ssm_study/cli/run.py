@@ -24,6 +24,7 @@ from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, forget
 from ssm_study.refusal import BadRequest, require
 
+NOTHING_SET = "no setting given: this is the paper's motor (experiment=paper); --help lists others"
 PYTHONS_WARNING = warnings.formatwarning
 
 
@@ -65,6 +66,8 @@ def run(overrides: list[str]) -> int:
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     opens = OPEN in overrides
+    if not any("=" in word for word in overrides) and not set(overrides) & {"--help", "-h"}:
+        print(f"ssm-study: {NOTHING_SET}", file=sys.stderr, flush=True)
     overrides = translate(overrides)
     # Hydra then raises instead of printing, so that a sentence can be made of it.
     os.environ["HYDRA_FULL_ERROR"] = "1"

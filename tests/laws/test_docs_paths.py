@@ -98,3 +98,9 @@ def test_seeded_faults_are_planted_in_modules_that_are_there(
         for named in re.findall(r"tests/\S+", group.tests):
             file, _, test = named.partition("::")
             assert f"def {test}" in (ROOT / file).read_text(), named
+
+
+def test_every_benchmark_stands_in_their_index() -> None:
+    index = (ROOT / "benchmarks" / "README.md").read_text()
+    scripts = {path.name for path in (ROOT / "benchmarks").glob("*.[ps][yh]")}
+    assert {name for name in scripts if f"`{name}`" not in index} == set()

@@ -78,11 +78,10 @@ function coloured(spec) {
   return copy;
 }
 
-/** What the points are coloured by: the outcome, or any setting of few values; by default what was swept where all runs end alike. */
+/** What the points are coloured by: any setting of few values, by default what was swept; or the outcome, which their shapes say too. */
 function placeColourMenu() {
   const names = DATA.parameters.filter((name) => new Set(COLUMNS[name]).size <= 40);
-  const alike = new Set(COLUMNS.verdict).size === 1;
-  state.colour = (alike && (names.find((name) => name !== "seed") || names[0])) || "";
+  state.colour = names.find((name) => name !== "seed") || names[0] || "";
   if (!names.length) return;
   const recolour = async (event) => {
     state.colour = event.target.value;

@@ -165,28 +165,26 @@ function drawPager(pages) {
     state.page += by;
     changed(true);
   };
-  document
-    .getElementById("pager")
-    .replaceChildren(
-      ...(pages === 1
-        ? []
-        : [
-            element(
-              "button",
-              { type: "button", id: "page-before", onclick: turn(-1), disabled: state.page === 0 },
-              "Previous",
-            ),
-            element("span", {}, `Page ${state.page + 1} of ${pages}`),
-            element(
-              "button",
-              {
-                type: "button",
-                id: "page-after",
-                onclick: turn(1),
-                disabled: state.page >= pages - 1,
-              },
-              "Next",
-            ),
-          ]),
-    );
+  document.getElementById("pager").replaceChildren(
+    ...(pages === 1
+      ? []
+      : [
+          element(
+            "button",
+            { type: "button", id: "page-before", onclick: turn(-1), disabled: state.page === 0 },
+            "Previous",
+          ),
+          element("span", {}, `Page ${state.page + 1} of ${pages}`),
+          element(
+            "button",
+            {
+              type: "button",
+              id: "page-after",
+              onclick: turn(1),
+              disabled: state.page >= pages - 1,
+            },
+            "Next",
+          ),
+        ]),
+  );
 }
