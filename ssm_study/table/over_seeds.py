@@ -20,21 +20,37 @@ def over_seeds(table: pd.DataFrame) -> list[str]:
         return []
     values = {name: requested(table, name) for name in settings(table) if name != "seed"}
     varied = [name for name, own in values.items() if own.nunique(dropna=False) > 1]
-    keys = pd.DataFrame({name: values[name].astype("string") for name in varied})
-    labels = keys.fillna("-").agg(", ".join, axis=1) if varied else pd.Series("all", table.index)
-    groups = [(str(label), runs) for label, runs in table.groupby(labels, sort=False)]
-    groups = [(label, runs) for label, runs in groups if runs["seed"].nunique() >= FEWEST]
-    if not groups:
+    labels = pd.Series("all", table.index)
+    if varied:
+        keys = pd.DataFrame({name: values[name].astype("string") for name in varied})
+        labels = keys.fillna("-").agg(", ".join, axis=1)
+    rows = []
+    for label, runs in table.groupby(labels, sort=False):
+        if runs["seed"].nunique() >= FEWEST:
+            rows.append(list(group_cells(str(label), runs)))
+    if not rows:
         return []
-    titles = [BY_NAME[name].head or name if name in BY_NAME else name for name in varied]
+    titles = [heading(name) for name in varied]
     head = [", ".join(titles) or "setting", "seeds", *HEADS]
-    rows = [head, *(list(group_cells(label, runs)) for label, runs in groups)]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(head))]
+    return ["", "mean ± deviation over seeds", *aligned([head, *rows])]
+
+
+def aligned(rows: list[list[str]]) -> list[str]:
+    """Rows of cells as lines of equal columns, the first to the left."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for first, *rest in rows:
-        cells = [text.rjust(width) for text, width in zip(rest, widths[1:], strict=True)]
-        lines.append("  ".join([first.ljust(widths[0]), *cells]))
-    return ["", "mean ± deviation over seeds", *lines]
+        cells = [first.ljust(widths[0])]
+        for text, width in zip(rest, widths[1:], strict=True):
+            cells.append(text.rjust(width))
+        lines.append("  ".join(cells))
+    return lines
+
+
+def heading(name: str) -> str:
+    """Short heading of a setting."""
+    column = BY_NAME.get(name)
+    return column.head if column is not None and column.head else name
 
 
 def group_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:

@@ -1,10 +1,11 @@
-"""What one run compared on its own model and plant: controllers by situation, or many certified
+"""Comparisons of one run on its own model and plant: controllers by situation, or many certified
 designs."""
 
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from ssm_study.report.page.chart_looks import STROKES, framed, quantitative
@@ -27,7 +28,7 @@ class ComparedTable:
 
 
 def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
-    """What the page shows of a run's comparison, as JSON values."""
+    """The comparison of a run as JSON values: a table or a chart."""
     rows = rows.dropna(axis="columns", how="all")
     if "controller" in rows:
         return {"table": table_html(controllers_table(rows))}
@@ -44,11 +45,13 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
             heads=HEADS,
             rows=[(name, number_cells(row)) for name, row in first],
         )
-    by_situation = rows.drop_duplicates(["controller", "situation"])
-    by_situation = by_situation.set_index(["controller", "situation"])
     controllers = list(dict.fromkeys(rows["controller"]))
+    tried: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows.to_dict("records"):
+        key = (str(row["controller"]), str(row["situation"]))
+        tried.setdefault(key, {str(name): value for name, value in row.items()})
     cells = {
-        name: [settled_cell(by_situation, (name, situation)) for situation in situations]
+        name: [settled_cell(tried.get((name, situation), {})) for situation in situations]
         for name in controllers
     }
     return ComparedTable(
@@ -66,13 +69,12 @@ def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
     return [(text, "") for text in [*texts, certified]]
 
 
-def settled_cell(rows: pd.DataFrame, key: tuple[str, str]) -> tuple[str, str]:
+def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
     """Share settled with the mean time of those, and a shade where some do not settle."""
-    if key not in rows.index or pd.isna(rows.loc[key].get("stable_fraction")):
+    if pd.isna(row.get("stable_fraction", np.nan)):
         return MISSING, ""
-    row = rows.loc[key]
     time_s = row.get("settling_time_mean_s")
-    words = "" if pd.isna(time_s) else f" {time_s:.3g} s"
+    words = "" if time_s is None or pd.isna(time_s) else f" {time_s:.3g} s"
     share = float(row["stable_fraction"])
     return f"{percent(share)}{words}", NOT_SETTLED.format(45 * (1 - share))
 

@@ -91,12 +91,12 @@ def slider(table: pd.DataFrame) -> dict[str, Any] | None:
     for name in rated:
         if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
             continue
-        values = requested(table, name)
         alike = pd.Series(True, index=table.index)
         for other in settings:
-            own = requested(table, other)
-            alike &= (own == own.iloc[0]) if other != name else True
-        numbers = pd.to_numeric(values[alike], errors="coerce").dropna()
+            own = requested(table, other).astype("string").fillna("")
+            if other != name:
+                alike &= (own == own.iloc[0]).astype(bool)
+        numbers = pd.to_numeric(requested(table, name)[alike], errors="coerce").dropna()
         numbers = numbers[~numbers.duplicated()].sort_values()
         if len(numbers) > 1:
             title = words(name).partition(" (")[0]
@@ -105,7 +105,7 @@ def slider(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """What the page says in words, for its HTML."""
+    """Words of the page, for its HTML."""
     best = study.best
     config = best.path / ".hydra" / "config.yaml" if best else None
     on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}

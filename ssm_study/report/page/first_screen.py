@@ -121,7 +121,7 @@ def proved_card(record: Record) -> Card | None:
 
 
 def coverage_words(record: Record) -> str:
-    """What the proof says of the plant; below one it covers nothing."""
+    """Words on the model error that the proof covers; below one it covers nothing."""
     coverage = record.get("coverage")
     if coverage is None:
         return ""

@@ -50,7 +50,7 @@ def picture_json(name: str, picture: Picture) -> dict[str, Any]:
 
 
 def axes_words(panel: PicturePanel) -> str:
-    """What is drawn against what."""
+    """The two axes in words."""
     return f"{panel.y_label} against {panel.x_label}"
 
 

@@ -20,6 +20,15 @@ BAND = {
     "mark": {"type": "rect", "color": PALE},
     "encoding": {"y": {"field": "low", "type": "quantitative"}, "y2": {"field": "high"}},
 }
+BY_OUTCOME = {
+    "field": "verdict",
+    "type": "nominal",
+    "legend": None,
+    "scale": {
+        "domain": [verdict.word for verdict in VERDICTS],
+        "range": [verdict.colour for verdict in VERDICTS],
+    },
+}
 
 
 def templates(table: pd.DataFrame) -> dict[str, Any]:
@@ -75,7 +84,7 @@ def played() -> dict[str, Any]:
         "mark": {"type": "line", "color": GREY, "opacity": 0.45, "strokeWidth": 1.2},
     }
     past = {"transform": [one, until], "mark": {"type": "line", "color": BLUE, "strokeWidth": 2}}
-    drawn = [whole, past, point]
+    drawn: list[dict[str, Any]] = [whole, past, point]
     encoding = {
         "x": quantitative("t", TIME),
         "y": quantitative("value", None, zero=False, nice=False),
@@ -95,46 +104,41 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
     names = [name for name in candidates if column(table, name).nunique() > 1]
     if len(names) < 3 or len(table) > MOST_PARALLEL:
         return None
-    titles = {name: words(name).partition(" (")[0] for name in names}
-    x = {
-        "field": "key",
-        "type": "nominal",
-        "sort": names,
-        "title": None,
-        "axis": {
-            "labelExpr": f"({json.dumps(titles)})[datum.value]",
-            "labelAngle": -20,
-            "labelLimit": 150,
-            "grid": True,
-            "domain": False,
-        },
-    }
-    known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
-    fold = [{"fold": names, "as": ["key", "value"]}, known]
+    x = parallel_axis(names)
     ends = [{"op": op, "field": "value", "as": op} for op in ("min", "max")]
     share = "datum.max > datum.min ? (datum.value - datum.min) / (datum.max - datum.min) : 0.5"
-    within = [{"joinaggregate": ends, "groupby": ["key"]}, {"calculate": share, "as": "share"}]
-    y = {"field": "share", "type": "quantitative", "axis": None}
-    colour = {
-        "field": "verdict",
-        "type": "nominal",
-        "legend": None,
-        "scale": {
-            "domain": [verdict.word for verdict in VERDICTS],
-            "range": [verdict.colour for verdict in VERDICTS],
-        },
-    }
+    scaled = [{"joinaggregate": ends, "groupby": ["key"]}, {"calculate": share, "as": "share"}]
+    known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
+    fold: list[dict[str, Any]] = [{"fold": names, "as": ["key", "value"]}, known]
     opacity = 0.15 if len(table) > PALE_FROM else 0.6
     lines = {
-        "transform": [*fold, *within],
+        "transform": [*fold, *scaled],
         "mark": {"type": "line", "strokeWidth": 1.3, "opacity": opacity},
-        "encoding": {"x": x, "y": y, "detail": {"field": "i"}, "color": colour},
+        "encoding": {
+            "x": x,
+            "y": {"field": "share", "type": "quantitative", "axis": None},
+            "detail": {"field": "i"},
+            "color": BY_OUTCOME,
+        },
     }
     labels = [end_label(op, fold, x) for op in ("min", "max")]
     description = f"All runs over {', '.join(map(words, names))}: one line per run"
     return framed({"data": {"name": "rows"}, "layer": [lines, *labels]}, description, 230) | {
         "usermeta": {"fields": names}
     }
+
+
+def parallel_axis(names: list[str]) -> dict[str, Any]:
+    """An axis with one place for each column, named as printed, without units."""
+    titles = {name: words(name).partition(" (")[0] for name in names}
+    axis = {
+        "labelExpr": f"({json.dumps(titles)})[datum.value]",
+        "labelAngle": -20,
+        "labelLimit": 150,
+        "grid": True,
+        "domain": False,
+    }
+    return {"field": "key", "type": "nominal", "sort": names, "title": None, "axis": axis}
 
 
 def end_label(op: str, fold: list[dict[str, Any]], x: dict[str, Any]) -> dict[str, Any]:
