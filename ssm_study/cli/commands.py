@@ -13,11 +13,10 @@ from typing import Any
 from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
 from ssm_study.cli.new_study import new
+from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.refusal import at_least, require
 
 Command = Callable[[argparse.Namespace], int | None]
-# Figures of the paper: every run draws them when it ends.
-PAPER_FIGURES = ("validation_trajectory", "closed_loop_responses")
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 

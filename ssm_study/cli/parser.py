@@ -10,6 +10,7 @@ from ssm_study import __version__
 from ssm_study.cli import commands
 from ssm_study.cli.commands import Command
 from ssm_study.cli.overlay import add_overlay
+from ssm_study.cli.paper_figures import PAPER_FIGURES
 
 Subparsers = Any  # argparse's own class of them is private
 AddOptions = Callable[[argparse.ArgumentParser], None]
@@ -155,7 +156,7 @@ def add_report_options(command: argparse.ArgumentParser) -> None:
     only_help = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
     command.add_argument("--only", action="append", metavar="NAME", help=only_help)
     command.add_argument("--open", action="store_true", help="show the page in the browser")
-    width_help = f"draw {' and '.join(commands.PAPER_FIGURES)} as wide as a paper's page or column"
+    width_help = f"draw {' and '.join(PAPER_FIGURES)} as wide as a paper's page or column"
     command.add_argument("--width", choices=("page", "column"), help=width_help)
     verbose_help = "list every figure, and why one was not drawn"
     command.add_argument("-v", action="store_true", dest="verbose", help=verbose_help)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ssm_study import __version__
-from ssm_study.cli.commands import PAPER_FIGURES
+from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.durable import refuse_link, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
 from ssm_study.refusal import BadRequest
