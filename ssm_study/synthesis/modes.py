@@ -60,10 +60,8 @@ def split_modes(
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
     cannot be told apart.
     """
-
-    def is_fast(real: float, imaginary: float) -> bool:
-        return bool(np.hypot(real, imaginary) > contraction)
-
+    # LAPACK asks a lambda for its two arguments; of a wrapped function it knows none.
+    is_fast = lambda real, imaginary: np.hypot(real, imaginary) > contraction  # noqa: E731
     try:
         t, z, k = scipy.linalg.schur(a.T, output="real", sort=is_fast)
     except np.linalg.LinAlgError as error:
