@@ -33,6 +33,9 @@ ADDED_COLUMNS = frozenset(
         "swings_at_rest",
         "piece_start",
         "fit_test_other_start_percent",
+        "members",
+        "fit_validation_members_percent",
+        "fit_test_members_percent",
     }
 )
 

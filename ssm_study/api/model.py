@@ -19,6 +19,7 @@ from ssm_study.data.arrays import check_index, signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
+from ssm_study.models.members import mean_output, member_facts
 from ssm_study.models.metrics import fit_facts, size_facts
 from ssm_study.models.structured import StructuredSSM, at_rest
 from ssm_study.models.warm_start import simulate_parts, start_facts
@@ -65,6 +66,7 @@ class Model:
         facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
         facts |= fit_facts(validation, test)
         facts |= start_facts(self.simulator, data, test)
+        facts |= member_facts(training.members, data)
         if isinstance(self.simulator, SSM | StructuredSSM):
             facts |= bound_facts(self.simulator)
         return facts
@@ -101,11 +103,13 @@ class Model:
     def predict(self, u: Values) -> Values:
         """Simulate from rest at the equilibrium: inputs `(T, m)` or `(T,)` to outputs `(T, p)`.
 
+        With `model.members` the mean of the members' outputs; control stays with `simulator`.
         A frame or series in gives a frame out, with its index.
         """
         check_index(u, None, self.data.step_s)
         inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
-        y = self.simulator.simulate(inputs)
+        members = self.identification.members or (self.simulator,)
+        y = mean_output(members, inputs)
         if not isinstance(u, pd.DataFrame | pd.Series):
             return y
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
@@ -225,6 +229,10 @@ class Model:
             "fit on the validation records": f"{facts['fit_validation_percent']:.1f} %",
             "fit on the test records": f"{facts['fit_test_percent']:.1f} %",
         }
+        if "members" in facts:
+            fit = facts["fit_test_members_percent"]
+            words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
+            lines["mean that predicts"] = words
         if self.identification.chosen:
             lines["chosen by the records"] = self.identification.chosen
         if isinstance(self.simulator, SSM | StructuredSSM):

@@ -62,6 +62,21 @@ COLUMNS = (
         word="Fit on test record from the other start",
         unit="%",
     ),
+    Column("members", "Int64", word="Models whose mean predicts"),
+    Column(
+        "fit_validation_members_percent",
+        "Float64",
+        "high",
+        word="Fit of the mean on validation record",
+        unit="%",
+    ),
+    Column(
+        "fit_test_members_percent",
+        "Float64",
+        "high",
+        word="Fit of the mean on test record",
+        unit="%",
+    ),
     Column("rmse_test", "Float64", "low", "rmse", "RMSE on test record", "output unit"),
     Column(
         "fit_baseline_percent",

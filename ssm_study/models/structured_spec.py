@@ -34,6 +34,7 @@ LEAST = {
     "output_knots": 0,
     "dead_time": 0,
     "starts": 1,
+    "members": 1,
     "draws": 1,
 }
 Free = Float[np.ndarray, "P"]
@@ -153,6 +154,7 @@ class StructuredSpec(ModelSpec):
     rate: float | None = 0.999
     ridge: float = 1e-6
     starts: int = 4
+    members: int = 1
     among_starts: Callable[[Any], Any] | None = None
     draws: int = 8
     start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
@@ -221,8 +223,8 @@ class StructuredSpec(ModelSpec):
 
     @property
     def trainings(self) -> int:
-        """`starts`, and with `among_starts` one more."""
-        return self.starts + (self.among_starts is not None)
+        """`starts`, with `among_starts` one more, and as many as `members` need."""
+        return max(self.starts + (self.among_starts is not None), self.members)
 
     def at_start(self, start: int) -> "StructuredSpec":
         """The settings that start k trains. With `among_starts` each odd k and the last have half
@@ -232,7 +234,7 @@ class StructuredSpec(ModelSpec):
         """
         if self.among_starts is None:
             return self
-        last = start == self.starts
+        last = start == self.trainings - 1
         smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
         return replace(smaller, neurons=0, integrating_output=False) if last else smaller
 

@@ -111,6 +111,10 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     fit = printed(record, "fit_test_percent", ".1f", " %")
     started = ", run from the log before it" if record.get("piece_start") == "past" else ""
     yield "fit_test_percent", "Fit on the test record", fit + started
+    if record.get("members"):
+        mean = printed(record, "fit_test_members_percent", ".1f", " %")
+        count = printed(record, "members")
+        yield "fit_test_members_percent", "Mean that predicts", f"{mean}, of {count} models"
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
     yield "model_choice", "Chosen by the log", printed(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):

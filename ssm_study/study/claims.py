@@ -27,6 +27,7 @@ from ssm_study.loop.metrics import behaviour, certified
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.models.members import NAMES, member_facts
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.warm_start import choose_piece_starts, start_facts
 from ssm_study.refusal import BadRequest
@@ -44,7 +45,7 @@ from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.evidence import read_judgement
 from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.loop import LOOPS
-from ssm_study.study.stages.model import MODEL
+from ssm_study.study.stages.model import MODEL, read_members
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
@@ -163,6 +164,7 @@ def data(run: RunFiles) -> Claims:
         names = [column.name for column in columns if not column.setting]
         names += [name for name in run.record if name.startswith("score_test_")]
         names += ["piece_start", "fit_test_other_start_percent"]
+        names += [name for name in NAMES if name in run.record]
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
         yield NotChecked(dict.fromkeys(names, reason))
     else:
@@ -181,6 +183,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
         yield from start_states(run, records, split)
     yield Derived(start_facts(run.model, records, run.simulated.test))
+    yield Derived(member_facts(read_members(run.path), records))
     if records.mismatch_records or run.trials:
         pairs = of_records(run.trials, records.mismatch_records)
         yield agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")

@@ -34,7 +34,7 @@ class Identification:
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
     `ended` says why training stopped. `choice` is the table of what was tried where sizes were
     chosen from the data, `chosen` the result in words; `refitted`: on training and validation
-    records together.
+    records together. `members` are the models whose mean predicts, none for one model.
     """
 
     model: Simulator
@@ -45,6 +45,7 @@ class Identification:
     choice: tuple[dict[str, object], ...] = ()
     chosen: str = ""
     refitted: bool = False
+    members: tuple[Simulator, ...] = ()
 
     @classmethod
     def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":

@@ -96,10 +96,12 @@ class Training:
         )
         if isinstance(spec, StructuredSpec) and spec.automatic:
             return self._identify_chosen(spec, data, session)
+        members = getattr(spec, "members", 1)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
             spec = spec.one_layer()
-        starts = [spec.at_start(k) for k in range(getattr(spec, "trainings", self.starts))]
-        return self._best_start(starts, data, session)
+        trainings = max(getattr(spec, "trainings", self.starts), members)
+        starts = [spec.at_start(k) for k in range(trainings)]
+        return self._best_start(starts, data, session, members)
 
     def _identify_chosen(
         self, spec: "StructuredSpec", data: DataSet, session: "Session"
@@ -150,8 +152,9 @@ class Training:
     ) -> "Identification":
         """The output-error model where that was chosen, else the best of several trainings."""
         if not choice.is_linear:
-            starts = [choice.spec] * choice.spec.starts
-            return self._best_start(starts, data, session, only_certified=True)
+            members = choice.spec.members
+            starts = [choice.spec] * max(choice.spec.starts, members)
+            return self._best_start(starts, data, session, members, only_certified=True)
         from ssm_study.training.candidates import linear_model
         from ssm_study.training.metrics import Identification
 
@@ -171,15 +174,18 @@ class Training:
         starts: Sequence["ModelSpec"],
         data: DataSet,
         session: "Session",
+        members: int,
         only_certified: bool = False,
     ) -> "Identification":
         """The best of several trainings, by the rule of the specification or by validation fit.
 
         With `only_certified` those without a certified state feedback are dropped, if any has one.
+        The `members` that fit the training records best predict together.
         """
         dead_time = int(getattr(starts[0], "dead_time", 0))
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         identified = self._train_starts(starts, records, session)
+        averaged = best_by_training_fit(identified, records, members)
         rule = getattr(starts[0], "among_starts", None)
         if only_certified:
             certified = [one for one in identified if can_be_certified(starts[0], one.model)]
@@ -189,10 +195,10 @@ class Training:
         else:
             best = rule(identified)
         seconds = sum(start.seconds for start in identified)
-        model: Any = best.model
         if dead_time:
-            model = model.delayed(dead_time)
-        return replace(best, model=model, seconds=seconds)
+            averaged = [model.delayed(dead_time) for model in averaged]
+            best = replace(best, model=best.model.delayed(dead_time))  # type: ignore[attr-defined]
+        return replace(best, members=tuple(averaged), seconds=seconds)
 
     def _train_starts(
         self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
@@ -216,6 +222,21 @@ class Training:
             if start.ended.startswith(saving.INTERRUPTED):
                 break
         return identified
+
+
+def best_by_training_fit(
+    identified: Sequence["Identification"], data: DataSet, count: int
+) -> list[Any]:
+    """The models whose mean predicts: those that fit the training records best; none for one.
+
+    A mean of models that were not ranked can be worse than one of them.
+    """
+    from ssm_study.training.metrics import mean_fit
+
+    if count < 2:
+        return []
+    models = [start.model for start in identified]
+    return sorted(models, key=lambda model: -mean_fit(model, data.training, data))[:count]
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:

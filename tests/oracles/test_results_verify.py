@@ -143,6 +143,9 @@ ABSENT = (
     "limited_rate",
     "piece_start",
     "fit_test_other_start_percent",
+    "members",
+    "fit_validation_members_percent",
+    "fit_test_members_percent",
 )  # here: all settle
 REQUESTED = ("study", "run", "status", "seed", "fresh_sets", "order", "hidden_width", "slope_lower",
              "slope_upper", "model",

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ssm_study.engine.stages import Facts, Stage
+from ssm_study.models.members import member_facts
 from ssm_study.models.metrics import size_facts
 from ssm_study.models.structured import model_from_json
 from ssm_study.signals import DataSet
@@ -17,15 +18,20 @@ if TYPE_CHECKING:
     from ssm_study.training.training import Training
 
 
+MEMBERS = "members.json"
+
+
 @dataclass(frozen=True)
 class Trained:
-    """An identified model, how long its training took in seconds, and why it ended."""
+    """An identified model, how long its training took in seconds, and why it ended; `members` are
+    the models whose mean predicts, none for one model."""
 
     model: Any
     seconds: float
     ended: str
     baseline: dict[str, Any] | None = None
     chosen: str = ""
+    members: tuple[Any, ...] = ()
 
 
 def compute_model(
@@ -52,6 +58,8 @@ def compute_model(
         facts["baseline"] = baseline_facts(data)
     write_json(folder / "training.json", facts)
     write_json(folder / "training_curve.json", with_gaps(identified.curve))
+    if identified.members:
+        write_json(folder / MEMBERS, [model.to_json() for model in identified.members])
     if identified.choice:
         write_json(folder / "choice.json", list(identified.choice))
 
@@ -59,21 +67,27 @@ def compute_model(
 def read_trained(folder: Path) -> Trained:
     """Read the model with the seconds its training took and why it ended."""
     facts = read_json(folder / "training.json")
-    return Trained(read_model(folder), **facts)
+    return Trained(read_model(folder), members=read_members(folder), **facts)
 
 
-def measure_model(trained: Trained, _: DataSet) -> Facts:
+def measure_model(trained: Trained, data: DataSet) -> Facts:
     """The columns of the training: its time, its end, the model's size, what the log chose, and a
     baseline's fit."""
     facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
-    return facts | (trained.baseline or {})
+    return facts | member_facts(trained.members, data) | (trained.baseline or {})
 
 
 def read_model(folder: Path) -> Any:
     """Read the model from its explicit numbers, without torch."""
     return model_from_json(read_json(folder / "model.json"))
+
+
+def read_members(folder: Path) -> tuple[Any, ...]:
+    """Read the models whose mean predicts; none where one model does."""
+    path = folder / MEMBERS
+    return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
 
 
 def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
@@ -90,5 +104,9 @@ def finite_or_none(value: float) -> float | None:
 
 
 MODEL = Stage(
-    "model", compute_model, read_trained, measure_model, ("training_curve.json", "choice.json")
+    "model",
+    compute_model,
+    read_trained,
+    measure_model,
+    ("training_curve.json", "choice.json", MEMBERS),
 )

@@ -1,0 +1,52 @@
+"""Mean of several models of one log: it predicts where one training is a lottery of local minima.
+
+The mean of contracting models contracts, in their metrics side by side, at the largest factor of
+its members. Nothing is designed on it: its states are those of all members, so that control stays
+with one of them. Source: docs/models.md, "Several models, one mean".
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.metrics import Simulation
+from ssm_study.models.warm_start import simulate_parts
+from ssm_study.signals import DataSet
+
+FITS = ("fit_validation_members_percent", "fit_test_members_percent")
+NAMES = ("members", *FITS)
+
+
+def mean_output(
+    members: Sequence[Any], u: Float[np.ndarray, "*batch T m"]
+) -> Float[np.ndarray, "*batch T p"]:
+    """Mean of the members' free runs from rest, physical units."""
+    return np.mean([model.simulate(u) for model in members], axis=0)
+
+
+def simulate_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
+    """Free runs of the validation and of the test records by the mean, each member from its better
+    start."""
+    runs = [simulate_parts(model, data) for model in members]
+    validation = [run for run, _ in runs]
+    test = [run for _, run in runs]
+    return mean_of_runs(validation), mean_of_runs(test)
+
+
+def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
+    """Records beside the mean of several simulations of them."""
+    by_record = zip(*(run.simulated for run in runs), strict=True)
+    means = tuple(np.mean(outputs, axis=0) for outputs in by_record)
+    return replace(runs[0], simulated=means, starts=())
+
+
+def member_facts(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
+    """The columns of the mean: how many models, and its fits in percent; nothing of one model."""
+    if len(members) < 2:
+        return {}
+    validation, test = simulate_mean(members, data)
+    fits = (validation.fit_percent, test.fit_percent)
+    return {"members": len(members)} | dict(zip(FITS, fits, strict=True))

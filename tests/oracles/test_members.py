@@ -1,0 +1,93 @@
+"""Several models of one log predict by their mean: ranked, stored, scored by two routes; control
+stays with one of them."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "laws"))
+from models_cases import data_set
+from test_training_choice import training
+
+from ssm_study.api.model import Model
+from ssm_study.models.members import member_facts
+from ssm_study.models.structured_spec import StructuredSpec
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import DataSet
+from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained
+from ssm_study.training.metrics import Identification, mean_fit
+
+SMALL = {"order": 2, "neurons": 1, "knots": 0, "draws": 1, "start_steps": (5, 3, 3)}
+
+
+@pytest.fixture(scope="module")
+def data() -> DataSet:
+    """Records of a plant of two states, with noise."""
+    return data_set(noise=0.02, samples=300, records=2)
+
+
+@pytest.fixture(scope="module")
+def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the model's stage leaves of two members."""
+    there = tmp_path_factory.mktemp("members")
+    spec = StructuredSpec(starts=1, members=2, **SMALL)  # type: ignore[arg-type]
+    settings = {"model": spec, "training": training(3), "seed": 0, "progress": False}
+    compute_model(there, data, **settings)  # type: ignore[arg-type]
+    return there
+
+
+def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
+    trained = read_trained(folder)
+    facts = measure_model(trained, data)
+    outputs = [model.simulate(data.test[0].u) for model in trained.members]
+    error = data.test[0].y - sum(outputs) / len(outputs)
+    spread = data.test[0].y - data.test[0].y.mean(axis=0)
+    by_hand = 100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(spread))
+    assert facts["members"] == 2
+    assert facts["fit_test_members_percent"] == pytest.approx(by_hand, rel=1e-12)
+
+
+def test_members_are_those_that_fit_the_training_records_best(folder: Path, data: DataSet) -> None:
+    trained = read_trained(folder)
+    fits = [mean_fit(model, data.training, data) for model in trained.members]
+    assert fits == sorted(fits, reverse=True)
+    assert trained.model.to_json() in [model.to_json() for model in trained.members]
+
+
+def test_a_changed_member_changes_what_verify_derives(
+    folder: Path, data: DataSet, tmp_path: Path
+) -> None:
+    stated = member_facts(read_trained(folder).members, data)
+    for path in folder.glob("*.json"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    changed = json.loads((tmp_path / MEMBERS).read_text())
+    changed[1]["c"][0][0] *= 1.01
+    (tmp_path / MEMBERS).write_text(json.dumps(changed))
+    assert member_facts(read_trained(tmp_path).members, data) != stated
+
+
+def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
+    trained = read_trained(folder)
+    assert member_facts((), data) == {}
+    assert member_facts(trained.members[:1], data) == {}
+
+
+def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
+    trained = read_trained(folder)
+    identification = Identification.of(
+        trained.model, data, seconds=1.0, curve=[], ended="", members=trained.members
+    )
+    model = Model(simulator=trained.model, data=data, identification=identification)
+    u = data.test[0].u
+    expected = np.mean([one.simulate(u) for one in trained.members], axis=0)
+    np.testing.assert_array_equal(model.predict(u), expected)
+    assert model.facts["members"] == 2
+    assert "2 models" in model.summary()["mean that predicts"]
+
+
+def test_members_is_a_positive_number() -> None:
+    with pytest.raises(BadRequest, match=r"model.members = 0"):
+        StructuredSpec(members=0, **SMALL)  # type: ignore[arg-type]
