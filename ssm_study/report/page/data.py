@@ -235,19 +235,16 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
         found["loop"] = _packed(loop, until, y="output", u="input", alone="uncontrolled")
         found["loop"] |= {"band": loop.settling_band, "goal": float(loop["reference"][0, -1, 0])}
     if (record := run.validation) is not None:
-        found["validation"] = _packed(record, LONGEST, y="measured", u="input", model="simulated")
+        found["validation"] = _packed(record, LONGEST, y="measured", model="simulated")
     return found
 
 
 def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
     """The first channel of these signals and what is printed of them."""
     y = names["y"]
-    u = names["u"]
-    about = {
-        "step_s": recording.step_s(y),
-        "input": recording.label(u),
-        "output": recording.label(y),
-    }
+    about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
+    if "u" in names:
+        about["input"] = recording.label(names["u"])
     return about | {short: packed(recording[name][:, :until, 0]) for short, name in names.items()}
 
 

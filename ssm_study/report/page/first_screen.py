@@ -92,7 +92,11 @@ def model_card(record: Record) -> Card | None:
     fit = record.get("fit_test_percent")
     if fit is None:
         return None
-    return Card(title="Model", number=f"{fit:.1f} %", text="fit on the test record")
+    return Card(
+        title="Model",
+        number=f"{fit:.1f} %",
+        text="fit on the test record, which training has not seen (100 %: a perfect free run)",
+    )
 
 
 def proved_card(record: Record) -> Card | None:
@@ -109,8 +113,8 @@ def proved_card(record: Record) -> Card | None:
         observer = record.get("observer_certified_rate")
         also = "" if observer is None else f"; the observer at {observer:.3g}"
         text = (
-            f"certified rate per sample: under control, distances shrink by {shrinks:.2g} % a "
-            f"sample{also}{coverage_words(record)}"
+            "certified rate per sample (Theorem 1): under control, distances shrink by "
+            f"{shrinks:.2g} % a sample{also}{coverage_words(record)}"
         )
         return Card(title="Proved of the model", number=f"{rate:.3g}", text=text)
     if limit is None:
