@@ -38,9 +38,9 @@ GRID_ANGLES = np.geomspace(1e-3, np.pi, 240)
 SHARES = ("stretch_shares", "observer_rates")
 WEIGHTS = ("input_weights", "output_noises", "integral_weights")
 # Rounds of the search for covered gains, and how much slower they may be on the model.
-ROUNDS = 12
+ROUNDS = 8
 SLOWER = 1.15
-ROUNDS_ASKED = 60  # where a coverage is asked for
+ROUNDS_ASKED = 40  # where a coverage is asked for
 SLOWER_ASKED = 2.5
 LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
@@ -185,9 +185,9 @@ class Auto:
         rounds = ROUNDS_ASKED if is_asked else ROUNDS
         slower = SLOWER_ASKED if is_asked else SLOWER
 
-        def covered_gains(first: Design, most: Design, target: float) -> Design | None:
+        def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             largest_area = min(slower * search.area_of(first.pair), FASTER)
-            return search.improve(most, target, rounds, largest_area)
+            return search.improve(most, cover, rounds, largest_area)
 
         return covered_gains
 

@@ -53,9 +53,9 @@ def prefer_covered(
     gives around the one that covers most; else the first that is covered at all, else the first.
     And which of these it is.
 
-    `search(first, most, target)` is given the first design, the one that covers most, and the
-    coverage wanted; unasked only where that one nearly covers. With neurons, where one look takes
-    seconds, coverage counts only where it is asked for.
+    `search(first, most, cover)` is given the first design, the one that covers most, and the
+    coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
+    where one look takes seconds, coverage counts only where it is asked for.
     """
     neurons = isinstance(model.system, StructuredSystem)
     places = WITH_NEURONS if neurons else LOOKED_AT + (FARTHER if cover is not None else ())
@@ -76,7 +76,7 @@ def prefer_covered(
             return design, COVERED
         seen.note(design, coverage)
     if search is not None and (cover is not None or seen.largest >= NEARLY * target):
-        searched = seen.search_around(search, target)
+        searched = seen.search_around(search, target / LOST)
         if searched is not None:
             return searched, SEARCHED
     return (seen.first, NOT_COVERED) if seen.barely is None else (seen.barely, LESS_COVERED)

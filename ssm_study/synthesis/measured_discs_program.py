@@ -26,7 +26,8 @@ from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
-GRID = np.concatenate([[0.0], np.geomspace(1e-4, np.pi, 300)])
+# Even steps too: those of the geometric row are 0.09 wide near pi, wider than a loop's dip there.
+GRID = np.union1d(np.geomspace(1e-4, np.pi, 300), np.linspace(0, np.pi, 257))
 FIRST = 14  # angles that are solved first
 MORE = 6  # of the worst violated join at a time
 ROUNDS = 12

@@ -60,10 +60,10 @@ def improved(search, coverage_of_grid):
 def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_of_grid) -> None:
     assert improved.certified
     by_frequency = coverage_by_frequency(improved, SSM_MODEL, BALLS, PREMISE)
-    assert by_frequency >= TARGET_SHARE * coverage_of_grid
+    assert by_frequency >= TARGET_SHARE * coverage_of_grid  # as the certificate does, below
     proved = with_coverage(improved, SSM_MODEL, BALLS, PREMISE)
     facts = coverage_facts(proved, SSM_MODEL, PREMISE)
-    assert facts["coverage"] > 0.94 * by_frequency
+    assert facts["coverage"] >= TARGET_SHARE * coverage_of_grid
 
 
 def test_the_search_gives_the_same_gains_again(search) -> None:
@@ -106,7 +106,7 @@ def test_the_choice_searches_only_where_the_grid_nearly_covers(
     chosen = prefer_covered(iter([FAST]), lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
     if searches:
         assert chosen == (found, SEARCHED)
-        assert asked == [(FAST, FAST, LOST)]
+        assert asked == [(FAST, FAST, 1.0)]
     else:
         assert chosen == (FAST, COVERED if coverage > LOST else NOT_COVERED)
         assert not asked
