@@ -31,7 +31,16 @@ from common import ROOT, write
 from ssm_study.engine.records import read_record
 
 SSM_STUDY = (sys.executable, "-m", "ssm_study.cli")
-SWEEP = (*SSM_STUDY, "run", "-m", "experiment=smoke", "seed=0,1", "progress=false")
+WORDS = (
+    "-m",
+    "experiment=smoke",
+    "seed=0,1",
+    "synthesis=riccati",
+    "synthesis.rate_controller=0.1",
+    "+data.trials=false",
+    "progress=false",
+)
+SWEEP = (*SSM_STUDY, "run", *WORDS)
 SMALL_FILE = 4096  # bytes: smaller than any recording
 SMALL_DISK = "1m"  # smaller than a study
 USERS = (61001, 61002)
@@ -41,8 +50,7 @@ import numpy as np
 import ssm_study as st
 
 def study():
-    return st.study("-m", "experiment=smoke", "seed=0,1", "progress=false",
-                    f"results_dir={sys.argv[2]}", f"study={sys.argv[3]}")
+    return st.study(*sys.argv[2:])
 
 async def in_a_loop():
     table = study()
@@ -293,7 +301,7 @@ def long_names(place: Place) -> tuple[str, bool]:
 def from_python(place: Place, how: str) -> tuple[str, bool]:
     script = place.folder.parent / "script.py"
     script.write_text(FROM_PYTHON)
-    ended = answer([sys.executable, str(script), how, str(place.folder), place.study])
+    ended = answer([sys.executable, str(script), how, *WORDS, *place.words()])
     return f"{ended}: {place.statuses()}", ended.status == 0 and place.is_finished()
 
 
