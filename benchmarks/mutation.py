@@ -94,8 +94,9 @@ LOOPS = (
     "tests/oracles/test_loop_trials.py"
 )
 LOOPS += " tests/refusals/test_loop_refused.py tests/oracles/test_loop_internal.py"
-LINE = "tests/oracles/test_results_verify.py tests/oracles/test_study_line.py"
-CLAIMS = f"{LINE} -k 'results_verify or claim or tamper or truncated or refuses or infeasible'"
+LINE = "tests/oracles/test_results_verify.py tests/oracles/test_verify_lies.py"
+LINE += " tests/refusals/test_verify_damage.py tests/oracles/test_study_line.py"
+CLAIMS = f"{LINE} -k 'verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
     "verdict": Group(
         modules=modules_of("synthesis", "design")

@@ -3,6 +3,7 @@ records lie."""
 
 import io
 import os
+import shutil
 from pathlib import Path
 
 os.environ.setdefault(
@@ -60,7 +61,9 @@ WHOLE_RUNS = {
     "test_study_refine",
     "test_study_requests",
     "test_table_columns",
+    "test_verify_damage",
     "test_verify_form",
+    "test_verify_lies",
 }
 # Of these, whose tests look at the figures that a run draws.
 DRAWING = {"test_api", "test_docs_notebooks", "test_overlay", "test_study_line"}
@@ -292,3 +295,9 @@ def smoke_run(smoke_study: Path) -> Path:
     """The run folder of `smoke_study`: read only."""
     (record,) = smoke_study.glob("*/record.json")
     return record.parent
+
+
+@pytest.fixture
+def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run, to be altered."""
+    return shutil.copytree(smoke_run, tmp_path / smoke_run.name)

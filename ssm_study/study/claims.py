@@ -46,6 +46,7 @@ from ssm_study.study.stages.evidence import read_judgement
 from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.loop import LOOPS
 from ssm_study.study.stages.model import MODEL, read_members
+from ssm_study.study.unreached_numbers import unreached_numbers
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import mean_fit
@@ -242,6 +243,7 @@ def model(run: RunFiles) -> Claims:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
+        yield NotChecked(unreached_numbers(run))
     yield entries(run, "model.json", run.model)
 
 

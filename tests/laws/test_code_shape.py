@@ -47,7 +47,6 @@ LONG_FILES = frozenset(
         "tests/laws/test_results_table.py",
         "tests/laws/test_training_structured.py",
         "tests/oracles/test_bounds_slopes.py",
-        "tests/oracles/test_results_verify.py",
         "tests/oracles/test_synthesis_deployed.py",
         "tests/oracles/test_synthesis_frontier.py",
         "tests/refusals/test_study_requests.py",

@@ -1,0 +1,61 @@
+"""Numbers of a model that no record of its run reaches: another value gives the same run."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.scaffolds.monotone import MonotoneScaffold
+from ssm_study.study.run_files import RunFiles
+
+UNREACHED = "no record reaches this part of the map, and training is not repeated"
+
+
+def unreached_numbers(run: RunFiles) -> dict[str, str]:
+    """Places in `model.json`, each with the reason why it is not checked.
+
+    A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
+    records they change no signal; what is proved holds for every break point, and the smallest and
+    the largest slope are checked as bounds.
+    """
+    scale = run.model.scale
+    simulated = (run.simulated.validation, run.simulated.test)
+    inputs = [*run.inputs, *(record.u for record in run.trials)]
+    outputs = []
+    for part in simulated:
+        inputs += [record.u for record in part.records]
+        outputs += part.simulated
+    places: list[str] = []
+    scaffold_in = getattr(run.model, "scaffold_in", None)
+    if isinstance(scaffold_in, MonotoneScaffold):
+        signal = scale.scaled_input(np.concatenate(inputs))
+        places += unreached_places("scaffold_in", scaffold_in.breakpoints, signal)
+    scaffold_out = getattr(run.model, "scaffold_out", None)
+    if isinstance(scaffold_out, MonotoneScaffold):
+        signal = scale.scaled_output(np.concatenate(outputs))
+        bends = scaffold_out(scaffold_out.breakpoints.T).T
+        places += unreached_places("scaffold_out", bends, signal)
+    return dict.fromkeys(places, UNREACHED)
+
+
+def unreached_places(
+    name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
+) -> Iterator[str]:
+    """Break points that the signal does not pass, and slopes of pieces that it does not enter.
+
+    Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
+    """
+    for channel, points in enumerate(bends):
+        lowest = float(signal[:, channel].min(initial=0.0))  # the map is summed up from zero
+        highest = float(signal[:, channel].max(initial=0.0))
+        ends = [-np.inf, *points, np.inf]
+        pieces = list(pairwise(ends))
+        unreached = {
+            "breakpoints": [not lowest <= point <= highest for point in points],
+            "slopes": [end <= lowest or begin >= highest for begin, end in pieces],
+        }
+        for field, flags in unreached.items():
+            numbers = ", ".join(map(str, np.flatnonzero(flags)))
+            if numbers:
+                yield f"model.json {name}.{field}.{channel}: {numbers}"

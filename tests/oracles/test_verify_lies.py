@@ -1,0 +1,349 @@
+"""`verify` against consistent lies: all is sealed anew, what depends on the lie agrees with it."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from docs_commands import FEW
+from verify_lies import (
+    altered,
+    failing,
+    in_thousands,
+    invented,
+    lie_about_band,
+    lie_about_configuration,
+    lie_about_evidence,
+    lie_about_excitation,
+    lie_about_labels,
+    lie_about_loop,
+    lie_about_model,
+    lie_about_observer,
+    lie_about_record,
+    lie_about_reference,
+    lie_about_start,
+    lie_about_starts,
+    lie_about_trial,
+    lie_beside,
+    lie_twice,
+    sealed_anew,
+    sooner,
+    without,
+)
+
+from ssm_study.cli.main import main
+from ssm_study.data.mcap import read_mcap
+from ssm_study.data.recorded import RecordedData
+from ssm_study.durable import sealed, sha256_of_file, unsealed, write_json_atomically
+from ssm_study.engine.records import read_record
+from ssm_study.plants.wrapper import Wrapper
+from ssm_study.refusal import BadRequest
+from ssm_study.study.claims import data as section_data
+from ssm_study.study.claims import loop as section_loop
+from ssm_study.study.findings import Checked, NotChecked
+from ssm_study.study.run_files import RunFiles
+from ssm_study.study.verify import compared, judge, verify
+from ssm_study.table.gather import MARKS, gather
+
+ONE_FORMULA = 1e-9  # written out again, as in test_results_verify
+ITERATED = 1e-6
+
+pytestmark = pytest.mark.usefixtures("made_once")
+
+MODEL_LOOP = "closed_loop_model.mcap"
+# Each: a consistent lie about one thing, sealed anew, and a claim that has to name it.
+LIES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "infeasible, with 4 of 4 settled": (lambda run: sealed_anew(run, status="infeasible"),
+                                        "status"),
+    "sampling time of the model": (lambda run: lie_about_model(run, step_s=0.02),
+                                   "model.json step_s"),
+    "true output at rest sooner": (lambda run: lie_about_loop(run, "/output"), "closed_loop.mcap"),
+    "slower without control": (lambda run: lie_about_loop(run, "/case_0/uncontrolled"),
+                               "closed_loop.mcap"),
+    "smaller inputs": (lambda run: lie_about_loop(run, "/input"), "closed_loop.mcap input"),
+    "estimate": (lambda run: lie_about_loop(run, "/estimate"), "closed_loop.mcap"),
+    "states": (lambda run: lie_about_loop(run, "/case_1/states"), "closed_loop.mcap"),
+    "a reference of the second case": (
+        lie_about_reference,
+        "loop",
+    ),
+    "the loop on the model": (lambda run: lie_about_loop(run, "/states", MODEL_LOOP), MODEL_LOOP),
+    "wider settling band": (lie_about_band, "closed_loop.mcap"),
+    "twice as fast": (lambda run: lie_about_labels(run, MODEL_LOOP, sooner),
+                      f"{MODEL_LOOP} labels"),
+    "another unit": (lambda run: lie_about_labels(run, "test.mcap", in_thousands),
+                     "test.mcap labels"),
+    "another plant": (lambda run: lie_about_labels(run, "closed_loop.mcap", plant="Rig"),
+                      "closed_loop.mcap labels"),
+    "a note": (lambda run: lie_about_labels(run, "excitation.mcap", on="the machine"),
+               "excitation.mcap labels"),
+    "a rate said twice": (lie_twice, "certificate"),
+    "a key of the model said twice": (lambda run: lie_twice(run, "model.json", '"step_s":'),
+                                      "model"),
+    "a word in the model": (lambda run: lie_about_model(run, quality="high"), "model.json entries"),
+    "a rate beside the certificate": (lie_beside, "certificate.json entries"),
+    "an empty column": (lambda run: sealed_anew(run, quality=None), "quality"),
+    "validation record": (lambda run: lie_about_record(run, "validation.mcap"),
+                          "validation.mcap records"),
+    "test record": (lambda run: lie_about_record(run, "test.mcap"), "test.mcap records"),
+    "excitation": (lie_about_excitation, "excitation.mcap"),
+    "margin": (lambda run: lie_about_observer(run, {"observer_margin": 0.5}, margin=0.5),
+               "certificate.observer"),
+    "condition": (lambda run: lie_about_observer(run, {}, condition=1.0), "certificate.observer"),
+    "method": (lambda run: lie_about_observer(run, {}, method="lmi"), "certificate.observer"),
+    "starts that do not rest": (lie_about_starts, "certificate starts"),
+    "no certificate, claims kept": (lambda run: without(run, "certificate.json"),
+                                    "certificate.json"),
+    "no closed loop, claims kept": (lambda run: without(run, "closed_loop.mcap"),
+                                    "closed_loop.mcap"),
+    "a trial": (lambda run: lie_about_trial(run), "trials.mcap records"),
+    "evidence": (lambda run: lie_about_evidence(run), "evidence.json"),
+    "a comparison that nobody made": (lambda run: invented(run, seal=True), "comparison.csv"),
+    "no configuration": (lambda run: without(run, ".hydra/config.yaml"), ".hydra/config.yaml"),
+    "seed": (lambda run: lie_about_configuration(run, "seed: 0\nloop", "seed: 1\nloop", seed=1),
+             "run"),
+    "order": (lambda run: lie_about_configuration(run, "order: 4", "order: 6", order=6), "run"),
+    "noise": (lambda run: lie_about_configuration(run, "noise_factor: 1.0", "noise_factor: 0.1"),
+              "closed_loop.mcap"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_consistent_lie_is_named(lie: str, copied_run: Path) -> None:
+    tell, claim = LIES[lie]
+    tell(copied_run)
+    missed = failing(copied_run)
+    assert "files" not in missed  # the seals are in order
+    assert any(name.startswith(claim) for name in missed)
+
+
+def test_a_copy_of_a_run_in_its_study_is_named_and_one_saved_elsewhere_is_not(
+    copied_run: Path,
+) -> None:
+    """It would be one more row of the table."""
+    copy = shutil.copytree(copied_run, copied_run.with_name("copy"))
+    assert failing(copied_run) == set()
+    assert failing(copy) == {"folder"}
+    shutil.rmtree(copied_run)
+    assert failing(copy) == set()
+    gather(copy.parent)
+    assert failing(copy) == {"folder"}
+
+
+@pytest.mark.parametrize("command", ["gather", "show"])
+def test_the_command_gathers_anew_whatever_table_lies_there(
+    copied_run: Path, command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A table with another number, sealed as a true one is."""
+    study = copied_run.parent
+    true = gather(study)
+    true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
+    index = unsealed((study / MARKS).read_bytes()) or {}
+    sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
+    write_json_atomically(
+        study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums)
+    )
+    assert gather(study)["fit_test_percent"].item() == 99.9
+    assert main([command, str(study)]) == 0
+    assert "99.9" not in capsys.readouterr().out
+    pd.testing.assert_frame_equal(gather(study), true)
+
+
+def test_a_run_of_somebodys_parts_is_refused_with_the_option_that_trusts_them(
+    copied_run: Path,
+) -> None:
+    """Without them nothing can be derived, which is no lie of the run."""
+    lie_about_configuration(
+        copied_run, "ssm_study.plants.dc_motor.DCMotor", "somebodys.plants.DCMotor"
+    )
+    with pytest.raises(BadRequest, match=r"somebodys.*--with FOLDER"):
+        verify(copied_run)
+
+
+def test_without_its_log_a_run_claims_no_prediction() -> None:
+    """The level of evidence that it rests on cannot be derived: `sound` might be anybody's word."""
+
+    class Elsewhere:
+        specification = SimpleNamespace(plant=None)
+        record = dict[str, Any]()  # noqa: RUF012
+
+        @property
+        def data(self) -> Any:
+            raise BadRequest("data.path", "log.csv", "no such file", "check the spelling")
+
+    (found,) = section_data(Elsewhere())  # type: ignore[arg-type]
+    assert isinstance(found, NotChecked)
+    told = {"predicted_stable": True}
+    assert "cannot be read" in judge("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
+    assert compared("predicted_stable", True, True).holds
+
+
+@pytest.mark.parametrize("place", ["where the run was made", "where the command is given"])
+def test_a_log_is_found_from_another_folder(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`data.path=log.csv` was meant where the run was made; a run that was moved has its log where
+    one works."""
+    made = tmp_path / "made"
+    elsewhere = tmp_path / "elsewhere"
+    run = made / "results" / "mine" / "order2"
+    (run / ".hydra").mkdir(parents=True)
+    (run / ".hydra" / "config.yaml").write_text("results_dir: results\nstudy: mine\nrun: order2\n")
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    u = np.random.default_rng(0).standard_normal(200)
+    log = (made if "was made" in place else elsewhere) / "log.csv"
+    pd.DataFrame({"u": u, "y": np.cumsum(u)}).to_csv(log, index=False)
+    source = RecordedData(path="log.csv", input="u", output="y", step_s=0.1)
+    files = RunFiles(path=run, record={})
+    vars(files)["specification"] = SimpleNamespace(plant=None, seed=0, refine=None, data=source)
+    assert sum(map(len, (*files.data.training, *files.data.validation, *files.data.test))) == 200
+    assert Path.cwd() == elsewhere
+
+
+class Rig(Wrapper):
+    """A device, for `verify` alone."""
+
+    real = True  # type: ignore[assignment]
+
+
+def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> None:
+    """Its violations of the certified bound are a claim on the model, whatever the loop was closed
+    on."""
+
+    def found() -> tuple[set[str], dict[str, str]]:
+        run = RunFiles(path=copied_run, record=read_record(copied_run) or {})
+        vars(run)["specification"] = replace(
+            run.specification, plant=Rig(plant=run.specification.plant)
+        )
+        told = list(section_loop(run))
+        wrong = {one.claim for one in told if isinstance(one, Checked) and not one.holds}
+        return wrong, {
+            name: why
+            for one in told
+            if isinstance(one, NotChecked)
+            for name, why in one.reasons.items()
+        }
+
+    recorded_on = "closed_loop.mcap loop_on"  # here the plant that was simulated
+    assert found() == (
+        {recorded_on},
+        {"closed_loop.mcap output, states": "recorded on a device, which is not run again"},
+    )
+    lie_about_loop(copied_run, "/states", MODEL_LOOP)
+    assert found()[0] == {recorded_on, MODEL_LOOP}
+
+
+def logged(folder: Path) -> list[str]:
+    """The words for a log of a system that answers its input at once."""
+    u = np.random.default_rng(0).uniform(-3, 3, 120).repeat(5)
+    x = np.zeros(len(u) + 1)
+    for k in range(len(u)):
+        x[k + 1] = 0.9 * x[k] + 0.2 * np.tanh(u[k])
+    pd.DataFrame({"u": u, "y": x[:-1] + 0.1 * u}).to_csv(folder / "log.csv", index=False)
+    return [
+        "data=recorded",
+        f"data.path={folder}/log.csv",
+        "data.input=u",
+        "data.output=y",
+        "data.step_s=0.1",
+    ]
+
+
+def test_a_run_without_controller_has_no_certificate_and_no_loop(
+    copied_run: Path, tmp_path: Path
+) -> None:
+    """Invented beside an infeasible run or a baseline, they would be drawn as its own."""
+    beyond = [
+        "experiment=smoke",
+        "+data.trials=false",
+        "synthesis=riccati",
+        "synthesis.rate_controller=0.999",
+    ]
+    baseline = [*logged(tmp_path), "model=gru", "training.max_epochs=1"]
+    for study, asked in {"none": beyond, "baseline": baseline}.items():
+        assert (
+            main(["run", *asked, "progress=false", f"results_dir={tmp_path}", f"study={study}"])
+            == 0
+        )
+        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        assert failing(run) == set()
+        assert (read_record(run) or {})["model"] == {"none": "ssm", "baseline": "gru"}[study]
+        for name in ("certificate.json", "closed_loop.mcap")[study == "none" :]:
+            shutil.copy(copied_run / name, run / name)
+        sealed_anew(run)
+        assert failing(run) == {"certificate.json", "closed_loop.mcap"} - {
+            "certificate.json" * (study == "none")
+        }
+
+
+def test_a_model_that_answers_at_once_is_certified_without_a_loop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`verify` missed its loops, the outcome spoke of starts, and where every neuron was idle the
+    run had failed."""
+    log = [*logged(tmp_path), "progress=false", f"results_dir={tmp_path}"]
+    shape = [
+        "model.feedthrough=true",
+        "model.order=2",
+        "model.starts=1",
+        "model.draws=2",
+        "training.max_epochs=5",
+    ]
+    shape += [f"+synthesis.{name}={values}".replace(" ", "") for name, values in FEW.items()]
+    for study, path in {
+        "idle": [],
+        "neurons": ["model.input_path=free", "model.output_path=free"],
+    }.items():
+        assert (
+            main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={len(path)}"]) == 0
+        )
+        assert "certified, not tried: both certificates hold" in " ".join(
+            capsys.readouterr().out.split()
+        )
+        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        assert ("neurons" in json.loads((run / "model.json").read_text())) == (study == "neurons")
+        assert failing(run) == set()
+    lie_about_start(run)
+    missed = failing(run)
+    print(missed)
+    assert missed >= {"test.mcap start", "validation.mcap start"}
+
+
+def test_sealing_anew_alone_is_no_lie(copied_run: Path) -> None:
+    sealed_anew(copied_run)
+    assert failing(copied_run) == set()
+
+
+@pytest.mark.parametrize(
+    ("file", "topic", "claim", "tolerance"),
+    [
+        ("validation.mcap", "/simulated", "validation.mcap /simulated", ONE_FORMULA),
+        ("test.mcap", "/simulated", "test.mcap /simulated", ONE_FORMULA),
+        ("closed_loop.mcap", "/case_0/input", "closed_loop.mcap input", ITERATED),
+    ],
+)
+def test_one_sample_of_a_recording_is_named_beyond_its_tolerance_and_not_within(
+    file: str, topic: str, claim: str, tolerance: float, smoke_run: Path, tmp_path: Path
+) -> None:
+    groups, _ = read_mcap(smoke_run / file)
+    name = topic.rpartition("/")[2]
+    largest = max(
+        float(np.abs(group.values).max()) for group in groups if group.topic.endswith(f"/{name}")
+    )
+    for share in (0.9, 1.1):
+        run = shutil.copytree(smoke_run, tmp_path / f"run{share}")
+
+        def change(values: np.ndarray, by: float = share * tolerance * largest) -> None:
+            values[-1, 0] += by
+
+        altered(run, file, topic, change)
+        missed = failing(run)
+        assert "files" in missed
+        assert (claim in missed) is (share > 1)
