@@ -3,6 +3,7 @@ simulation."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -23,10 +24,11 @@ class Trajectory:
     """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`,
     before `u[k]` acts.
 
-    Shapes: `u (T, m)`, `y (T, p)`, both in physical units. In a `closed_loop` the input answers the
-    output. A piece of a longer log begins at sample `first` of it; logs count from 1, and 0 is
-    none. Raises `BadRequest` for unequal lengths, values that are not finite, or a sampling time
-    that is not positive.
+    Shapes: `u (T, m)`, `y (T, p)`, both in physical units; `d (T, k)` are measured disturbances,
+    held as `u` is, None where there are none. In a `closed_loop` the input answers the output. A
+    piece of a longer log begins at sample `first` of it; logs count from 1, and 0 is none. Raises
+    `BadRequest` for unequal lengths, values that are not finite, or a sampling time that is not
+    positive.
     """
 
     u: Float[np.ndarray, "T m"]
@@ -36,15 +38,19 @@ class Trajectory:
     closed_loop: bool = False
     log: int = 0
     first: int = 0
+    d: Float[np.ndarray, "T3 k"] | None = None
 
     def __post_init__(self) -> None:
         positive("step_s", self.step_s, "give it in seconds")
-        both = f"{self.name}.u, {self.name}.y"
-        lengths = (len(self.u), len(self.y))
+        signals = {"u": self.u, "y": self.y}
+        if self.d is not None:
+            signals["d"] = self.d
+        names = ", ".join(f"{self.name}.{label}" for label in signals)
+        lengths = tuple(len(values) for values in signals.values())
         problem = "input and output differ in length"
         remedy = "cut both to the same samples"
-        require(lengths[0] == lengths[1], both, lengths, problem, remedy)
-        for label, values in (("u", self.u), ("y", self.y)):
+        require(len(set(lengths)) == 1, names, lengths, problem, remedy)
+        for label, values in signals.items():
             bad = np.argwhere(~np.isfinite(values))
             remedy = "remove or interpolate these samples"
             first = f"first at sample {bad[0][0] if len(bad) else 0}"
@@ -55,7 +61,28 @@ class Trajectory:
 
     def __getitem__(self, samples: slice) -> "Trajectory":
         first = self.first + samples.indices(len(self))[0]
-        return replace(self, u=self.u[samples], y=self.y[samples], first=first)
+        d = None if self.d is None else self.d[samples]
+        return replace(self, u=self.u[samples], y=self.y[samples], d=d, first=first)
+
+    @property
+    def driven_by(self) -> Float[np.ndarray, "T j"]:
+        """Everything measured that moves the system: `u`, and `d` beside it where there is one."""
+        return self.u if self.d is None else np.hstack([self.u, self.d])
+
+    @classmethod
+    def joined(cls, pieces: "Sequence[Trajectory]") -> "Trajectory":
+        """Records that follow one another as one, which begins where the first does."""
+        disturbances = [piece.d for piece in pieces if piece.d is not None]
+        return replace(
+            pieces[0],
+            u=np.concatenate([piece.u for piece in pieces]),
+            y=np.concatenate([piece.y for piece in pieces]),
+            d=np.concatenate(disturbances) if disturbances else None,
+        )
+
+    def with_disturbances_as_inputs(self) -> "Trajectory":
+        """The same record whose input is `(u, d)`."""
+        return replace(self, u=self.driven_by, d=None)
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
@@ -99,17 +126,20 @@ class Scale:
     the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
-    `input_* (m,)`, `output_* (p,)`. Raises `BadRequest` for gains that are not positive, another
-    number of equilibria than of gains, or entries that are not finite.
+    `input_* (m,)`, `output_* (p,)`, and `disturbance_* (k,)` of measured disturbances, empty where
+    there are none. Raises `BadRequest` for gains that are not positive, another number of
+    equilibria than of gains, or entries that are not finite.
     """
 
     input_scale: Float[np.ndarray, "m"]
     output_scale: Float[np.ndarray, "p"]
     input_equilibrium: Float[np.ndarray, "m"]
     output_equilibrium: Float[np.ndarray, "p"]
+    disturbance_scale: Float[np.ndarray, "k"] = field(default_factory=partial(np.zeros, 0))
+    disturbance_equilibrium: Float[np.ndarray, "k"] = field(default_factory=partial(np.zeros, 0))
 
     def __post_init__(self) -> None:
-        for side in ("input", "output"):
+        for side in ("input", "output", "disturbance"):
             gains = getattr(self, f"{side}_scale")
             rest = getattr(self, f"{side}_equilibrium")
             sound = (
@@ -143,6 +173,25 @@ class Scale:
 
     def scaled_output(self, y: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
         return (y - self.output_equilibrium) / self.output_scale
+
+    @property
+    def disturbances(self) -> int:
+        return len(self.disturbance_scale)
+
+    def scaled_disturbance(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch k"]:
+        return (d - self.disturbance_equilibrium) / self.disturbance_scale
+
+    def with_disturbances_as_inputs(self) -> "Scale":
+        """The scale of records whose input is `(u, d)`."""
+        return replace(
+            self,
+            input_scale=np.concatenate([self.input_scale, self.disturbance_scale]),
+            input_equilibrium=np.concatenate(
+                [self.input_equilibrium, self.disturbance_equilibrium]
+            ),
+            disturbance_scale=np.zeros(0),
+            disturbance_equilibrium=np.zeros(0),
+        )
 
     def physical_output(self, w: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
         return self.output_equilibrium + self.output_scale * w
@@ -184,8 +233,7 @@ class DataSet:
     simulated, not scored.
 
     `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping
-    and no
-    score uses them.
+    and no score uses them. `disturbances` are measured, and no actuator moves them.
     """
 
     training: Trajectories
@@ -197,6 +245,7 @@ class DataSet:
     mismatch_records: Trajectories = ()
     start_up_samples: int = 0
     metadata: dict[str, str] = field(default_factory=dict)
+    disturbances: tuple[Channel, ...] = ()
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
@@ -207,9 +256,26 @@ class DataSet:
     def step_s(self) -> float:
         return self.training[0].step_s
 
+    def with_disturbances_as_inputs(self) -> "DataSet":
+        """The same records with `(u, d)` for their inputs, as a model without a path of its own for
+        d takes them."""
+        if not self.disturbances:
+            return self
+        records: dict[str, Trajectories] = {}
+        for part in ("training", "validation", "test", "mismatch_records"):
+            one_input = (record.with_disturbances_as_inputs() for record in getattr(self, part))
+            records[part] = tuple(one_input)
+        return replace(
+            self,
+            **records,  # type: ignore[arg-type]  # fields of one type
+            inputs=(*self.inputs, *self.disturbances),
+            disturbances=(),
+            scale=self.scale.with_disturbances_as_inputs(),
+        )
+
     def shift_out_dead_time(self, samples: int) -> "DataSet":
         """Each output beside the input that many samples before it: the records of a fit without
-        their dead time."""
+        their dead time. Measured disturbances act without it."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem = f"the shortest record has {shortest} samples"
         remedy = "log longer records, or a shorter dead time"
@@ -217,7 +283,8 @@ class DataSet:
 
         def early(records: Trajectories) -> Trajectories:
             return tuple(
-                replace(one, u=one.u[: len(one) - samples], y=one.y[samples:]) for one in records
+                replace(one[samples:], u=one.u[: len(one) - samples], first=one.first)
+                for one in records
             )
 
         return replace(

@@ -52,8 +52,14 @@ class ModelComparison:
         )
 
 
-def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values) -> ModelComparison:
-    """Simulate models on one record, from rest, and score them.
+def compare(
+    models: Sequence[Model] | Mapping[str, Model],
+    u: Values,
+    y: Values,
+    disturbance: Values | None = None,
+) -> ModelComparison:
+    """Simulate models on one record, from rest, and score them. A measured disturbance is given to
+    the models that have a path for it.
 
     `models` is a list, or a mapping from names to models. Best fit first. Raises `BadRequest` for
     no models, and where a model has other channels than the record.
@@ -74,7 +80,9 @@ def compare(models: Sequence[Model] | Mapping[str, Model], u: Values, y: Values)
     simulated = {}
     for name, model in named.items():
         check_index(u, y, model.data.step_s)
-        output = signal(model.predict(u), "y", columns=first.output_names)[1]
+        takes_disturbance = bool(model.disturbance_names)
+        predicted = model.predict(u, disturbance if takes_disturbance else None)
+        output = signal(predicted, "y", columns=first.output_names)[1]
         problem = f"{name} answers with {output.shape}"
         remedy = "give the outputs of this input"
         require(output.shape == measured.shape, "y", measured.shape, problem, remedy)

@@ -96,6 +96,11 @@ class Design:
             _signal_group(f"/record_{i}/input", record.time_s, data.inputs, record.u)
             for i, record in enumerate(data.training)
         ]
+        inputs += [
+            _signal_group(f"/record_{i}/disturbance", record.time_s, data.disturbances, record.d)
+            for i, record in enumerate(data.training)
+            if record.d is not None
+        ]
         outputs = [
             _signal_group(f"/record_{i}/measured", record.time_s, data.outputs, record.y)
             for i, record in enumerate(data.validation)

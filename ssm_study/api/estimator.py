@@ -8,7 +8,7 @@ import numpy as np
 
 from ssm_study.api.fitting import Signals, fit
 from ssm_study.api.model import Model, Values
-from ssm_study.data.arrays import signal
+from ssm_study.data.arrays import disturbance_values, signal
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import Trajectory
@@ -60,13 +60,14 @@ class Estimator:
             setattr(self, name, value)
         return self
 
-    def fit(self, u: Signals, y: Signals) -> "Estimator":
+    def fit(self, u: Signals, y: Signals, disturbance: Signals | None = None) -> "Estimator":
         """Identify the model, `model_`. Raises `BadRequest` for whatever `st.fit` refuses."""
         self.model_ = fit(
             u,
             y,
             self.step_s,
             *self.overrides,
+            disturbance=disturbance,
             model=self.model,
             order=self.order,
             neurons=self.neurons,
@@ -78,14 +79,15 @@ class Estimator:
         )
         return self
 
-    def predict(self, u: Values) -> Values:
+    def predict(self, u: Values, disturbance: Values | None = None) -> Values:
         """Simulate from rest at the equilibrium. Raises `BadRequest` before `fit`."""
-        return self._fitted().predict(u)
+        return self._fitted().predict(u, disturbance)
 
-    def score(self, u: Values, y: Values) -> float:
+    def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
         """Fit in percent of a free run whose initial state the first samples estimate.
 
-        Raises `BadRequest` before `fit`, and for a record that is no longer than its start.
+        Measured disturbances stay at their mean where they are not given. Raises `BadRequest`
+        before `fit`, and for a record that is no longer than its start.
         """
         model = self._fitted()
         at_least(0, "start_up_samples", self.start_up_samples, "use 20")
@@ -97,7 +99,8 @@ class Estimator:
         moves = bool(np.ptp(outputs[self.start_up_samples :], axis=0).any())
         problem = "is constant, and the score compares the error with its deviation from the mean"
         require(moves, "y", "one value", problem, "score a record in which it moves")
-        record = Trajectory(u=inputs, y=outputs, step_s=model.data.step_s)
+        measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
+        record = Trajectory(u=inputs, y=outputs, d=measured, step_s=model.data.step_s)
         simulation = Simulation.of(model.simulator, (record,), self.start_up_samples)
         return simulation.fit_percent
 

@@ -23,6 +23,7 @@ def fit(
     y: Signals,
     step_s: float,
     *overrides: str,
+    disturbance: Signals | None = None,
     model: str = "log",
     order: int | str | None = None,
     neurons: int | None = None,
@@ -39,7 +40,9 @@ def fit(
     `u[k]` is held over `[k, k+1) step_s` and `y[k]` is sampled at `k step_s`, in seconds. Shapes
     `u (T, m)` or `(T,)`, `y (T, p)` or `(T,)`: arrays, series or frames (whose columns name the
     channels), or lists of them, one per experiment. The last 40 % of each record validate and test
-    the model, or blocks of it where its end is unlike its beginning.
+    the model, or blocks of it where its end is unlike its beginning. `disturbance`, of the same
+    lengths, holds what is measured and not commanded (a load, a temperature outside): it drives
+    model and observer by a path of its own, and the controller does not compensate it.
 
     `model` is a choice of `conf/model` ("log": structured, and the records say whether the output
     answers at once; "structured", "ssm", "arx", ...), `slopes` the bounds of
@@ -81,8 +84,9 @@ def fit(
     reduction = parts.build("reduction")
 
     folder = new_folder() if results_dir is None else Path(results_dir)
-    paths, inputs, outputs = logged(u, y, folder, float(step_s))
-    parts.set_given("data", path=paths, input=inputs, output=outputs, step_s=step_s)
+    log = logged(u, y, folder, float(step_s), disturbance)
+    parts.set_given("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
+    parts.set_given("data", disturbance=log.disturbances or None)
     data = parts.build("data").build(parts.numbers["seed"])
 
     seed = parts.numbers["seed"]

@@ -1,5 +1,6 @@
 """Loops of a design, on a plant or on the identified model in its place."""
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -7,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.api.parts import Parts
-from ssm_study.data.arrays import signal
+from ssm_study.data.arrays import disturbance_values, signal
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import Rollouts
@@ -34,14 +35,28 @@ def close_loop(
     plant: Plant | IdentifiedPlant,
     overrides: tuple[str, ...] = (),
     controller: Controller | None = None,
+    disturbance: Values | None = None,
 ) -> Rollouts:
-    """Run the loop without noise from initial outputs `(N, p)` or `(N,)`."""
+    """Run the loop without noise from initial outputs `(N, p)` or `(N,)`.
+
+    With a measured disturbance it lasts as long as that.
+    """
     names = [channel.name for channel in plant.outputs]
     starts = signal(y0, "y0", len(names), names)[1]
     loop: Loop = Parts(LOOP, overrides).build("loop").fitted(design.model)
     controller = controller or ObserverFeedback.of(design.model, design.certificate)
+    measured = disturbance_values(disturbance, _disturbance_names(design))
+    if measured is not None:
+        loop = replace(loop, horizon_s=len(measured) * plant.step_s)
     noise = np.zeros((len(starts), loop.samples(plant.step_s), starts.shape[1]))
-    return loop.simulate(plant, controller, starts, noise)
+    return loop.simulate(plant, controller, starts, noise, measured)
+
+
+def _disturbance_names(design: "Design") -> list[str]:
+    """Names of the measured disturbances of a design; by number where its records are not known."""
+    if design.origin is None:
+        return [f"d_{k + 1}" for k in range(design.model.scale.disturbances)]
+    return [channel.name for channel in design.origin.data.disturbances]
 
 
 def rollout_table(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:

@@ -15,7 +15,7 @@ from jaxtyping import Complex, Float
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import check_index, signal
+from ssm_study.data.arrays import check_index, disturbance_values, signal
 from ssm_study.data.metrics import data_facts
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
@@ -100,43 +100,53 @@ class Model:
         """Names of the outputs, in order."""
         return [channel.name for channel in self.data.outputs]
 
-    def predict(self, u: Values) -> Values:
+    @property
+    def disturbance_names(self) -> list[str]:
+        """Names of the measured disturbances, in order; none where there are none."""
+        return [channel.name for channel in self.data.disturbances]
+
+    def predict(self, u: Values, disturbance: Values | None = None) -> Values:
         """Simulate from rest at the equilibrium: inputs `(T, m)` or `(T,)` to outputs `(T, p)`.
 
         With `model.members` the mean of the members' outputs; control stays with `simulator`.
-        A frame or series in gives a frame out, with its index.
+        A frame or series in gives a frame out, with its index. Measured disturbances of the same
+        length stay at their mean where they are not given. Raises `BadRequest` for a disturbance
+        that the model was not fitted with, or of another length.
         """
         check_index(u, None, self.data.step_s)
         inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
+        measured = disturbance_values(disturbance, self.disturbance_names, len(inputs))
         members = self.identification.members or (self.simulator,)
-        y = mean_output(members, inputs)
+        y = mean_output(members, inputs, measured)
         if not isinstance(u, pd.DataFrame | pd.Series):
             return y
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
-    def score(self, u: Values, y: Values) -> float:
+    def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
         """Fit of a free run from rest, `100 (1 - ||y - y_hat|| / ||y - mean(y)||)` in percent.
 
         Raises `BadRequest` where the shapes differ.
         """
-        measured, predicted = self._measured_and_predicted(u, y)
+        measured, predicted = self._measured_and_predicted(u, y, disturbance)
         moves = bool(np.ptp(measured, axis=0).any())
         problem = "is constant, and the score compares the error with its deviation from the mean"
         require(moves, "y", "one value", problem, "score a record in which it moves")
         return fit_percent(measured, predicted)
 
-    def simulation_errors(self, u: Values, y: Values) -> pd.DataFrame:
+    def simulation_errors(
+        self, u: Values, y: Values, disturbance: Values | None = None
+    ) -> pd.DataFrame:
         """Measured minus simulated outputs of a free run from rest, one column per output."""
-        measured, predicted = self._measured_and_predicted(u, y)
+        measured, predicted = self._measured_and_predicted(u, y, disturbance)
         return pd.DataFrame(measured - predicted, columns=self.output_names)
 
     def _measured_and_predicted(
-        self, u: Values, y: Values
+        self, u: Values, y: Values, disturbance: Values | None
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Outputs measured, and those simulated, of one record."""
         check_index(u, y, self.data.step_s)
         measured = signal(y, "y", columns=self.output_names)[1]
-        predicted = np.asarray(self.predict(u), dtype=np.float64)
+        predicted = np.asarray(self.predict(u, disturbance), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"
         remedy = "give the outputs of this input"
         require(measured.shape == predicted.shape, "y", measured.shape, problem, remedy)
@@ -223,6 +233,7 @@ class Model:
             "class": type(self.simulator).__name__,
             "inputs": ", ".join(map(_name_with_unit, self.data.inputs)),
             "outputs": ", ".join(map(_name_with_unit, self.data.outputs)),
+            "measured disturbances": ", ".join(map(_name_with_unit, self.data.disturbances)),
             "sampling time": f"{self.data.step_s:g} s",
             "samples": _samples(self.data),
             "fit on the training records": f"{facts['fit_train_percent']:.1f} %",
@@ -235,6 +246,8 @@ class Model:
             lines["mean that predicts"] = words
         if self.identification.chosen:
             lines["chosen by the records"] = self.identification.chosen
+        if not self.data.disturbances:
+            del lines["measured disturbances"]
         if isinstance(self.simulator, SSM | StructuredSSM):
             slowest = np.abs(self.eigenvalues()).max()
             lines["states"] = self.simulator.order

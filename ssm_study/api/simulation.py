@@ -11,22 +11,28 @@ from ssm_study.plants.plant import Plant
 
 
 def simulate(
-    subject: Model | Design, given: Values, *overrides: str, plant: Plant | None = None
+    subject: Model | Design,
+    given: Values,
+    *overrides: str,
+    plant: Plant | None = None,
+    disturbance: Values | None = None,
 ) -> pd.DataFrame:
     """Simulate a model for given inputs, or a designed loop from given initial outputs.
 
     A model runs from rest for the inputs `given (T, m)`. A loop runs on the identified model, or
     on `plant`, from each row of `given (N, p)` or number of `given (N,)`, without noise, as the
     settings of `loop` say (`"loop.horizon_s=3"`, `"reference@loop.reference=step"`). One row per
-    case and sample: `case, time_s`, inputs and outputs by name.
+    case and sample: `case, time_s`, inputs and outputs by name. A measured `disturbance (T, k)`
+    drives model and observer; a loop then lasts as long as it, on the identified model. Without it
+    disturbances are at their mean.
 
     Raises `BadRequest` for other channels, and for what the command refuses of the loop.
     """
     if isinstance(subject, Model):
         check_index(given, None, subject.data.step_s)
         inputs = signal(given, "u", columns=subject.input_names)[1]
-        predicted = pd.DataFrame(subject.predict(pd.DataFrame(inputs)))
+        predicted = pd.DataFrame(subject.predict(pd.DataFrame(inputs), disturbance))
         return predicted.assign(time_s=np.arange(len(predicted)) * subject.data.step_s)
     on = plant or identified_plant(subject)
-    rollouts = close_loop(subject, given, on, overrides)
+    rollouts = close_loop(subject, given, on, overrides, disturbance=disturbance)
     return rollout_table(rollouts, on)

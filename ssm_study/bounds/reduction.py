@@ -37,13 +37,13 @@ class Reduction:
         )
 
     def reduce(self, model: Any) -> Any:
-        """The same model (`with_linear`, perhaps `absorbed`) in balanced coordinates, with the kept
-        states only.
+        """The same model (`with_driven_system`, perhaps `absorbed`) in balanced coordinates, with
+        the kept states only.
 
         A model with neurons stays as it is: no state of its linear part can be dropped by itself
         (`BadRequest`).
         """
-        if not hasattr(model, "with_linear"):
+        if not hasattr(model, "with_driven_system"):
             problem = "balanced truncation is of linear recurrences"
             remedy = "use reduction.truncate_to=null"
             require(
@@ -54,7 +54,8 @@ class Reduction:
             model = model.absorbed()
         if not self.balanced or (self.truncate_to is None and model.linear.spectral_radius >= 1):
             return model  # a model that integrates has no such coordinates
-        hankel = hankel_singular_values(model.linear)
+        system = model.driven_system  # a mode that only a measured disturbance moves stays, too
+        hankel = hankel_singular_values(system)
         kept = int((hankel > self.drop_below * hankel[0]).sum())
-        order = min(kept, self.truncate_to or model.linear.order)
-        return model.with_linear(balance(model.linear, order))
+        order = min(kept, self.truncate_to or system.order)
+        return model.with_driven_system(balance(system, order))

@@ -3,6 +3,7 @@ any recording."""
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,45 +21,59 @@ FEWEST_SAMPLES = 20
 LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 
+@dataclass(frozen=True)
+class LoggedArrays:
+    """Files that arrays became, and the names of their columns."""
+
+    paths: list[str]
+    inputs: list[str]
+    outputs: list[str]
+    disturbances: list[str]
+
+
 def logged(
-    u: Any, y: Any, folder: Path, step_s: float | None = None
-) -> tuple[list[str], list[str], list[str]]:
+    u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
+) -> LoggedArrays:
     """Each experiment as `logs/<digest>.parquet`, so that equal numbers are the same run; its
     columns by name."""
     several = isinstance(u, list | tuple) and len(u) > 0 and np.ndim(u[0]) > 0
-    experiments = ([u], [y]) if not several else (u, y)
-    counts = tuple(map(len, experiments))
-    require(
-        counts[0] == counts[1], "u, y", counts, "not as many experiments", "give one y for each u"
-    )
+    signals = {"u": u, "y": y}
+    if disturbance is not None:
+        signals["disturbance"] = disturbance
+    experiments = {name: values if several else [values] for name, values in signals.items()}
+    counts = tuple(map(len, experiments.values()))
+    remedy = "give one y for each u"
+    names = ", ".join(signals)
+    require(len(set(counts)) == 1, names, counts, "not as many experiments", remedy)
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     paths = []
-    for one_u, one_y in zip(*experiments, strict=True):
-        check_index(one_u, one_y, step_s)
-        inputs, applied = signal(one_u, "u")
-        outputs, measured = signal(one_y, "y")
-        lengths = (len(applied), len(measured))
-        require(
-            lengths[0] == lengths[1],
-            "u, y",
-            lengths,
-            "differ in length",
-            "cut both to the same samples",
-        )
-        columns = [*inputs, *outputs]
-        require(
-            len(set(columns)) == len(columns),
-            "u, y",
-            columns,
-            "two signals have one name",
-            "rename the columns",
-        )
-        table = pd.DataFrame(np.hstack([applied, measured]), columns=columns)
+    for parts in zip(*experiments.values(), strict=True):
+        columns, table = _table(dict(zip(experiments, parts, strict=True)), step_s)
         digest = hashlib.sha256(repr(list(table)).encode() + table.to_numpy().tobytes()).hexdigest()
         path = folder / "logs" / f"{digest[:16]}.parquet"
         table.to_parquet(path)
         paths.append(str(path))
-    return paths, inputs, outputs
+    return LoggedArrays(paths, columns["u"], columns["y"], columns.get("disturbance", []))
+
+
+def _table(signals: dict[str, Any], step_s: float | None) -> tuple[dict[str, list[str]], Any]:
+    """Columns of one experiment by signal, and the table of all."""
+    first, *others = signals.values()
+    for other in others:
+        check_index(first, other, step_s)
+    columns = {}
+    values = []
+    for name, given in signals.items():
+        columns[name], numbers_of_signal = signal(given, name)
+        values.append(numbers_of_signal)
+    names = ", ".join(signals)
+    lengths = tuple(map(len, values))
+    remedy = "cut both to the same samples"
+    require(len(set(lengths)) == 1, names, lengths, "differ in length", remedy)
+    titles = [title for own in columns.values() for title in own]
+    problem = "two signals have one name"
+    require(len(set(titles)) == len(titles), names, titles, problem, "rename the columns")
+    return columns, pd.DataFrame(np.hstack(values), columns=titles)
 
 
 def signal(
@@ -82,6 +97,24 @@ def signal(
         return list(map(str, values)), table
     count = table.shape[1]
     return [name] if count == 1 else [f"{name}_{j + 1}" for j in range(count)], table
+
+
+def disturbance_values(
+    values: Any, names: Sequence[str], samples: int | None = None
+) -> Float[np.ndarray, "T k"] | None:
+    """Measured disturbances as numbers, one column per name; None where none are given.
+
+    Raises `BadRequest` where the model has no path for them, and for another number of samples.
+    """
+    if values is None:
+        return None
+    problem = "the model was fitted without measured disturbances"
+    require(len(names) > 0, "disturbance", "given", problem, "give them to st.fit")
+    table = signal(values, "disturbance", len(names), names)[1]
+    problem = f"the input has {samples} samples"
+    fits = samples in (None, len(table))
+    require(fits, "disturbance", len(table), problem, "cut both to the same samples")
+    return table
 
 
 def in_order(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:

@@ -17,8 +17,9 @@ from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 
 SAME_STEP = 1e-9  # relative: sampling times written by different programs
 Parts = tuple[Sequence[Trajectory], Sequence[Trajectory], Sequence[Trajectory]]
-Rest = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "p"]]
+Rest = tuple[Float[np.ndarray, "_"], ...]  # of inputs, of outputs, and of measured disturbances
 Channels = tuple[Channel, ...]
+SIDES = (("input", "u"), ("output", "y"), ("disturbance", "d"))
 # Field of a data set: what stored files call it.
 PARTS = {
     "training": "training",
@@ -30,13 +31,10 @@ TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside 
 
 
 def assemble(
-    parts: Parts,
-    rest: Rest,
-    channels: tuple[Channels, Channels],
-    start_up_samples: int,
-    **told: Any,
+    parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **told: Any
 ) -> DataSet:
-    """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`.
+    """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or
+    `(u, y, d)` with measured disturbances; `channels` likewise.
 
     `parts` are training, validation and test, `told` the other fields of the data set. Raises
     `BadRequest` for a part without records, differing sampling times, a record no longer than the
@@ -76,7 +74,7 @@ def assemble(
             "resample the records to one sampling time",
         )
     scales: dict[str, Any] = {}
-    for name, side, at, own in zip(("input", "output"), "uy", rest, channels, strict=True):
+    for (name, side), at, own in zip(SIDES, rest, channels, strict=False):
         values = np.concatenate([getattr(record, side) for record in training])
         problem = "constant over the training records, so nothing can be identified from it"
         for column, channel in zip(values.T, own, strict=True):
@@ -92,25 +90,29 @@ def assemble(
             f"{name}_equilibrium": at,
         }
     told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
+    told |= {"disturbances": channels[2]} if len(channels) > 2 else {}
     return DataSet(**named, **told, scale=Scale(**scales))
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Arrays `part/i/u`, `part/i/y` and the four vectors of the scale; names, units and periods in
-    the dictionary."""
-    arrays = dict(vars(data.scale))
+    """Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and
+    periods in the dictionary."""
+    arrays = {name: values for name, values in vars(data.scale).items() if values.size}
     about: dict[str, Any] = {
         "start_up_samples": data.start_up_samples,
         "metadata": dict(data.metadata),
     }
     about |= {
-        name: [asdict(channel) for channel in getattr(data, name)] for name in ("inputs", "outputs")
+        name: [asdict(channel) for channel in getattr(data, name)]
+        for name in ("inputs", "outputs", "disturbances")
+        if getattr(data, name)
     }
     for part, stored in PARTS.items():
         records: tuple[Trajectory, ...] = getattr(data, part)
         about[stored] = [{k: getattr(record, k) for k in TOLD} for record in records]
         for i, record in enumerate(records):
             arrays |= {f"{stored}/{i}/u": record.u, f"{stored}/{i}/y": record.y}
+            arrays |= {} if record.d is None else {f"{stored}/{i}/d": record.d}
     return {name: np.ascontiguousarray(values) for name, values in arrays.items()}, about
 
 
@@ -122,11 +124,16 @@ def dataset_from_tensors(
     for part, stored in PARTS.items():
         told = enumerate(about[stored])
         parts[part] = tuple(
-            Trajectory(u=arrays[f"{stored}/{i}/u"], y=arrays[f"{stored}/{i}/y"], **one)
+            Trajectory(
+                u=arrays[f"{stored}/{i}/u"],
+                y=arrays[f"{stored}/{i}/y"],
+                d=arrays.get(f"{stored}/{i}/d"),
+                **one,
+            )
             for i, one in told
         )
-    for name in ("inputs", "outputs"):
-        parts[name] = tuple(Channel(**channel) for channel in about[name])
+    for name in ("inputs", "outputs", "disturbances"):
+        parts[name] = tuple(Channel(**channel) for channel in about.get(name, ()))
     return DataSet(
         **parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name})
     )

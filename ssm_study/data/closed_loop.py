@@ -23,7 +23,7 @@ FEWEST = 10  # samples for each of them
 # share of the samples at the largest or the smallest input, of which a PI does not tell what it
 # asked
 AT_LIMIT = 0.02
-Rows = Float[np.ndarray, "T r"]
+Rows = Float[np.ndarray, "_ r"]
 
 
 def from_set_points(

@@ -28,6 +28,7 @@ COLUMNS = (
     Column("fresh_sets", "Int64", word="Fresh data sets", setting="data.fresh_sets"),
     Column("data_source", "string", word="Data"),
     Column("benchmark", "string", word="Benchmark"),
+    Column("disturbances", "string", word="Measured disturbances"),
     Column("input_coverage", "Float64", "high", "coverage", "Input amplitude coverage", "–"),
     Column("excitation_order", "Int64", "high", word="Order of persistent excitation"),
     Column("excitation_warning", "string"),
@@ -40,6 +41,7 @@ def data_facts(data: DataSet) -> dict[str, Any]:
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
+        "disturbances": ", ".join(channel.name for channel in data.disturbances) or None,
         "input_coverage": input_coverage(data),
         "excitation_order": min(persistency_order(record.u) for record in data.training),
         "excitation_warning": warn_if_two_level(data),

@@ -12,7 +12,7 @@ from ssm_study.data import splits
 from ssm_study.data.assembly import Channels, Parts, assemble
 from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
 from ssm_study.data.readers.reader import has_columns
-from ssm_study.data.recording import Columns, Names, listed
+from ssm_study.data.recording import Columns, Names, listed, read_channels
 from ssm_study.data.splits import (
     BLOCKS,
     FEWEST,
@@ -67,7 +67,7 @@ class AroundRest(RecordedSource):
             inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0"
         )
 
-    def assembled(self, parts: Parts, channels: tuple[Channels, Channels], **about: str) -> DataSet:
+    def assembled(self, parts: Parts, channels: tuple[Channels, ...], **about: str) -> DataSet:
         """The data set of these parts; refuses what `assemble` refuses."""
         require(
             len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
@@ -83,8 +83,11 @@ class AroundRest(RecordedSource):
             require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
             rest.append(ruled if given is None else np.array(given, dtype=np.float64))
+        if len(channels) > len(rest):  # of a disturbance no equilibrium is chosen: its mean
+            measured = [record.d for record in parts[0] if record.d is not None]
+            rest.append(np.concatenate(measured).mean(axis=0))
         about = {"source": "recorded", **about}
-        return assemble(parts, (rest[0], rest[1]), channels, self.start_up_samples, metadata=about)
+        return assemble(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +97,9 @@ class RecordedData(Columns, AroundRest):
     The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated
     periods where every log is made of such (`splits.periodic_segments`), although they train, too.
     Of logs made in a closed loop, where `reference` or `controller` is told, the input is what the
-    set point makes of it (`closed_loop`). The settings: conf/data/recorded.yaml.
+    set point makes of it (`closed_loop`). The columns `disturbance` are measured, and no actuator
+    moves them: they drive model and observer by a path of their own. The settings:
+    conf/data/recorded.yaml.
     """
 
     path: Names
@@ -108,6 +113,8 @@ class RecordedData(Columns, AroundRest):
     test_fraction: float = 0.2
     reference: Names | None = None
     controller: list[float] | None = None
+    disturbance: Names | None = None
+    disturbance_unit: Names = ""
 
     def __post_init__(self) -> None:
         Columns.__post_init__(self)
@@ -153,9 +160,37 @@ class RecordedData(Columns, AroundRest):
             "is no PI",
             "give [gain, integral time in seconds]",
         )
+        self._refuse_disturbances()
         require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
         self.files_of("path", "output_path")
         self.files_of("test_path", "test_output_path")
+
+    def _refuse_disturbances(self) -> None:
+        """Raise `BadRequest` for a disturbance that is another signal too, or named twice."""
+        names = listed(self.disturbance or ())
+        require(all(names), "data.disturbance", names, "names no column", "name a column")
+        twice = [name for name in names if names.count(name) > 1]
+        problem = "the same column twice"
+        require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
+        outputs = () if self.apart else listed(self.output)
+        taken = {
+            "an input": listed(self.input),
+            "an output": outputs,
+            "the clock": () if self.time is None else (str(self.time),),
+            "the set point": listed(self.reference or ()),
+        }
+        for role, columns in taken.items():
+            both = sorted(set(names) & set(columns))
+            remedy = "name a column that is measured and nothing else"
+            require(not both, "data.disturbance", both, f"is {role} too", remedy)
+
+    @property
+    def disturbances(self) -> Channels:
+        """Channels that are measured, and that no actuator moves."""
+        names = self.disturbance or ()
+        return (
+            read_channels(names, self.disturbance_unit, "disturbance", self.apart) if names else ()
+        )
 
     @property
     def apart(self) -> bool:
@@ -201,7 +236,9 @@ class RecordedData(Columns, AroundRest):
         about["reading"] = ". ".join(dict.fromkeys(log.remark for log in logs))
         share = logs[0].share_by_set_point
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
-        data = self.assembled((training, validation, test), (self.inputs, self.outputs), **about)
+        channels: tuple[Channels, ...] = (self.inputs, self.outputs)
+        channels = (*channels, self.disturbances) if self.disturbances else channels
+        data = self.assembled((training, validation, test), channels, **about)
         return replace(data, mismatch_records=self._mismatch_records(logs))
 
     def _mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
@@ -243,6 +280,24 @@ class RecordedData(Columns, AroundRest):
         if self.reference is None and self.controller is None:
             return logs
         return self._by_set_point(logs)
+
+    def read_pieces(
+        self,
+        path: Path,
+        output_path: Path | None = None,
+        *,
+        first: int = 0,
+        last: int | None = None,
+    ) -> tuple[list[Trajectory], str]:
+        """Read as `Columns` does; disturbances are read, held and averaged as inputs are."""
+        if self.disturbance is None:
+            return super().read_pieces(path, output_path, first=first, last=last)
+        columns = [*listed(self.input), *listed(self.disturbance)]
+        source = replace(self, input=columns, input_unit="", disturbance=None)
+        pieces, remark = source.read_pieces(path, output_path, first=first, last=last)
+        count = len(self.inputs)
+        apart = [replace(one, u=one.u[:, :count], d=one.u[:, count:]) for one in pieces]
+        return apart, remark
 
     def _by_set_point(self, logs: "list[_Log]") -> "list[_Log]":
         """The logs with the input that the set point alone would make."""

@@ -92,13 +92,13 @@ class Columns:
 
     @property
     def inputs(self) -> tuple[Channel, ...]:
-        return _channels(self.input, self.input_unit, "input", self.apart)
+        return read_channels(self.input, self.input_unit, "input", self.apart)
 
     @property
     def measured(self) -> tuple[Channel, ...]:
         """Channels that stand in the files: the `outputs`, unless `differentiate` makes those
         rates, in the unit per second."""
-        return _channels(self.output, self.output_unit, "output", self.apart)
+        return read_channels(self.output, self.output_unit, "output", self.apart)
 
     @property
     def outputs(self) -> tuple[Channel, ...]:
@@ -376,7 +376,7 @@ def _spelled(letter: str) -> str:
     return word if name[1] == "SMALL" else word.title()
 
 
-def _channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
+def read_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
     """Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
 
     A number says which side it is of, `input_0`; so does every name of files apart, where two may

@@ -31,12 +31,7 @@ def over_pieces(
     """
     if len(pieces) == 1:
         return split(pieces[0])
-    whole = replace(
-        pieces[0],
-        u=np.concatenate([piece.u for piece in pieces]),
-        y=np.concatenate([piece.y for piece in pieces]),
-        first=0,
-    )
+    whole = replace(Trajectory.joined(pieces), first=0)
     ends = np.cumsum([len(piece) for piece in pieces])
     starts = ends - [len(piece) for piece in pieces]
     parts: Pieces = ([], [], [])
@@ -112,7 +107,7 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
     """Every stretch at the input at which the record ends, with the sample before it; none where it
-    ends moving.
+    ends moving. Measured disturbances count as inputs: while they move nothing rests.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
@@ -133,7 +128,7 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     whole = (
         bool(rests)
         and rests[0][0] == 0
-        and all(repetition(piece.u[start_up_samples:]) for piece in between)
+        and all(repetition(piece.driven_by[start_up_samples:]) for piece in between)
     )
     return between if whole else []
 
@@ -141,7 +136,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
 def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
     """Where the input is that at which the record ends, from the sample before; `first`: at its
     beginning, too."""
-    moved = np.flatnonzero((record.u != record.u[-1]).any(axis=1))
+    moving = record.driven_by
+    moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
         return []
     least = (len(record) - moved[-1]) / 2

@@ -8,7 +8,8 @@ import numpy as np
 
 from ssm_study.evidence.finding import Case, Finding
 from ssm_study.models.metrics import free_run
-from ssm_study.models.warm_start import as_one_record, log_before
+from ssm_study.models.warm_start import log_before
+from ssm_study.signals import Trajectory
 
 BY_INPUT = 0.5  # share of the output's power that must follow from the input
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
@@ -46,7 +47,7 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
         for piece, own in zip(part, scored.simulated, strict=True):
             past = log_before(case.data, piece)
             if past is not None:
-                log = as_one_record([past, piece])
+                log = Trajectory.joined([past, piece])
                 carried = free_run(case.model, log, skip)[-len(piece) :]
                 sides = piece.y, piece.y - own, piece.y - carried
                 powers.append(

@@ -46,6 +46,13 @@ class Case:
         """Input and output about the equilibrium, in scales."""
         return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
 
+    def driven(
+        self, record: Trajectory
+    ) -> tuple[Float[np.ndarray, "T j"], Float[np.ndarray, "T p"]]:
+        """`scaled`, with measured disturbances beside the input: all that moves the output."""
+        scale = self.data.scale.with_disturbances_as_inputs()
+        return scale.scaled_input(record.driven_by), scale.scaled_output(record.y)
+
     def regression(
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:

@@ -67,6 +67,14 @@ def judge(
         *feedback.findings(case),
     ]
     found += own_motion.findings(case) + fit.whiteness(case)
+    if data.disturbances:
+        names = ", ".join(channel.name for channel in data.disturbances)
+        found.append(
+            note(
+                f"Measured disturbances ({names}) drive model and observer; the controller does "
+                "not compensate them, and the loop on the model runs with them at equilibrium."
+            )
+        )
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
     if ASSUMED_SECOND in data.metadata.get("reading", ""):

@@ -273,7 +273,7 @@ def _spectrum(case: Case) -> Iterator[str]:
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
-    still = (after_motion(*case.scaled(record), response) for record in case.data.test)
+    still = (after_motion(*case.driven(record), response) for record in case.data.test)
     off = max((*shown.stuck, *(left(y) for y in still if len(y))), default=0.0)
     if not shown.rests:
         told = (

@@ -56,7 +56,7 @@ def kept_over(case: Case) -> float:
 
 
 def _coherence(case: Case) -> Iterator[Finding]:
-    parts = [case.scaled(record) for record in case.data.training]
+    parts = [case.driven(record) for record in case.data.training]
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear

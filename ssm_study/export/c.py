@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Inverse, PortableMap
+from ssm_study.export.c_neurons import joined_lines, neuron_texts
 from ssm_study.export.device import REALS, Device
 from ssm_study.export.rest_points import Joined
-from ssm_study.models.structured import NEURONS
 from ssm_study.refusal import require
 
 _HEADER, _SET_POINTS, _REPLAY = (
@@ -109,13 +109,14 @@ def _header(device: Device, comments: dict[str, str], name: str) -> str:
         maps += _set_point_maps(device, name)
         defined = _SET_POINTS.substitute(sizes)
         declared = _declarations(defined)
-    texts = sizes | comments | _neuron_texts(device, name)
+    texts = sizes | comments | neuron_texts(device, name)
+    texts["pushed"] = _pushed(device, name)
     texts |= {
         "tables": tables,
         "maps": maps,
         "declared": declared,
         "defined": defined,
-        "within": WITHIN[has_set_points].replace("#", name),
+        "within": _within(device, has_set_points).replace("#", name),
         "resting": _resting_line(device),
         "step_s": repr(controller.step_s),
         "has_set_points": int(has_set_points),
@@ -171,7 +172,10 @@ def harmless(text: str) -> str:
 def _sizes(device: Device, name: str) -> dict[str, object]:
     controller = device.controller
     states, lifted = controller.b.shape
+    disturbances = controller.scale.disturbances
     return {
+        "taking": f", const {device.real} d[{disturbances}]" if disturbances else "",
+        "passing": ", d" if disturbances else "",
         "name": name,
         "guard": name.upper(),
         "real": device.real,
@@ -183,81 +187,28 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
     }
 
 
-def _neuron_texts(device: Device, name: str) -> dict[str, str]:
-    """C code that neurons add to the header; empty texts for a model without neurons.
-
-    `include` is math.h, `neurons` their function, `read` its call where the observer's error is
-    not known yet, `driven` the call where it is.
-    """
-    if device.controller.neurons is None:
-        return dict.fromkeys(("include", "neurons", "read", "driven"), "")
-    return {
-        "read": _joined_lines(_neurons_read(device, name)),
-        "driven": _joined_lines(_neurons_driven(device, name)),
-        "neurons": "\n" + _joined_lines(_neurons_function(device, name)),
-        "include": "#include <math.h> /* link with -lm */\n\n",
-    }
+def _within(device: Device, has_set_points: bool) -> str:
+    """The header's comment on use within limits; measured disturbances are the last argument."""
+    comment = WITHIN[has_set_points]
+    if not device.controller.scale.disturbances:
+        return comment
+    return comment.replace("y, r, u)", "y, r, u, d)").replace("y, u);   ", "y, u, d);")
 
 
-def _joined_lines(lines: Sequence[str]) -> str:
-    return "".join(f"{line}\n" for line in lines)
-
-
-def _neurons_function(device: Device, name: str) -> list[str]:
-    real = device.real
-    neurons = device.controller.neurons
-    assert neurons is not None
-    states = len(neurons.into)
-    count = len(neurons.kinds)
-    arguments = {
-        "f": ("x", states),
-        "g": ("lifted", neurons.g.shape[1]),
-        "l_z": ("error", neurons.l_z.shape[1]),
-    }
-    taken = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
-    lines = [f"static inline void {name}_neurons({taken}, {real} *w) {{"]
-    lines.append(f"    {real} z;")
-    lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {name}_bias[i];")
-    for matrix, (vector, size) in arguments.items():
-        lines.append(f"    {name}_matvec({count}, {size}, {name}_{matrix}, {vector}, w);")
-    for i, kind in enumerate(neurons.kinds):
-        lines.append(f"    z = w[{i}];")
-        lines.append(f"    w[{i}] = {_activation(kind, real)} - {name}_phi_bias[{i}];")
-    return [*lines, "}"]
-
-
-def _activation(kind: str, real: str) -> str:
-    code = NEURONS[kind].c
-    if real == "float":  # tanhf and 1.0f
-        code = re.sub(r"([a-z]\w+)\(", r"\1f(", code)
-        code = re.sub(r"(\d\.\d)", r"\1f", code)
-    return code
-
-
-def _neurons_read(device: Device, name: str) -> list[str]:
-    real = device.real
-    neurons = device.controller.neurons
-    assert neurons is not None
-    if not neurons.h.any():
-        return []
-    outputs, count = neurons.h.shape
-    return [
-        f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};",
-        f"    {real} seen[{count}];",
-        f"    {name}_neurons(state->x, lifted, none, seen);",
-        f"    {name}_matvec({outputs}, {count}, {name}_h, seen, ybar);",
-    ]
-
-
-def _neurons_driven(device: Device, name: str) -> list[str]:
-    neurons = device.controller.neurons
-    assert neurons is not None
-    states, count = neurons.into.shape
-    return [
-        f"    {device.real} w[{count}];",
-        f"    {name}_neurons(state->x, lifted, error, w);",
-        f"    {name}_matvec({states}, {count}, {name}_into, w, next);",
-    ]
+def _pushed(device: Device, name: str) -> str:
+    """C code that adds measured disturbances to the next state; none where there are none."""
+    disturbances = device.controller.scale.disturbances
+    if not disturbances:
+        return ""
+    states = len(device.controller.a)
+    scaled = f"(d[i] - {name}_disturbance_equilibrium[i]) / {name}_disturbance_scale[i]"
+    return joined_lines(
+        [
+            f"    {device.real} load[{disturbances}];",
+            f"    for (int i = 0; i < {disturbances}; ++i) load[i] = {scaled};",
+            f"    {name}_matvec({states}, {disturbances}, {name}_b_d, load, next);",
+        ]
+    )
 
 
 def _replay(device: Device, name: str) -> str:
@@ -272,23 +223,34 @@ def _replay(device: Device, name: str) -> str:
     noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
     measured = scale.physical_output(noisy)
     wanted = scale.physical_output(np.roll(levels[1], 7, axis=0))
-    applied = device.replay(measured, wanted)
+    signals = {"measured": measured}
+    disturbance = None
+    if scale.disturbances:
+        shape = (REPLAYED // 20, scale.disturbances)
+        disturbance = scale.disturbance_equilibrium + scale.disturbance_scale * rng.uniform(
+            -2, 2, shape
+        ).repeat(20, axis=0)
+        signals["disturbance"] = disturbance
+    applied = device.replay(measured, wanted, disturbance)
+    passed = "" if disturbance is None else ", disturbance[k]"
 
-    signals = {"measured": measured, "expected": applied}
+    signals["expected"] = applied
     begin = f"{name}_reset(&state);"
     act = (
         f"{name}_input(&state, u);\n"
         f"        {name}_clamp(u);\n"
-        f"        {name}_advance(&state, measured[k], u);"
+        f"        {name}_advance(&state, measured[k], u{passed});"
     )
     if device.set_points is not None:
         signals["wanted"] = wanted
         begin = f"{name}_init(&state, measured[0]);"
-        act = f"{name}_track(&state, measured[k], wanted[k], u);"
+        act = f"{name}_track(&state, measured[k], wanted[k], u{passed});"
 
     texts = {"wanted": ""} | _sizes(device, name) | {"begin": begin, "act": act}
     for label, values in signals.items():
         texts[label] = _recorded(label, values, device.real)
+    if disturbance is not None:
+        texts["wanted"] = f"{texts['wanted']}\n{texts['disturbance']}"
     tolerance = AGREEMENT[device.real] * max(1.0, float(np.abs(applied).max()))
     return _REPLAY.substitute(texts, samples=REPLAYED, tolerance=repr(tolerance))
 

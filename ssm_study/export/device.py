@@ -193,10 +193,13 @@ class Device:
         read = _undone(points.outward, self.controller.scale.scaled_output(y0))
         return reached(points.at_rest, reached(points.to_lifted, read))
 
-    def track(self, x: Vector, y: Vector, r: Vector) -> tuple[Vector, Vector]:
+    def track(
+        self, x: Vector, y: Vector, r: Vector, d: Vector | None = None
+    ) -> tuple[Vector, Vector]:
         """The input for this sample, clamped, and the next state.
 
-        Without set points the law steers towards the equilibrium.
+        Without set points the law steers towards the equilibrium. Measured disturbances that are
+        not given are at theirs.
         """
         controller = self.controller
         neurons = controller.neurons
@@ -212,6 +215,8 @@ class Device:
         error = _mapped(controller.s_out, read) - measured
         following = times(controller.b, lifted, times(controller.a, x))
         following = times(controller.l, error, following)
+        if d is not None:
+            following = times(controller.b_d, controller.scale.scaled_disturbance(d), following)
         if neurons:
             following = times(neurons.into, neurons(x, lifted, error), following)
         # No error enters the internal model while a limit acts.
@@ -248,18 +253,24 @@ class Device:
         }
 
     def replay(
-        self, y: Float[np.ndarray, "T p"], r: Float[np.ndarray, "T p"]
+        self,
+        y: Float[np.ndarray, "T p"],
+        r: Float[np.ndarray, "T p"],
+        d: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
-        """Inputs that the device applies to these measurements and set points.
+        """Inputs that the device applies to these measurements and set points, and measured
+        disturbances where it takes some.
 
         It starts at rest at the first measurement.
         """
-        measurements = y.astype(REALS[self.real])
-        set_points = r.astype(REALS[self.real])
+        kind = REALS[self.real]
+        measurements = y.astype(kind)
+        set_points = r.astype(kind)
         x = self.start(measurements[0])
         applied = []
-        for measured, wanted in zip(measurements, set_points, strict=True):
-            u, x = self.track(x, measured, wanted)
+        for k in range(len(measurements)):
+            load = None if d is None else d[k].astype(kind)
+            u, x = self.track(x, measurements[k], set_points[k], load)
             applied.append(u)
         return np.stack(applied)
 

@@ -1,4 +1,5 @@
-"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`.
+"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`, with measured
+disturbances `(y, state, d)`.
 
 In doubles, for any batch size.
 """
@@ -112,10 +113,13 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     def signal(name: str, width: int) -> Any:
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
+    inputs = [signal("y", controller.scale.outputs), signal("state", states)]
+    if controller.scale.disturbances:
+        inputs.append(signal("d", controller.scale.disturbances))
     made = helper.make_graph(
         graph.nodes,
         "controller",
-        [signal("y", controller.scale.outputs), signal("state", states)],
+        inputs,
         [signal("u", controller.scale.inputs), signal("next_state", states)],
         graph.constants,
         about,
@@ -151,6 +155,9 @@ def _cell(controller: PortableController) -> _Graph:
         error: controller.l,
         measured: controller.e,
     }
+    if scale.disturbances:
+        moved = graph.apply("Sub", "d", scale.disturbance_equilibrium)
+        factors[graph.apply("Div", moved, scale.disturbance_scale)] = controller.b_d
     if neurons:
         factors[graph.neurons(neurons, "state", lifted, error)] = neurons.into
     terms = [graph.times(signal, matrix) for signal, matrix in factors.items()]

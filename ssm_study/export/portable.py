@@ -3,7 +3,8 @@
 Every target of the export starts from these.
 """
 
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,7 +54,8 @@ class PortableController:
     `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`
     starts at zero, the equilibrium: the estimate of the model's scaled state and, below it, the
     state of an internal model, `z+ = A_z z + E_z w` (`E` is zero without). `neurons` are those of a
-    structured model, added to `x+` and to what `S_y` reads.
+    structured model, added to `x+` and to what `S_y` reads. `b_d (n, k)` adds scaled measured
+    disturbances to `x+`; it is empty without any.
     """
 
     a: Float[np.ndarray, "n n"]
@@ -68,6 +70,7 @@ class PortableController:
     scale: Scale
     step_s: float
     neurons: PortableNeurons | None = None
+    b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def to_json(self) -> dict[str, Any]:
         """Numbers as plain lists by name, for `controller.json`."""
@@ -84,7 +87,9 @@ class PortableController:
         matrices = {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")}
         neurons = dict(vars(self.neurons)) if self.neurons else {}
         neurons.pop("kinds", None)
-        return matrices | vars(self.scale) | neurons
+        scale = {name: values for name, values in vars(self.scale).items() if values.size}
+        disturbances = {"b_d": self.b_d} if self.b_d.size else {}
+        return matrices | scale | neurons | disturbances
 
     @property
     def resting(self) -> slice:
@@ -148,6 +153,7 @@ def portable(model: Model, design: Design) -> PortableController:
         scale=model.scale,
         step_s=model.step_s,
         neurons=_neurons(model, gains.l_z, added),
+        b_d=np.pad(model.b_d, below) if model.scale.disturbances else model.b_d,
     )
 
 

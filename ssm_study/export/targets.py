@@ -109,6 +109,8 @@ def _recorded_range(
     if not (run / name).is_file():
         return None
     groups = [group for group in read_mcap(run / name)[0] if group.topic.endswith(topic)]
+    if not groups:
+        return None
     values = np.concatenate([group.values for group in groups])
     return groups[0].channels, values.min(axis=0), values.max(axis=0)
 
@@ -119,6 +121,9 @@ def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
     inputs = _recorded_range(run, "excitation.mcap", "/input")
     if inputs is not None:
         lines += _range_lines("input", "limited to", inputs[0], device.lower, device.upper)
+    disturbances = _recorded_range(run, "excitation.mcap", "/disturbance")
+    if disturbances is not None:
+        lines += _range_lines("disturbance", "measured, seen from", *disturbances)
     outputs = _recorded_range(run, "validation.mcap", "/measured")
     if outputs is not None:
         lines += _range_lines("output", "seen from", *outputs)

@@ -32,6 +32,7 @@ Outputs = Float[np.ndarray, "N p"]
 Target = Float[np.ndarray, "t"]
 Estimate = Float[np.ndarray, "N n"]
 ScaledInputs = Float[np.ndarray, "*batch m"]
+Measured = Float[np.ndarray, "k"] | None
 
 
 class Controller(ABC):
@@ -62,8 +63,11 @@ class Controller(ABC):
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         """The input to hold over the coming sample."""
 
-    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
-        """The memory at the next sample, given the input that was really applied."""
+    def advance(
+        self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
+    ) -> Memory:
+        """The memory at the next sample, given the input that was really applied, and measured
+        disturbances `d (k,)`; None stands for their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
@@ -98,10 +102,11 @@ class Uncontrolled(Controller):
 class EstimateFeedback(Controller):
     """Law on an observer's estimate of the model's state.
 
-    `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output. With neurons `L_z (yh - y)
-    / s_y` is added inside them. `L (n, p)` and `L_z` act in the model's
-    scaled units, as `K` does; the memory is as wide as K. The input of sample k does not wait for
-    the measurement of sample k. By default the law follows equilibria `(x*, u*)`.
+    `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output. Measured disturbances push
+    the estimate as they push the model. With neurons `L_z (yh - y) / s_y` is added inside them. `L
+    (n, p)` and `L_z` act in the model's scaled units, as `K` does; the memory is as wide as K. The
+    input of sample k does not wait for the measurement of sample k. By default the law follows
+    equilibria `(x*, u*)`.
     """
 
     model: Model
@@ -122,7 +127,9 @@ class EstimateFeedback(Controller):
     def targets(self, reference: Reference) -> Plan:
         return set_points(self.model, reference)
 
-    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Estimate:
+    def advance(
+        self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
+    ) -> Estimate:
         model = self.model
         gains = self.gains
         x_hat = memory[:, : model.order]
@@ -130,6 +137,8 @@ class EstimateFeedback(Controller):
         predicted_output = model.read(x_hat, lifted)
         innovation = (predicted_output - y) / model.scale.output_scale
         correction = times(gains.l, innovation)
+        if d is not None:
+            correction = correction + model.push(d)
         if gains.l_z is None:
             return model.advance(x_hat, lifted) + correction
         neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
@@ -216,8 +225,10 @@ class ObserverFeedback(EstimateFeedback):
         asked = self.asked(u, times(self.gains.k, error))
         return self.model.scale.physical_input(asked)
 
-    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
-        x_hat = super().advance(memory, u, y, target)
+    def advance(
+        self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
+    ) -> Memory:
+        x_hat = super().advance(memory, u, y, target, d)
         z = memory[:, self.model.order :]
         modes = self.gains.modes
         if not len(modes):

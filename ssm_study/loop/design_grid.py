@@ -86,11 +86,10 @@ class DesignGrid(ComparisonTable):
 
 def _with_first(pair: Gains, gains: Gains) -> Gains:
     """Stacked gains with one more pair in front."""
-    stacked = {
-        name: np.concatenate([gain[None], getattr(gains, name)])
-        for name, gain in vars(pair).items()
-        if gain is not None
-    }
+    stacked = {}
+    for name, gain in vars(pair).items():
+        if gain is not None:
+            stacked[name] = np.concatenate([gain[None], getattr(gains, name)])
     return Gains(**stacked)
 
 

@@ -121,7 +121,8 @@ def noise_gain(run: Rollouts) -> float | None:
         return None
     y = run.y[run.stayed, half:]
     measured = run.measured[run.stayed, half:]
-    noise = np.maximum((measured - y).std(axis=(0, 1)), np.finfo(float).tiny)
+    deviation = (measured - y).std(axis=(0, 1))
+    noise = np.maximum(deviation, np.finfo(float).tiny)
     output = np.sqrt(y.var(axis=1).mean(axis=0))
     return float((output / noise).max())
 

@@ -108,6 +108,9 @@ class IdentifiedPlant(Plant):
     ) -> Float[np.ndarray, "N n"]:
         return self.model.advance(x, self.model.lift(u) + d)
 
+    def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
+        return self.model.push(measured)
+
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
         no_input = np.zeros((len(x), self.model.linear.b.shape[1]))
         return self.model.read(x, no_input)
@@ -315,8 +318,12 @@ class Loop:
         controller: Controller,
         y0: Float[np.ndarray, "N p"],
         noise: Float[np.ndarray, "N T p"],
+        measured_disturbance: Float[np.ndarray, "T k"] | None = None,
     ) -> Rollouts:
-        """Simulate one batched closed loop from the states that read `y0`."""
+        """Simulate one batched closed loop from the states that read `y0`.
+
+        Measured disturbances are at their equilibrium unless given.
+        """
         cases, samples, outputs = noise.shape
         time_s = np.arange(samples) * plant.step_s
         offset = self.reference.signal(time_s)
@@ -343,6 +350,7 @@ class Loop:
                 disturbance=disturbance,
                 bound=np.full(outputs, reach),
                 limits=self.limits,
+                measured_disturbance=measured_disturbance,
             )
         finally:
             plant.stop()

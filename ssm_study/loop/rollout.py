@@ -77,24 +77,25 @@ def close_loop(
     disturbance: Float[np.ndarray, "N T q"],
     bound: Bound,
     limits: Limits = UNLIMITED,
+    measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
     """Simulate `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
-    stopped, in the output's unit; input limits (input's unit) are known to the controller. Raises
-    `BadRequest` for unmatched plant and controller.
+    stopped, in the output's unit; input limits (input's unit) are known to the controller. A
+    `measured_disturbance`, physical, drives the identified model and is told to the controller;
+    without one it is at its equilibrium. Raises `BadRequest` for unmatched plant and controller.
     """
     _check_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
         _check_reachable(controller.demanded(reference), limits)
-    cases, samples, _ = noise.shape
-    memory = controller.start(cases)
+    memory = controller.start(len(noise))
     targets = controller.targets(reference)
     log = _empty_log(plant, controller.estimate(memory).shape[1], noise.shape, x0.shape[1])
-    left_at_sample = np.full(cases, STAYED)
-    going = np.arange(cases)
+    left_at_sample = np.full(len(noise), STAYED)
+    going = np.arange(len(noise))
     x = x0
-    for k in range(samples):
+    for k in range(noise.shape[1]):
         y = plant.output(x)
         measured = y + noise[going, k]
         u = np.clip(controller.input(memory, measured, targets[k]), *limits)
@@ -102,10 +103,10 @@ def close_loop(
         if not inside.all():  # only those that stay go on
             stopped = going[~inside]
             left_at_sample[stopped] = k
-            u_at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
-            last_values = {"u": u_at_rest, "y": y, "measured": measured, "states": x}
-            for name, value in last_values.items():
-                log[name][stopped, k:] = value[~inside, None]
+            at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
+            last = {"u": at_rest, "y": y, "measured": measured, "states": x}
+            last = {name: value[~inside, None] for name, value in last.items()}
+            _record(log, stopped, slice(k, None), last)
             x = x[inside]
             y = y[inside]
             measured = measured[inside]
@@ -113,16 +114,24 @@ def close_loop(
             memory = memory[inside]
             going = going[inside]
             controller = controller.among(inside)
-        values = {"u": u, "y": y, "measured": measured, "states": x}
-        values["estimate"] = controller.estimate(memory)
-        for name, value in values.items():
-            log[name][going, k] = value
-        memory = controller.advance(memory, u, measured, targets[k])
+        estimate = controller.estimate(memory)
+        values = {"u": u, "y": y, "measured": measured, "states": x, "estimate": estimate}
+        _record(log, going, k, values)
+        load = () if measured_disturbance is None else (measured_disturbance[k],)
+        memory = controller.advance(memory, u, measured, targets[k], *load)
         x = plant.advance(x, u, disturbance[going, k])
+        if load:
+            x = x + plant.pushed_by(*load)
     _repeat_last_values(log, left_at_sample)
     return Rollouts(
         step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left_at_sample, **log
     )
+
+
+def _record(log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: Log) -> None:
+    """Write the signals of these cases at these samples."""
+    for name, value in values.items():
+        log[name][cases, samples] = value
 
 
 def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
@@ -266,7 +275,8 @@ def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
     error = (rollouts.y - rollouts.reference)[is_settled]
     last = max(int(np.ceil(DWELL * error.shape[1])), 2)
     tails = error[:, -last:]
-    swings = [rise_and_swing(tails[:, :, output])[1] for output in range(tails.shape[2])]
+    outputs = range(tails.shape[2])
+    swings = [rise_and_swing(tails[:, :, output])[1] for output in outputs]
     return np.asarray(np.max(swings, axis=0) / 2)
 
 
@@ -337,4 +347,5 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
         again = np.clip(controller.input(memory, measured, targets[k]), *limits)
         worst = float(np.abs(again - applied).max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])
-    return worst / max(float(np.abs(run.u).max()), np.finfo(float).tiny)
+    largest = float(np.abs(run.u).max())
+    return worst / max(largest, np.finfo(float).tiny)

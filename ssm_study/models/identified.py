@@ -2,7 +2,8 @@
 torch here."""
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -47,9 +48,13 @@ class ScaffoldedModel(Simulator):
     scale: Scale
     step_s: float
     linear: StateSpace
+    b_d: Float[np.ndarray, "_ _"]
 
     def check_wires(self) -> None:
         """Raises `BadRequest` where the scaffoldings do not fit the recurrence or the signals."""
+        shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
+        problem = f"the model needs a matrix of shape {shape}"
+        require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
         wired = (*self.scaffold_in.shape[::-1], *self.scaffold_out.shape[::-1])
         needed = (
             self.scale.inputs,
@@ -79,6 +84,37 @@ class ScaffoldedModel(Simulator):
         """`ubar = S_u((u - u_eq) / input_scale)`: physical input to what drives the recurrence."""
         return self.scaffold_in(self.scale.scaled_input(u))
 
+    def drive(
+        self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
+    ) -> Float[np.ndarray, "*batch T j"]:
+        """`lift(u)`, and beside it the scaled measured disturbances where there are some, at their
+        equilibrium if they are not given: what `run` takes."""
+        lifted = self.lift(u)
+        if not self.scale.disturbances:
+            return lifted
+        scaled = np.zeros((*u.shape[:-1], self.scale.disturbances))
+        scaled = scaled if d is None else self.scale.scaled_disturbance(d)
+        return np.concatenate([lifted, scaled], axis=-1)
+
+    def push(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch n"]:
+        """`B_d (d - d_eq) / d_scale`: what measured disturbances add to the next state.
+
+        No state and no input enters it, so it cancels where two motions under the same d are
+        subtracted (docs/theory.md, "Measured disturbances").
+        """
+        return self.scale.scaled_disturbance(d) @ self.b_d.T
+
+    @property
+    def driven_system(self) -> StateSpace:
+        """The linear recurrence with `(S_u(u), scaled d)` for its input."""
+        linear = self.linear
+        if not self.scale.disturbances:
+            return linear
+        through = np.zeros((len(linear.c), self.scale.disturbances))
+        b = np.hstack([linear.b, self.b_d])
+        d = np.hstack([linear.d, through])
+        return StateSpace(a=linear.a, b=b, c=linear.c, d=d)
+
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
         """The next state."""
@@ -95,11 +131,18 @@ class ScaffoldedModel(Simulator):
     def run(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
-        """`ybar` from `x0` (default 0), and the last state or all of them."""
+        """`ybar` from `x0` (default 0), and the last state or all of them. `ubar` is what `lift` or
+        `drive` returns."""
 
-    def simulate(self, u: Inputs, x0: State | None = None) -> Outputs:
-        """Free run from `x0` (default: rest at the equilibrium); physical units in and out."""
-        return self.scale.physical_output(self.scaffold_out(self.run(self.lift(u), x0)[0]))
+    def simulate(
+        self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None
+    ) -> Outputs:
+        """Free run from `x0` (default: rest at the equilibrium); physical units in and out.
+
+        Measured disturbances that are not given stay at their equilibrium.
+        """
+        ybar = self.run(self.drive(u, d), x0)[0]
+        return self.scale.physical_output(self.scaffold_out(ybar))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,13 +182,20 @@ class DelayLine:
         newer = np.zeros((len(of_state), self.waiting - self.channels))
         return np.hstack([of_state, newer, of_input])
 
+    def lengthened(self, of_disturbance: Float[np.ndarray, "_ k"]) -> Float[np.ndarray, "_ k"]:
+        """Matrix by which measured disturbances drive the model: none enters the line."""
+        channels = of_disturbance.shape[1]
+        waiting = self.waiting if channels else 0
+        return np.vstack([of_disturbance, np.zeros((waiting, channels))])
+
 
 @dataclass(frozen=True, kw_only=True)
 class SSM(ScaffoldedModel):
     """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) /
     input_scale`.
 
-    Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs.
+    Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs. With k
+    measured disturbances `x+` has the further term `b_d (d - d_eq) / d_scale`, `b_d (n, k)`.
     Source: [Z26] eq. (2).
     """
 
@@ -154,6 +204,7 @@ class SSM(ScaffoldedModel):
     scaffold_out: Scaffold
     scale: Scale
     step_s: float
+    b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def __post_init__(self) -> None:
         self.check_wires()
@@ -183,15 +234,24 @@ class SSM(ScaffoldedModel):
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
         """`C x + D ubar` step by step, and the last state."""
-        return self.linear.simulate(ubar, x0)
+        lifted = ubar.shape[-1] == self.linear.b.shape[1]
+        return (self.linear if lifted else self.driven_system).simulate(ubar, x0)
 
     def with_linear(self, linear: StateSpace) -> "SSM":
-        """The same scaffoldings around another linear part (balanced, truncated)."""
+        """The same scaffoldings around another linear part of as many states."""
         return replace(self, linear=linear)
+
+    def with_driven_system(self, system: StateSpace) -> "SSM":
+        """The same scaffoldings around another linear part (balanced, truncated): the inverse of
+        `driven_system`."""
+        m = self.linear.b.shape[1]
+        linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
+        b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
+        return replace(self, linear=linear, b_d=b_d)
 
     def delayed(self, samples: int) -> "SSM":
         """The model behind a dead time, `x+ = A x + B ub[k - samples]`; what is under way are
-        states of the recurrence."""
+        states of the recurrence. Measured disturbances act without it."""
         a, b, c, d = (vars(self.linear)[name] for name in "abcd")
         line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
         late = StateSpace(
@@ -200,7 +260,7 @@ class SSM(ScaffoldedModel):
             c=line.widened(c, d),
             d=np.zeros_like(d),
         )
-        return self.with_linear(late)
+        return replace(self, linear=late, b_d=line.lengthened(self.b_d))
 
     def absorbed(self) -> "SSM":
         """The same input-output map, a matrix M moved from each scaffolding into the linear part

@@ -21,10 +21,14 @@ NAMES = ("members", *FITS)
 
 
 def mean_output(
-    members: Sequence[Any], u: Float[np.ndarray, "*batch T m"]
+    members: Sequence[Any],
+    u: Float[np.ndarray, "*batch T m"],
+    d: Float[np.ndarray, "*batch T k"] | None = None,
 ) -> Float[np.ndarray, "*batch T p"]:
-    """Mean of the members' free runs from rest, physical units."""
-    return np.mean([model.simulate(u) for model in members], axis=0)
+    """Mean of the members' free runs from rest, physical units; without measured disturbances these
+    stay at their equilibrium."""
+    loads = {} if d is None else {"d": d}
+    return np.mean([model.simulate(u, **loads) for model in members], axis=0)
 
 
 def simulate_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:

@@ -173,13 +173,16 @@ def free_run(
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
+    if isinstance(model, ScaffoldedModel):
+        x0 = None if start is None else np.asarray(start, dtype=np.float64)
+        if x0 is None and start_up_samples:
+            x0 = initial_state(model, record, start_up_samples)
+        return model.simulate(record.u, x0, record.d)
     if start is not None:
         return model.simulate(record.u, np.asarray(start, dtype=np.float64))
     if start_up_samples == 0:
         return model.simulate(record.u)
-    if not isinstance(model, ScaffoldedModel):
-        return model.simulate_after(record.u, record.y[:start_up_samples])
-    return model.simulate(record.u, initial_state(model, record, start_up_samples))
+    return model.simulate_after(record.u, record.y[:start_up_samples])
 
 
 def initial_state(
@@ -194,7 +197,7 @@ def initial_state(
     all time is singular, does no harm. The current sample's output error is linearised through the
     model and solved by Gauss-Newton.
     """
-    lifted = model.lift(record.u)
+    lifted = model.drive(record.u, record.d)
     target = model.scale.scaled_output(record.y[:samples])
     prior = _reached(model, lifted if reached_by is None else model.lift(reached_by.u))
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
@@ -219,9 +222,8 @@ def _reached(model: Any, lifted: Lifted) -> Gramian:
     """The reachability Gramian of the record; with neurons the second moment of the states it
     drives from rest."""
     if isinstance(model, SSM):
-        return reachability_gramian(
-            model.linear.a, model.linear.b * lifted.std(axis=0), len(lifted)
-        )
+        system = model.driven_system
+        return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
     _, states = model.run(lifted)
     return states.T @ states / len(states)
 
@@ -234,12 +236,13 @@ def _linearised(
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):
             powers.append(powers[-1] @ model.linear.a)
-        return model.linear.simulate(lifted, x0)[0], np.stack(powers)
+        return model.driven_system.simulate(lifted, x0)[0], np.stack(powers)
     from ssm_study.models.structured_kernel import sensitivities  # numba: only where it is needed
 
     nothing = np.zeros((1, len(lifted), 0))
     none = np.zeros(0, dtype=np.int64)
-    ybar, by = sensitivities(model.matrices, lifted[None], x0[None], nothing, none)
+    matrices = model.driven_matrices if model.scale.disturbances else model.matrices
+    ybar, by = sensitivities(matrices, lifted[None], x0[None], nothing, none)
     return ybar[0], by["x0"][0]
 
 

@@ -290,9 +290,9 @@ class SSMSpec(ModelSpec):
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
         rng = np.random.default_rng(seed)
-        records = scaled(data)
+        records = scaled_with_disturbances(data)
         slopes = (self.slope_lower, self.slope_upper)
-        seen = [np.concatenate(parts) for parts in zip(*records, strict=True)]
+        seen = [np.concatenate(parts) for parts in zip(*scaled(data), strict=True)]
         frames = [
             Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
         ]
@@ -301,11 +301,12 @@ class SSMSpec(ModelSpec):
         if self.start == "data":
             start = from_data(records, self.order, rng, self.feedthrough)
         else:
-            channels = (seen[0].shape[1], seen[1].shape[1])
+            channels = (records[0][0].shape[1], seen[1].shape[1])
             start = on_ring(
                 self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng
             )
-        return TorchSSM(scaffold_in, LRU(start, self.feedthrough), scaffold_out)
+        lru = LRU(start, self.feedthrough, data.scale.disturbances)
+        return TorchSSM(scaffold_in, lru, scaffold_out)
 
 
 def scaled(data: DataSet) -> Pairs:
@@ -314,6 +315,11 @@ def scaled(data: DataSet) -> Pairs:
         (data.scale.scaled_input(record.u), data.scale.scaled_output(record.y))
         for record in data.training
     ]
+
+
+def scaled_with_disturbances(data: DataSet) -> Pairs:
+    """`scaled`, each input with the scaled measured disturbances beside it."""
+    return scaled(data.with_disturbances_as_inputs())
 
 
 def whole(least: int, name: str, value: object, remedy: str) -> None:

@@ -2,8 +2,8 @@
 torch here."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -105,7 +105,8 @@ class StructuredSSM(ScaffoldedModel):
     `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g (q, m)`, `h (p, q)`,
     `bias (q,)`;
     `neurons` names the kind of each of the q neurons. Without any it is the model of one layer
-    (`SSM`).
+    (`SSM`). With k measured disturbances `x+` has the further term `b_d (d - d_eq) / d_scale`,
+    `b_d (n, k)`.
     Raises `BadRequest` for shapes that do not fit, entries that are not finite, an unknown kind.
     Source: Revay, Wang & Manchester (2023), REN with D11 = 0.
     """
@@ -124,6 +125,7 @@ class StructuredSSM(ScaffoldedModel):
     scaffold_out: Scaffold
     scale: Scale
     step_s: float
+    b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def __post_init__(self) -> None:
         n = len(self.a)
@@ -163,6 +165,15 @@ class StructuredSSM(ScaffoldedModel):
 
         return Matrices.of(vars(self), codes(self.neurons))
 
+    @cached_property
+    def driven_matrices(self) -> "Matrices":
+        """The same with `(S_u(u), scaled d)` for the input: disturbances reach the state alone."""
+        from ssm_study.models.structured_kernel import Matrices
+
+        system = self.driven_system
+        g = np.pad(self.g, ((0, 0), (0, self.scale.disturbances)))
+        return Matrices.of(vars(self) | {"b": system.b, "d": system.d, "g": g}, codes(self.neurons))
+
     def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
         """The recurrence's derivative at one state and lifted input: neurons replaced by their
         slopes there."""
@@ -199,7 +210,8 @@ class StructuredSSM(ScaffoldedModel):
             0.0 if x0 is None else x0
         )  # no broadcast view: numba compiles anew for what is read-only
         v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
-        ybar, states = free_run(self.matrices, v, start.reshape(-1, self.order))
+        matrices = self.matrices if ubar.shape[-1] == self.b.shape[1] else self.driven_matrices
+        ybar, states = free_run(matrices, v, start.reshape(-1, self.order))
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
 
     def delayed(self, samples: int) -> "StructuredSSM":
@@ -216,6 +228,7 @@ class StructuredSSM(ScaffoldedModel):
             e=np.vstack([self.e, idle]),
             f=line.widened(self.f, self.g),
             g=np.zeros_like(self.g),
+            b_d=line.lengthened(self.b_d),
         )
 
     @classmethod

@@ -47,13 +47,15 @@ class Pieces:
     sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
-    the identity, which has none.
+    the identity, which has none. Behind the channels come `passed` ones that pass as they are:
+    measured disturbances.
     """
 
     channels: int
     knots: int
     lower: float
     upper: float
+    passed: int = 0
 
     @property
     def owners(self) -> Int[np.ndarray, "P"]:
@@ -71,8 +73,8 @@ class Pieces:
         seldom visited."""
         if not self.knots:
             return np.zeros(0)
-        low = samples.min(axis=0)
-        high = samples.max(axis=0)
+        low = samples[:, : self.channels].min(axis=0)
+        high = samples[:, : self.channels].max(axis=0)
         points = low + (high - low) * (np.arange(self.knots) + 0.5)[:, None] / self.knots
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
@@ -100,8 +102,8 @@ class Pieces:
         """
         if not self.knots:
             return v, np.ones_like(v), np.zeros((*v.shape[:-1], 0))
-        values = np.empty_like(v)
-        at = np.empty_like(v)
+        values = v.copy()
+        at = np.ones_like(v)
         frees = []
         moves = []
         for c, (slopes, by_free, points) in enumerate(zip(*self._explicit(theta), strict=True)):
@@ -120,8 +122,13 @@ class Pieces:
             )  # back in the order of the parameters
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
+    def values(self, theta: Free, v: Signals) -> Signals:
+        """`S(v)`, the passed channels behind it."""
+        mapped = self.freeze(theta)(v[..., : self.channels])
+        return np.concatenate([mapped, v[..., self.channels :]], axis=-1) if self.passed else mapped
+
     def freeze(self, theta: Free) -> Scaffold:
-        """The explicit map."""
+        """The explicit map of the channels that do not pass."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._explicit(theta)
@@ -238,11 +245,13 @@ class StructuredSpec(ModelSpec):
         smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
         return replace(smaller, neurons=0, integrating_output=False) if last else smaller
 
-    def maps(self, channels: tuple[int, int]) -> tuple[Pieces, Pieces]:
-        """S_u and S_y as they are trained, for this many inputs and outputs."""
-        ends = {"lower": self.slope_lower, "upper": self.slope_upper}
-        lift = Pieces(channels[0], int(self.knots), **ends)
-        read = Pieces(channels[1], self.output_knots, **ends)
+    def maps(self, channels: tuple[int, int], disturbances: int = 0) -> tuple[Pieces, Pieces]:
+        """S_u and S_y as they are trained, for this many inputs and outputs; measured disturbances
+        pass S_u by."""
+        lower = self.slope_lower
+        upper = self.slope_upper
+        lift = Pieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
+        read = Pieces(channels[1], self.output_knots, lower, upper)
         return lift, read
 
     def one_layer(self) -> SSMSpec:

@@ -147,13 +147,14 @@ class LRU(nn.Module):
 
     `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves.
     With one input `B` is all ones and only `C` is trained: the modal form has exactly that much
-    freedom. Source: Orvieto et al. (2023), section 3.
+    freedom. The last `disturbances` of the inputs reach no output at once: D has no column for
+    them. Source: Orvieto et al. (2023), section 3.
     """
 
     flip: Tensor
     pairs: Tensor
 
-    def __init__(self, start: "Initialisation", feedthrough: bool) -> None:
+    def __init__(self, start: "Initialisation", feedthrough: bool, disturbances: int = 0) -> None:
         super().__init__()
         modes = torch.from_numpy(start.modes)
         radius = modes.abs().clamp(1e-3, 1 - 1e-6)
@@ -177,7 +178,8 @@ class LRU(nn.Module):
             b = b / gain
         self.b_real, self.b_imag = _parts(b, self.reals, trained=not single)
         self.c_real, self.c_imag = _parts(c.mT, self.reals, trained=True)
-        d = torch.from_numpy(start.d)
+        self.disturbances = disturbances
+        d = torch.from_numpy(start.d[:, : start.d.shape[1] - disturbances])
         self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
 
     @property
@@ -204,7 +206,8 @@ class LRU(nn.Module):
         c = _join(
             self.pairs[:, None] * self.c_real, 2.0 * self.c_imag
         ).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
-        return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=self.d)
+        d = torch.nn.functional.pad(self.d, (0, self.disturbances)) if self.disturbances else self.d
+        return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=d)
 
     def to_state_space(self) -> StateSpace:
         """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per
@@ -285,7 +288,9 @@ class TorchSSM(TorchModel):
     """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T,
     p)`.
 
-    `lifted` is `S_u(u)` where it is known already; `x0` is ordered as in `to_state_space`.
+    Measured disturbances are further columns of u; they pass S_u by and reach the states alone.
+    `lifted` is `S_u(u)`, with them, where it is known already; `x0` is ordered as in
+    `to_state_space`.
     """
 
     def __init__(self, scaffold_in: TorchScaffold, lru: LRU, scaffold_out: TorchScaffold) -> None:
@@ -298,19 +303,28 @@ class TorchSSM(TorchModel):
     def forward(
         self, u: Signals, x0: States | None = None, lifted: Signals | None = None
     ) -> Signals:
-        return self.scaffold_out(self.lru(self.scaffold_in(u) if lifted is None else lifted, x0))
+        return self.scaffold_out(self.lru(self.drive(u) if lifted is None else lifted, x0))
+
+    def drive(self, u: Signals, lifted: Signals | None = None) -> Signals:
+        """Signals that drive the recurrence: `S_u` of the inputs, the disturbances as they are."""
+        inputs = u.shape[2] - self.lru.disturbances
+        lifted = self.scaffold_in(u[..., :inputs]) if lifted is None else lifted
+        return torch.cat([lifted, u[..., inputs:]], -1) if self.lru.disturbances else lifted
 
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
-        lifted = self.scaffold_in(u) if lifted is None else lifted
+        lifted = self.drive(u) if lifted is None else lifted
         modes = self.lru.modes()
         modal = self.lru.initial_state(x0)
         end = self.lru.real_state(end_state(modes, lifted, modal))
         return self.scaffold_out(respond(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
-        linear = self.lru.to_state_space()
+        system = self.lru.to_state_space()
+        m = system.b.shape[1] - self.lru.disturbances
+        linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
+        paths = {"b_d": system.b[:, m:]} if self.lru.disturbances else {}
         inward = self.scaffold_in.freeze()
         outward = self.scaffold_out.freeze()
         return SSM(
@@ -319,4 +333,5 @@ class TorchSSM(TorchModel):
             scaffold_out=outward,
             scale=data.scale,
             step_s=data.step_s,
+            **paths,
         )

@@ -9,7 +9,7 @@ better is taken for every piece.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -136,7 +136,7 @@ def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | Non
     if past is None or len(past) < SHORTEST_PAST * data.start_up_samples:
         return None
     start = initial_state(model, past, data.start_up_samples)
-    _, states = model.run(model.lift(past.u), start)
+    _, states = model.run(model.drive(past.u, past.d), start)
     return np.asarray(states if isinstance(model, SSM) else states[-1], dtype=np.float64)
 
 
@@ -153,7 +153,7 @@ def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
         before = holders[0]
         joined.insert(0, before[: first - before.first])
         first = before.first
-    return as_one_record(joined) if joined else None
+    return Trajectory.joined(joined) if joined else None
 
 
 def log_stretches(data: DataSet) -> list[Trajectory]:
@@ -172,14 +172,7 @@ def log_stretches(data: DataSet) -> list[Trajectory]:
             stretches[-1].append(record)
         else:
             stretches.append([record])
-    return [as_one_record(stretch) for stretch in stretches]
-
-
-def as_one_record(pieces: Sequence[Trajectory]) -> Trajectory:
-    """Records that follow one another as one."""
-    u = np.concatenate([piece.u for piece in pieces])
-    y = np.concatenate([piece.y for piece in pieces])
-    return replace(pieces[0], u=u, y=y)
+    return [Trajectory.joined(stretch) for stretch in stretches]
 
 
 def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:

@@ -106,6 +106,12 @@ class Plant(ABC):
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         """States one sampling period later, `u` and `d` held meanwhile."""
 
+    def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
+        """Push of a measured disturbance on the next states; only an identified model has one."""
+        problem = f"{type(self).__name__} has no path for a measured disturbance"
+        remedy = "close the loop on the identified model, or use the plant's own disturbance"
+        raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
+
     @abstractmethod
     def output(self, x: States) -> Outputs:
         """Outputs that the sensors read before the input of the same sample acts."""

@@ -121,6 +121,8 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
         number = name.removeprefix("score_test_")
         yield name, f"Score, record {number}", printed(record, name, ".4g", unit)
+    names = f"{record.get('disturbances')}, at equilibrium in the loop, not compensated"
+    yield "disturbances", "Measured disturbances", names
     lower = printed(record, "input_slope_lower")
     upper = printed(record, "input_slope_upper")
     slopes = f"[{lower}, {upper}] ({printed(record, 'bound_method')})"

@@ -171,7 +171,7 @@ def _rests_after_motion(
     offsets = []
     swings = []
     for errors in moving:
-        rest = after_motion(errors.u, errors.output, response)
+        rest = after_motion(errors.moving, errors.output, response)
         if not len(rest):
             continue
         if (offset := left(rest)) > AT_REST:

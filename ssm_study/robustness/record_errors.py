@@ -54,9 +54,11 @@ class View:
 @dataclass(frozen=True, kw_only=True)
 class RecordErrors:
     """One record: scaled input, the model's output, what it misses; `period` samples repeat from
-    `start`, twice. `name` tells it by its input's rms."""
+    `start`, twice. `moving`: the input, and measured disturbances beside it; `name` tells the
+    record by its input's rms."""
 
     name: str
+    moving: Float[np.ndarray, "T j"]
     u: Float[np.ndarray, "T m"]
     model: Float[np.ndarray, "T p"]
     e: Float[np.ndarray, "T p"]
@@ -68,11 +70,13 @@ class RecordErrors:
         """Simulate the model on the record and take what it misses, scaled."""
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
-        start, period = repetition(record.u[scored]) or (0, None)
+        start, period = repetition(record.driven_by[scored]) or (0, None)
+        moving = model.scale.with_disturbances_as_inputs().scaled_input(record.driven_by)
         scaled_input = model.scale.scaled_input(record.u)
         error = (record.y - simulated) / model.scale.output_scale
         return cls(
             name=f"input of rms {np.sqrt((scaled_input**2).mean()):.2g}",
+            moving=moving[scored],
             u=scaled_input[scored],
             model=model.scale.scaled_output(simulated)[scored],
             e=error[scored],

@@ -27,12 +27,13 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 
 def is_return(record: Trajectory) -> bool:
-    """Whether the input moves once, at the beginning, and is held from then on
-    (`data.splits.rest_segments`)."""
+    """Whether the input moves once, at the beginning, and is held from then on, measured
+    disturbances too (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
-    moves_once = bool((record.u[0] != record.u[1]).any())
-    is_held = not np.ptp(record.u[1:], axis=0).any()
+    moving = record.driven_by
+    moves_once = bool((moving[0] != moving[1]).any())
+    is_held = not np.ptp(moving[1:], axis=0).any()
     return moves_once and is_held
 
 
@@ -77,7 +78,8 @@ def _by_input(
     """The scaled outputs of the returns, by the scaled input at which each ends."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
-        level = np.round(scale.scaled_input(record.u[-1]), SAME_INPUT) + 0.0  # no negative zero
+        held = scale.with_disturbances_as_inputs().scaled_input(record.driven_by[-1])
+        level = np.round(held, SAME_INPUT) + 0.0  # no negative zero
         output = scale.scaled_output(record.y[1:])
         groups.setdefault(level.tobytes(), []).append(output)
     return groups

@@ -197,14 +197,24 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     if "benchmark" in records.metadata:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
-    inputs = [record.u for record in records.training]
-    pairs = numbered_pairs(run.inputs, inputs, "u ")
-    yield agreement("excitation.mcap", pairs, ITERATED, "the configuration gives it")
+    excitation = excitation_pairs(run, records)
+    yield agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
     for file, wrong in mislabelled(run, records):
         found = "times, names, units and words are the run's"
         if wrong:
             found = f"not those of the run: {', '.join(wrong)}"
         yield Checked(claim=f"{file} labels", holds=not wrong, found=found)
+
+
+def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
+    """Inputs and measured disturbances of the training records, stored and made again."""
+    inputs = [record.u for record in records.training]
+    pairs = numbered_pairs(run.inputs, inputs, "u ")
+    made = [record.d for record in records.training if record.d is not None]
+    pairs["disturbances"] = (len(run.disturbances), len(made))
+    if len(run.disturbances) == len(made):
+        pairs |= numbered_pairs(run.disturbances, made, "d ")
+    return pairs
 
 
 def numbered_pairs(

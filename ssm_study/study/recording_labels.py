@@ -52,6 +52,7 @@ def record_labels(data: DataSet) -> list[Labels]:
     """Labels of the recordings of the data set, and of the simulations beside them."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
+    channels["disturbance"] = data.disturbances
     return [Labels(file=file, channels=channels, words=data.metadata) for file in files]
 
 

@@ -109,13 +109,16 @@ class RecordedCases:
 
     @property
     def records(self) -> Trajectories:
-        """Input and measured output of every case."""
+        """Input, measured output and measured disturbances of every case."""
         step_s = float(self.about["step_s"])
         names = [prefix or self.path.stem for prefix in self.cases]
         records = []
-        signals = zip(names, self.signals("input"), self.signals("measured"), strict=True)
-        for name, u, y in signals:
-            records.append(Trajectory(u=u.values, y=y.values, step_s=step_s, name=name))
+        disturbances = [case.get("disturbance") for case in self.cases.values()]
+        inputs = self.signals("input")
+        outputs = self.signals("measured")
+        for name, u, y, measured in zip(names, inputs, outputs, disturbances, strict=True):
+            d = None if measured is None else measured.values
+            records.append(Trajectory(u=u.values, y=y.values, d=d, step_s=step_s, name=name))
         return tuple(records)
 
 
@@ -145,12 +148,14 @@ def write_records(
 ) -> None:
     """Write records into a recording, in physical units.
 
-    Topics `/record_<i>/` input, measured output where `outputs`, and the model's free run where
-    there is one.
+    Topics `/record_<i>/` input, measured disturbances, measured output where `outputs`, and the
+    model's free run where there is one.
     """
     written: list[SignalGroup] = []
     for i, record in enumerate(records):
         signals: Signals = {"input": (data.inputs, record.u)}
+        if record.d is not None:
+            signals["disturbance"] = (data.disturbances, record.d)
         if outputs:
             signals["measured"] = (data.outputs, record.y)
         if simulated:
@@ -216,7 +221,7 @@ def of_records(stored: Trajectories, made: Trajectories) -> Pairs:
     """Signals of two sets of records, and their sampling times, side by side."""
     pairs: Pairs = {"records": (len(stored), len(made))}
     for i, (before, now) in enumerate(zip(stored, made, strict=False)):
-        for name in ("u", "y", "step_s", "closed_loop"):
+        for name in ("u", "y", "d", "step_s", "closed_loop"):
             pairs[f"{name} {i}"] = (getattr(before, name), getattr(now, name))
     return pairs
 

@@ -144,6 +144,13 @@ class RunFiles:
         recording = RecordedCases.of(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
 
+    @cached_property
+    def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
+        """The measured disturbances of the training records, as `excitation.mcap` has them; none
+        where there are none."""
+        cases = RecordedCases.of(self.path / "excitation.mcap").cases.values()
+        return [case["disturbance"].values for case in cases if "disturbance" in case]
+
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
         """`DataSet.applied`, from the files of the run."""

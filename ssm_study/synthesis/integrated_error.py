@@ -43,9 +43,10 @@ def release(
     visited = []
     for record in validation:
         x = np.zeros(model.order)
-        for ubar in model.lift(record.u):
+        pushes = np.zeros((len(record), 1)) if record.d is None else model.push(record.d)
+        for ubar, push in zip(model.lift(record.u), pushes, strict=True):
             visited.append(x)
-            x = model.advance(x, ubar)
+            x = model.advance(x, ubar) + push
     spaced = np.linspace(0, len(visited) - 1, CASES + 2).astype(int)
     x0 = np.array(visited)[spaced[1:-1]]
     radius = min(max(linear.spectral_radius, 1e-6), 1 - 1e-6)

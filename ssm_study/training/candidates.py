@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ssm_study.models.baselines.regression import output_error
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
+from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.models.warm_start import PAST, SAMPLES, states_from_past
 from ssm_study.signals import DataSet
@@ -132,22 +133,44 @@ def linear_trial(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
 
 
 def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
-    """A linear output-error model as a state space, `x+ = A x + B u, y = C x + D u`.
+    """A linear output-error model as a state space, `x+ = A x + B u + B_d d, y = C x + D u`.
 
     The state of a held-out piece can then be estimated from many samples; the recursion itself
-    would start from as many noisy outputs as it has lags.
+    would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
+    of the recursion, from one sample before on.
     """
-    model = output_error(data, order, 0 if direct else 1)
+    records = with_late_disturbances(data) if direct else data
+    model = output_error(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
     f = model.theta[1 : order + 1]
-    gains = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs)
+    both = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs and disturbances)
+    gains = both[:, : data.scale.inputs]
     d = gains[:1] if direct else np.zeros((1, gains.shape[1]))
     by_lag = np.concatenate([gains[1:], 0.0 * d]) if direct else gains
     a = np.eye(order, k=1)
     a[:, 0] = f
-    system = StateSpace(a=a, b=by_lag + f[:, None] * d, c=np.eye(1, order), d=d)
     offset = data.scale.output_scale * model.theta[0] / (1.0 - f.sum())
     scale = replace(data.scale, output_equilibrium=data.scale.output_equilibrium + offset)
-    return SSM.of(system, data.step_s, scale)
+    system = StateSpace(a=a, b=by_lag + f[:, None] * d, c=np.eye(1, order), d=d)
+    if not data.disturbances:
+        return SSM.of(system, data.step_s, scale)
+    return SSM(
+        linear=system,
+        scaffold_in=LinearScaffold.identity(gains.shape[1]),
+        scaffold_out=LinearScaffold.identity(1),
+        scale=scale,
+        step_s=data.step_s,
+        b_d=both[:, gains.shape[1] :],
+    )
+
+
+def with_late_disturbances(data: DataSet) -> DataSet:
+    """The training records with measured disturbances one sample later: what is within the sample
+    for the input is one sample before for them."""
+    late = [
+        record if record.d is None else replace(record, d=np.vstack([record.d[:1], record.d[:-1]]))
+        for record in data.training
+    ]
+    return replace(data, training=tuple(late))
 
 
 def structured_trial(

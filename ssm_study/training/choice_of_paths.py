@@ -82,7 +82,7 @@ def nearly_integrates(data: DataSet) -> bool:
     if data.scale.outputs != 1:
         return False
     with np.errstate(all="ignore"):
-        system = linear_model(with_joined_records(data), SLOW_ORDER, direct=False).linear
+        system = linear_model(with_joined_records(data), SLOW_ORDER, direct=False).driven_system
         modes, vectors = np.linalg.eig(system.a)
         residues = np.abs(system.c @ vectors).T * np.abs(np.linalg.solve(vectors, system.b + 0j))
         radii = np.minimum(np.abs(modes), 1.0 - 1e-9)

@@ -32,9 +32,10 @@ UNMOVED = (
 class Records(nn.Module):
     """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
 
-    `u (e, T, m)`, `y (e, T, p)`, `weight (e, T, 1)`: zero in the `unscored` samples of the cut and
-    in the padding, and scaled so that `sum(weight |y - mean|^2) = 1`, the mean taken over all
-    records. Then the loss is `(1 - fit / 100)^2` for one channel.
+    `u (e, T, m)`, with measured disturbances as further columns, `y (e, T, p)`, `weight (e, T,
+    1)`: zero in the `unscored` samples of the cut and in the padding, and scaled so that
+    `sum(weight |y - mean|^2) = 1`, the mean taken over all records. Then the loss is `(1 - fit /
+    100)^2` for one channel.
     """
 
     u: Tensor
@@ -46,8 +47,9 @@ class Records(nn.Module):
     def __init__(self, cut: Cut, data: DataSet, sorts: bool, share: float = 0.0) -> None:
         super().__init__()
         self.integrated_share = share
+        scale = data.scale.with_disturbances_as_inputs()
         u, y = padded(
-            [(data.scale.scaled_input(r.u), data.scale.scaled_output(r.y)) for r in cut.pieces]
+            [(scale.scaled_input(r.driven_by), scale.scaled_output(r.y)) for r in cut.pieces]
         )
         scored = np.zeros((*u.shape[:2], 1))
         for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
@@ -60,7 +62,7 @@ class Records(nn.Module):
             1
         ) * self.scored  # of y as of its error, see `objective`
         self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
-        self.lift = Lift(self.u, sorts)
+        self.lift = Lift(self.u[..., : data.scale.inputs], sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
         """Free run of the model over all records."""
@@ -72,7 +74,9 @@ class Records(nn.Module):
         return model.advance(self.u, x0, **self._lifted(model))
 
     def _lifted(self, model: TorchModel) -> dict[str, Signals]:
-        return {"lifted": self.lift(model.scaffold_in)} if isinstance(model, TorchSSM) else {}
+        if not isinstance(model, TorchSSM):
+            return {}
+        return {"lifted": model.drive(self.u, self.lift(model.scaffold_in))}
 
     def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
         """`sum weight |e|^2`: what the fit is made of."""

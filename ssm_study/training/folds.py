@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from ssm_study.data.splits import without_fold
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 
@@ -31,9 +29,7 @@ def joined_pieces(records: Sequence[Trajectory]) -> list[Trajectory]:
     for record in records:
         before = joined[-1] if joined else None
         if before is not None and before.log == record.log > 0 and follows(record, before):
-            u = np.concatenate([before.u, record.u])
-            y = np.concatenate([before.y, record.y])
-            joined[-1] = replace(before, u=u, y=y)
+            joined[-1] = Trajectory.joined([before, record])
         else:
             joined.append(record)
     return joined

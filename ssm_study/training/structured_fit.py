@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.spec import scaled
+from ssm_study.models.spec import scaled_with_disturbances
 from ssm_study.models.structured import Model, StructuredSSM, phi, shapes
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet, fit_of_error
+from ssm_study.signals import DataSet, Trajectories, fit_of_error
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_problem import (
     CORE,
@@ -57,9 +57,10 @@ class StructuredFit(pl.LightningModule):
         self.data = data
         self.seed = seed
         self.integrates = bool(spec.integrating_output)
-        lift, read = spec.maps((data.scale.inputs, data.scale.outputs))
+        channels = (data.scale.inputs, data.scale.outputs)
+        lift, read = spec.maps(channels, data.scale.disturbances)
         self.problem = Residuals(
-            records=Batch.padded(scaled(data)),
+            records=Batch.padded(scaled_with_disturbances(data)),
             neurons=spec.each,
             lift=lift,
             read=read,
@@ -79,7 +80,8 @@ class StructuredFit(pl.LightningModule):
         n = int(spec.order)
         q = int(spec.neurons)
         p = self.data.scale.outputs
-        sizes: dict[str, tuple[int, ...]] = shapes(n, self.data.scale.inputs, p, q)
+        drives = self.data.scale.inputs + self.data.scale.disturbances
+        sizes: dict[str, tuple[int, ...]] = shapes(n, drives, p, q)
         if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
             sizes["x_e"] = (n, q)
@@ -211,6 +213,8 @@ class StructuredFit(pl.LightningModule):
         del parts["kinds"]
         if self.integrates:
             parts |= with_integrator(parts)
+        if self.data.scale.disturbances:
+            parts |= with_disturbance_path(parts, self.data.scale.inputs)
         return StructuredSSM(
             **parts,
             neurons=self.spec.each,
@@ -226,7 +230,7 @@ class StructuredFit(pl.LightningModule):
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
-        model = pruned(self.stored(), [record.u for record in self.data.training])
+        model = pruned(self.stored(), self.data.training)
         idle = len(self.spec.each) - len(model.neurons)
         note = f"; neurons removed because they did nothing: {idle}" if idle else ""
         return model if model.neurons else SSM.from_json(model.to_json()), note
@@ -252,7 +256,15 @@ def with_integrator(
     }
 
 
-def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> StructuredSSM:
+def with_disturbance_path(
+    parts: dict[str, Float[np.ndarray, "..."]], inputs: int
+) -> dict[str, Float[np.ndarray, "..."]]:
+    """Input matrices of so many inputs, and B_d of the columns behind them."""
+    split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
+    return split | {"b_d": parts["b"][:, inputs:]}
+
+
+def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
     """Without neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by
     `IDLE` (relative).
 
@@ -263,23 +275,21 @@ def pruned(model: StructuredSSM, inputs: list[Float[np.ndarray, "_ m"]]) -> Stru
     for i in reversed(range(len(model.neurons))):
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
             continue
-        candidate = without_neuron(model, i, inputs)
-        output = np.concatenate([model.simulate(u) for u in inputs])
-        moved = np.concatenate([candidate.simulate(u) for u in inputs])
+        candidate = without_neuron(model, i, records)
+        output = np.concatenate([model.simulate(one.u, d=one.d) for one in records])
+        moved = np.concatenate([candidate.simulate(one.u, d=one.d) for one in records])
         deviation = np.linalg.norm(output - output.mean(axis=0))
         if np.linalg.norm(moved - output) / deviation < IDLE:
             model = candidate
     return model
 
 
-def without_neuron(
-    model: StructuredSSM, i: int, inputs: list[Float[np.ndarray, "_ m"]]
-) -> StructuredSSM:
-    """The model whose neuron i is replaced by its mean slope over these inputs."""
+def without_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
+    """The model whose neuron i is replaced by its mean slope over these records."""
     slopes = []
-    for u in inputs:
-        v = model.lift(u)
-        states = model.run(v)[1][:-1]
+    for record in records:
+        states = model.run(model.drive(record.u, record.d))[1][:-1]
+        v = model.lift(record.u)
         z = states @ model.f.T + v @ model.g.T + model.bias
         slopes.append(phi(model.neurons, z, "slope")[:, i])
     slope = float(np.concatenate(slopes).mean())

@@ -130,8 +130,7 @@ class Residuals:
     def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1,
         n)`."""
-        input_map = self.lift.freeze(theta["scaffold_in"])
-        v = np.ascontiguousarray(input_map(self.records.u))
+        v = np.ascontiguousarray(self.lift.values(theta["scaffold_in"], self.records.u))
         x0, _ = self.starts(theta)
         ybar, states = free_run(self.matrices(theta), v, x0)
         return v, ybar, states
@@ -182,6 +181,7 @@ class Residuals:
         v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
         x0, begun = self.starts(theta)
         y, columns = sensitivities(self.matrices(theta), v, x0, by_input_map, self.lift.owners)
+        self._close_passed_paths(columns)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrating_output:
             y = begun[:, None, :] + summed(y)
@@ -193,6 +193,16 @@ class Residuals:
         outputs = np.arange(target.shape[-1])[:, None]
         columns["scaffold_out"] = by_output_map[..., None, :] * (self.read.owners == outputs)
         return y, columns
+
+    def _close_passed_paths(self, columns: dict[str, Float[np.ndarray, "N T p _"]]) -> None:
+        """No derivative by the entries of D and G that measured disturbances would pass: they stay
+        zero."""
+        inputs = self.lift.channels + self.lift.passed
+        for name in ("d", "g"):
+            if not self.lift.passed or not columns[name].size:
+                continue
+            entries = columns[name].reshape(*columns[name].shape[:-1], -1, inputs)
+            entries[..., self.lift.channels :] = 0.0
 
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
         """Derivative of A, E and F by the free parameters, a column each."""

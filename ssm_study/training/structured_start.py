@@ -42,7 +42,7 @@ def linear_start(
     start["b"] = system.b
     start["c"] = system.c
     if feedthrough:
-        start["d"] = system.d
+        start["d"] = inputs_alone(problem, system.d)
     start["x0"] = np.zeros((len(problem.records.u), n + p * problem.integrating_output))
     start["scaffold_in"] = problem.lift.start(inputs)
     start["scaffold_out"] = problem.read.start(outputs)
@@ -61,6 +61,11 @@ def recorded_pairs(
     inputs, outputs, _ = problem.records
     scored = problem.records.scored
     return [(u[there], y[there]) for u, y, there in zip(inputs, outputs, scored, strict=True)]
+
+
+def inputs_alone(problem: Residuals, d: Float[np.ndarray, "p m"]) -> Float[np.ndarray, "p m"]:
+    """D without the columns of measured disturbances, which reach the states alone."""
+    return np.where(np.arange(d.shape[1]) < problem.lift.channels, d, 0.0)
 
 
 def unit_states(problem: Residuals, theta: Theta) -> Theta:

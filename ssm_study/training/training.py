@@ -84,6 +84,7 @@ class Training:
         from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
 
+        refuse_unknown_path(spec, data)
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
             model = spec.solve(data)
@@ -244,6 +245,19 @@ def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
     starts does not say."""
     largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
     return largest_rate is None or largest_rate(model) > 0.0
+
+
+def refuse_unknown_path(spec: "ModelSpec", data: DataSet) -> None:
+    """Raise `BadRequest` where there are measured disturbances and no path for them in the
+    model."""
+    from ssm_study.models.spec import SSMSpec
+    from ssm_study.models.structured_spec import StructuredSpec
+
+    names = ", ".join(channel.name for channel in data.disturbances)
+    takes = not data.disturbances or isinstance(spec, SSMSpec | StructuredSpec)
+    problem = f"{type(spec).__name__} has no path for measured disturbances"
+    remedy = "use model=log, structured, ssm or linear, or name the column an input"
+    require(takes, "data.disturbance", names, problem, remedy)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -353,20 +353,20 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
         bias=np.append(spare.bias, 0.0),
         neurons=("tanh", "softplus"),
     )
-    left = pruned(idle, [data.training[0].u])
+    left = pruned(idle, data.training[:1])
     assert left.neurons == ("tanh",)
     np.testing.assert_allclose(
         left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5
     )
     through = replace(idle, g=np.array([[0.0], [1.0]]), h=np.array([[0.0, 1e-9]]))
     assert (
-        pruned(through, [data.training[0].u]).neurons == idle.neurons
+        pruned(through, data.training[:1]).neurons == idle.neurons
     )  # its mean slope would be a feedthrough
     for beside in (
         replace(idle, h=np.array([[0.0, 1e-9]])),
         replace(idle, g=np.array([[0.0], [1.0]])),
     ):
-        assert pruned(beside, [data.training[0].u]).neurons == ("tanh",)
+        assert pruned(beside, data.training[:1]).neurons == ("tanh",)
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # ty
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
     by_time = pd.Series(U, name="power", index=INDEX)
     for u in (U, U[:, None], np.ma.masked_array(U), by_time, by_time.to_frame()):
-        paths, _, _ = logged(u, Y, tmp_path, 0.01)
+        paths = logged(u, Y, tmp_path, 0.01).paths
         assert np.array_equal(pd.read_parquet(paths[0]).iloc[:, 0], U)
 
 

@@ -74,6 +74,7 @@ def without_neurons(model: Model) -> SSM:
         scaffold_out=model.scaffold_out,
         scale=model.scale,
         step_s=model.step_s,
+        b_d=model.b_d,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.loop.controller import Controller, Inputs, Memory, Outputs, Target
+from ssm_study.loop.controller import Controller, Inputs, Measured, Memory, Outputs, Target
 from ssm_study.loop.peers.peer import Identified, Peer
 from ssm_study.models.identified import SSM
 from ssm_study.plants.plant import Plant
@@ -49,7 +49,9 @@ class PI(Controller):
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
         return self.input_equilibrium + self.gain * (target - y + memory)
 
-    def advance(self, memory: Memory, u: Inputs, y: Outputs, target: Target) -> Memory:
+    def advance(
+        self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
+    ) -> Memory:
         unlimited_input = self.input(memory, y, target)
         is_unlimited = np.isclose(u, unlimited_input, rtol=1e-9, atol=1e-12)
         increment = self.step_s / self.integral_s * (target - y)

@@ -356,6 +356,7 @@ def baseline_facts(data: DataSet) -> dict[str, object] | None:
 
     None for several outputs, and where the records are too short for any of them.
     """
+    data = data.with_disturbances_as_inputs()  # a baseline knows no other path
     best = best_baseline(data)
     if best is None:
         return None

@@ -7,7 +7,7 @@ group `scaffold` says. Members are found by `names`, the kind that JSON says.
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, Field, dataclass, fields
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -32,12 +32,12 @@ class Explicit:
     kind: ClassVar[str | None] = None
 
     def to_json(self) -> dict[str, Any]:
-        """Kind and explicit numbers; floats read back to the same float64."""
+        """Kind and explicit numbers; floats read back to the same float64. An empty array that a
+        field has by default is left out."""
         data = {} if self.kind is None else {"kind": self.kind}
-        for field in fields(self):  # type: ignore[arg-type] # a mixin of dataclasses
-            value = getattr(self, field.name)
-            parts = vars(value) if isinstance(value, FLAT) else {field.name: value}
-            data |= {name: _plain(part) for name, part in parts.items()}
+        for field, value in _entries(self):
+            nested = _entries(value) if isinstance(value, FLAT) else [(field, value)]
+            data |= {part.name: _plain(own) for part, own in nested}
         return data
 
     @classmethod
@@ -45,6 +45,17 @@ class Explicit:
         """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or
         malformed."""
         return _built(cls, data)
+
+
+def _entries(of: Any) -> list[tuple[Field[Any], Any]]:
+    """The fields that are written, with their values."""
+    entries = [(field, getattr(of, field.name)) for field in fields(of)]
+    return [(field, value) for field, value in entries if not (_optional(field) and not value.size)]
+
+
+def _optional(field: Field[Any]) -> bool:
+    """Whether a field is empty by default: what older files lack."""
+    return field.default_factory is not MISSING
 
 
 def _plain(value: Any) -> Any:
@@ -57,9 +68,8 @@ def _plain(value: Any) -> Any:
 
 def _built(kind: Any, data: Mapping[str, Any]) -> Any:
     hints = get_type_hints(kind)
-    return kind(
-        **{field.name: _read(hints[field.name], field.name, data) for field in fields(kind)}
-    )
+    needed = (field for field in fields(kind) if field.name in data or not _optional(field))
+    return kind(**{field.name: _read(hints[field.name], field.name, data) for field in needed})
 
 
 def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:

@@ -1,0 +1,85 @@
+"""C code of the neurons of a controller."""
+
+import re
+from collections.abc import Sequence
+
+from ssm_study.export.device import Device
+from ssm_study.models.structured import NEURONS
+
+
+def neuron_texts(device: Device, name: str) -> dict[str, str]:
+    """C code that neurons add to the header; empty texts for a model without neurons.
+
+    `include` is math.h, `neurons` their function, `read` its call where the observer's error is
+    not known yet, `driven` the call where it is.
+    """
+    if device.controller.neurons is None:
+        return dict.fromkeys(("include", "neurons", "read", "driven"), "")
+    return {
+        "read": joined_lines(_neurons_read(device, name)),
+        "driven": joined_lines(_neurons_driven(device, name)),
+        "neurons": "\n" + joined_lines(_neurons_function(device, name)),
+        "include": "#include <math.h> /* link with -lm */\n\n",
+    }
+
+
+def joined_lines(lines: Sequence[str]) -> str:
+    """Lines of code as one text."""
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _neurons_function(device: Device, name: str) -> list[str]:
+    real = device.real
+    neurons = device.controller.neurons
+    assert neurons is not None
+    states = len(neurons.into)
+    count = len(neurons.kinds)
+    arguments = {
+        "f": ("x", states),
+        "g": ("lifted", neurons.g.shape[1]),
+        "l_z": ("error", neurons.l_z.shape[1]),
+    }
+    taken = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
+    lines = [f"static inline void {name}_neurons({taken}, {real} *w) {{"]
+    lines.append(f"    {real} z;")
+    lines.append(f"    for (int i = 0; i < {count}; ++i) w[i] = {name}_bias[i];")
+    for matrix, (vector, size) in arguments.items():
+        lines.append(f"    {name}_matvec({count}, {size}, {name}_{matrix}, {vector}, w);")
+    for i, kind in enumerate(neurons.kinds):
+        lines.append(f"    z = w[{i}];")
+        lines.append(f"    w[{i}] = {_activation(kind, real)} - {name}_phi_bias[{i}];")
+    return [*lines, "}"]
+
+
+def _activation(kind: str, real: str) -> str:
+    code = NEURONS[kind].c
+    if real == "float":  # tanhf and 1.0f
+        code = re.sub(r"([a-z]\w+)\(", r"\1f(", code)
+        code = re.sub(r"(\d\.\d)", r"\1f", code)
+    return code
+
+
+def _neurons_read(device: Device, name: str) -> list[str]:
+    real = device.real
+    neurons = device.controller.neurons
+    assert neurons is not None
+    if not neurons.h.any():
+        return []
+    outputs, count = neurons.h.shape
+    return [
+        f"    const {real} none[{neurons.l_z.shape[1]}] = {{0}};",
+        f"    {real} seen[{count}];",
+        f"    {name}_neurons(state->x, lifted, none, seen);",
+        f"    {name}_matvec({outputs}, {count}, {name}_h, seen, ybar);",
+    ]
+
+
+def _neurons_driven(device: Device, name: str) -> list[str]:
+    neurons = device.controller.neurons
+    assert neurons is not None
+    states, count = neurons.into.shape
+    return [
+        f"    {device.real} w[{count}];",
+        f"    {name}_neurons(state->x, lifted, error, w);",
+        f"    {name}_matvec({states}, {count}, {name}_into, w, next);",
+    ]
