@@ -1,20 +1,23 @@
 """One log written in many ways, and read back: `python benchmarks/log_variants.py [FILES]`.
 
 Drawn by hypothesis: separators x decimal marks x names x clocks x holes x missing values x
-encodings
-x comments x units x line ends. Each file is read with the settings a user types first: `data.input`
-and `data.output`, and `data.step_s` where no clock stands in the file. Four ends are counted: read
-right, refused in a sentence, wrong in silence (another step or other numbers), a traceback. Of the
-files that are not ambiguous at least 95 % are to be read, and none may be wrong.
+encodings x comments x units x line ends x quoted cells x a column that counts rows. Each file is
+read with the settings a user types first: `data.input` and `data.output`, and `data.step_s` where
+no clock stands in the file. Four ends are counted: read right, refused in a sentence, wrong in
+silence (another step or other numbers), a traceback. Of the files that are not ambiguous at least
+95 % are to be read, and none may be wrong. With `--to` the counts, by what each file was written
+with, stand in a table.
 """
 
 import argparse
 import tempfile
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +25,7 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
 ROWS = 400
+ENDS = ("read", "refused", "wrong", "traceback")
 NAMES = {
     "plain": ("u", "y"),
     "words": ("Motor voltage", "Speed"),
@@ -61,6 +65,8 @@ class Variant:
     line_end: str
     step_s: float
     trailing: bool
+    quoted: bool
+    counter: bool
     seed: int
 
 
@@ -75,11 +81,13 @@ def is_possible(variant: Variant) -> bool:
         or variant.units_row
         or CLOCKS[variant.clock][0] not in ("", "t", "time_ms", "timestamp_us")
     )
-    both = variant.separator == variant.decimal
+    both = variant.separator == variant.decimal and not variant.quoted
     bare_clock = variant.names == "none" and variant.clock not in ("none", "t", "date")
     bare_units = variant.units_row and variant.names in ("none", "units", "brackets")
     dated_fast = dated and variant.step_s < 1.0
-    return not (ascii_only or words_by_spaces or both or bare_clock or bare_units or dated_fast)
+    bare_counter = variant.counter and (variant.names == "none" or variant.separator == " ")
+    names = (words_by_spaces, bare_clock, bare_units, bare_counter)
+    return not (ascii_only or both or dated_fast or any(names))
 
 
 variants = st.builds(
@@ -96,6 +104,8 @@ variants = st.builds(
     line_end=st.sampled_from(["\n", "\r\n"]),
     step_s=st.sampled_from([0.001, 0.01, 0.25, 1.0, 60.0]),
     trailing=st.booleans(),
+    quoted=st.sampled_from([False, False, True]),
+    counter=st.sampled_from([False, False, True]),
     seed=st.integers(0, 10_000),
 ).filter(is_possible)
 
@@ -131,6 +141,14 @@ def write(variant: Variant, folder: Path) -> Written:
         rows = [[time, *row] for time, row in zip(times, rows, strict=True)]
         names = [CLOCKS[variant.clock][0], *names]
         units = ["s", *units]
+    if variant.counter:
+        rows = [[str(k), *row] for k, row in enumerate(rows)]
+        names = ["", *names]
+        units = ["", *units]
+    if variant.quoted:
+        rows = [[f'"{cell}"' for cell in row] for row in rows]
+        names = [f'"{name}"' for name in names]
+        units = [f'"{unit}"' for unit in units]
     lines = ["# logged by a program, 2026"] * variant.comments
     if variant.names != "none":
         lines.append(variant.separator.join(names))
@@ -193,18 +211,38 @@ def outcome(variant: Variant, folder: Path) -> tuple[str, str]:
     return ("read", "") if same else ("wrong", f"{len(y)} of {len(written.y)} rows")
 
 
+def counts_by_feature(outcomes: Sequence[tuple[Variant, str]]) -> pd.DataFrame:
+    """How many files were read, refused, wrong or ended in a traceback: all, and by how they were
+    written."""
+    rows: list[dict[str, object]] = [{"feature": "all", "value": "", **counts(outcomes)}]
+    features = [field.name for field in fields(Variant) if field.name != "seed"]
+    for feature in features:
+        values = sorted({str(getattr(variant, feature)) for variant, _ in outcomes})
+        for value in values:
+            alike = [pair for pair in outcomes if str(getattr(pair[0], feature)) == value]
+            rows.append({"feature": feature, "value": repr(value)[1:-1], **counts(alike)})
+    return pd.DataFrame(rows)
+
+
+def counts(outcomes: Sequence[tuple[Variant, str]]) -> dict[str, int]:
+    """How many files there are, and how they ended."""
+    ends = Counter(end for _, end in outcomes)
+    return {"files": len(outcomes), **{end: ends[end] for end in ENDS}}
+
+
 def main() -> None:
     """Draw the files, print the counts and what was not read."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", nargs="?", type=int, default=500, help="how many files")
-    count = parser.parse_args().count
-    ends: Counter[str] = Counter()
+    parser.add_argument("--to", type=Path, help="table of the counts (CSV)")
+    options = parser.parse_args()
+    outcomes: list[tuple[Variant, str]] = []
     remarks: list[str] = []
 
     with tempfile.TemporaryDirectory() as folder:
 
         @settings(
-            max_examples=count,
+            max_examples=options.count,
             derandomize=True,
             deadline=None,
             database=None,
@@ -214,14 +252,16 @@ def main() -> None:
         @given(variants)
         def draw(variant: Variant) -> None:
             end, said = outcome(variant, Path(folder))
-            ends[end] += 1
+            outcomes.append((variant, end))
             if end != "read":
                 remarks.append(f"{end}: {said[:160]} | {variant}")
 
         draw()
     for remark in remarks[:40]:
         print(remark)
-    print(f"{sum(ends.values())} files: {dict(ends)}")
+    print(f"{len(outcomes)} files: {counts(outcomes)}")
+    if options.to is not None:
+        counts_by_feature(outcomes).to_csv(options.to, index=False)
 
 
 if __name__ == "__main__":

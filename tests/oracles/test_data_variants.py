@@ -25,6 +25,8 @@ MILLISECONDS = Variant(
     line_end="\r\n",
     step_s=0.01,
     trailing=True,
+    quoted=False,
+    counter=False,
     seed=1,
 )
 
