@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.data.readers.mat_hdf5 import parse_hdf5
 from ssm_study.data.readers.reader import Reader, Table, check_named
 from ssm_study.refusal import BadRequest
 
@@ -132,6 +133,8 @@ def numbers_of(
     `BadRequest` where the file is not whole."""
     try:
         contents = parse(path)
+    except BadRequest:
+        raise  # no reader of HDF5 is installed
     except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
         reason = repr(error) if isinstance(error, LookupError) else error
         problem = f"not a complete MAT file: {reason}"
@@ -157,8 +160,8 @@ def numbers_of(
 def parse(path: Path) -> dict[str, Value]:
     """The variables of a file; raises, of whatever type, what is wrong with its bytes."""
     content = path.read_bytes()
-    newer = content.startswith((b"MATLAB 7.3", b"\x89HDF"))
-    _must(not newer, "it is of version 7.3 (HDF5); save it with -v7")
+    if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        return parse_hdf5(path, MOST_BYTES)
     _must(len(content) >= 20, "it is too short")
     return dict(_version_4(path) if 0 in content[:4] else _version_5(content))
 

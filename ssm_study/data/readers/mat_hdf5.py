@@ -1,0 +1,71 @@
+"""MAT files of version 7.3, which are HDF5: read by h5py where it is installed.
+
+MATLAB stores a matrix by columns, HDF5 by rows, so each one is turned back; a struct is a group,
+and what a variable is stands in its attribute `MATLAB_class`.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssm_study.refusal import BadRequest
+
+NUMERIC = ("double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64",
+           "uint64", "logical")  # fmt: skip
+WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct",
+         "function_handle": "a function"}  # fmt: skip
+OWN = "#"  # first letter of MATLAB's own groups
+
+
+def parse_hdf5(path: Path, most_bytes: int) -> dict[str, np.ndarray | str]:
+    """Variables by name, fields of structs as `log.u`; what is no real matrix, as a word.
+
+    Raises `BadRequest` where h5py is not installed, and whatever h5py raises of a damaged file.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        problem = "a MAT file of version 7.3 (HDF5), and there is no reader of it"
+        remedy = "save it with -v7, or pip install h5py"
+        raise BadRequest("data.path", path, problem, remedy) from error
+    with h5py.File(path, "r") as file:
+        pairs = [pair for name in file for pair in named_values(name, file[name])]
+        total = sum(value.nbytes for _, value in pairs if not isinstance(value, str))
+        if total > most_bytes:
+            raise ValueError(f"it holds more than {most_bytes >> 20} MiB; split it")
+        return {name: value if isinstance(value, str) else real(value) for name, value in pairs}
+
+
+def named_values(name: str, node: Any) -> Iterator[tuple[str, Any]]:
+    """Data sets of a variable by name, not read yet; words for what holds no real numbers."""
+    if name.startswith(OWN):
+        return
+    kind = class_of(node)
+    is_group = hasattr(node, "keys")
+    if is_group and kind in ("struct", ""):
+        for field in node:
+            yield from named_values(f"{name}.{field}", node[field])
+    elif is_group:
+        yield name, WORDS.get(kind, "a sparse matrix" if "MATLAB_sparse" in node.attrs else kind)
+    elif "MATLAB_object_decode" in node.attrs or kind not in (*NUMERIC, ""):
+        yield name, WORDS.get(kind, "an object")
+    elif "MATLAB_empty" in node.attrs:
+        return
+    elif node.dtype.kind not in "fiub":
+        yield name, "complex" if node.dtype.names else WORDS.get(kind, "no number")
+    else:
+        yield name, node
+
+
+def class_of(node: Any) -> str:
+    """Class of a variable as MATLAB states it; "" in a file of another program."""
+    stated = node.attrs.get("MATLAB_class", b"")
+    return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
+
+
+def real(node: Any) -> np.ndarray:
+    """The numbers of a data set as MATLAB shows the matrix."""
+    values = np.asarray(node[()])
+    return np.atleast_2d(values).T

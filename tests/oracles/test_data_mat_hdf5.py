@@ -1,0 +1,98 @@
+"""MAT files of version 7.3 and spreadsheets, as their own libraries write them."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ssm_study.data.readers import mat_hdf5
+from ssm_study.data.readers.mat import MatReader
+from ssm_study.data.recorded import RecordedData
+from ssm_study.refusal import BadRequest
+
+TIMES = 0.01 * np.arange(200)
+U = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
+Y = np.convolve(U, 0.2 * 0.8 ** np.arange(40))[:200]
+
+
+def hdf5_log(folder: Path) -> Path:
+    """A file as MATLAB writes it with -v7.3: column vectors, a struct, a matrix, text, an object, a
+    complex vector, an empty variable."""
+    h5py = pytest.importorskip("h5py")
+    path = folder / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+
+        def put(name: str, values: np.ndarray, kind: str, **attributes: object) -> None:
+            data = file.create_dataset(name, data=values.T)
+            data.attrs["MATLAB_class"] = np.bytes_(kind)
+            for title, value in attributes.items():
+                data.attrs[title] = value
+
+        put("t", TIMES[:, None], "double")
+        put("u", U[:, None].astype(np.float32), "single")
+        put("data", np.stack([U, Y], axis=1), "double")
+        put("note", np.array([[72, 105]], dtype=np.uint16), "char", MATLAB_int_decode=2)
+        put("stamp", np.zeros((1, 6), dtype=np.uint32), "datetime", MATLAB_object_decode=3)
+        put("nothing", np.zeros((1, 2), dtype=np.uint64), "double", MATLAB_empty=1)
+        parts = np.zeros((200, 1), dtype=[("real", "f8"), ("imag", "f8")])
+        put("z", parts, "double")
+        file.create_group("log").attrs["MATLAB_class"] = np.bytes_("struct")
+        put("log/y", Y[:, None], "double")
+        file.create_group("#refs#")
+    content = path.read_bytes()
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" ")
+    path.write_bytes(header + content[512:])
+    return path
+
+
+def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
+    path = hdf5_log(tmp_path)
+    source = RecordedData(path=str(path), input="u", output="log.y", time="t")
+    (piece,), remark = source.read_pieces(path)
+    assert piece.step_s == pytest.approx(0.01)
+    np.testing.assert_array_equal(piece.u[:, 0], U)
+    np.testing.assert_array_equal(piece.y[:, 0], Y)
+    columns = MatReader().read(path, ["data:1", "data:2"]).columns
+    np.testing.assert_array_equal(columns["data:2"], Y)
+    skipped = MatReader().contents(path).skipped
+    assert skipped == {
+        "note": "is text, not real numbers",
+        "stamp": "is an object, not real numbers",
+        "z": "is complex, not real numbers",
+    }
+    assert "step 0.01 s" in remark
+
+
+def test_a_file_of_version_7_3_is_refused_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = hdf5_log(tmp_path)
+    source = RecordedData(path=str(path), input="note", output="log.y", step_s=0.01)
+    with pytest.raises(BadRequest, match="is text, not real numbers"):
+        source.read_pieces(path)
+    with pytest.raises(ValueError, match="holds more than 0 MiB"):
+        mat_hdf5.parse_hdf5(path, 100)
+    path.write_bytes(path.read_bytes()[:2000])
+    with pytest.raises(BadRequest, match="not a complete MAT file"):
+        source.read_pieces(path)
+    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    with pytest.raises(BadRequest, match="save it with -v7, or pip install h5py"):
+        source.read_pieces(path)
+
+
+def test_a_workbook_is_read(tmp_path: Path) -> None:
+    """Times as cells of the spreadsheet's own kind, a row of units, an empty cell."""
+    pytest.importorskip("openpyxl")
+    times = pd.date_range("2026-01-01", periods=200, freq="1min")
+    measured: list[object] = list(Y)
+    measured[100] = None
+    rows = [["time", "u", "y"], ["", "V", "rpm"]]
+    rows += [list(row) for row in zip(times, U, measured, strict=True)]
+    path = tmp_path / "log.xlsx"
+    pd.DataFrame(rows, dtype=object).to_excel(path, header=False, index=False)
+    pieces, remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+    assert [len(piece) for piece in pieces] == [100, 99]
+    assert pieces[0].step_s == 60.0
+    np.testing.assert_allclose(pieces[1].y[:, 0], Y[101:])
+    assert "clock time (dates)" in remark
