@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.data.clock_restarts import clock_restarts
 from ssm_study.data.readers.reader import Table, folded, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
@@ -48,6 +49,10 @@ WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "d
          "stamp", "localtime", "uptime", "recordtime", "logtime")  # fmt: skip
 # Seconds since 1970 in smaller units have so many digits: what a unit is without a name.
 EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+# Of whole numbers without a unit; the evidence then has a doubt.
+MAYBE_SMALLER = "no unit: taken for seconds, though whole numbers may count milliseconds"
+FEWEST_UNITS = 2.0  # from one row to the next: a clock in seconds often counts one by one
+MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clock out of order
 
 
 def clock_unit(title: str, stated: str) -> float | None:
@@ -101,7 +106,8 @@ def find_clock(table: Table, signals: Collection[str]) -> str | None:
     """
     free = [title for title in table.columns if title not in signals]
     for title in free:
-        if is_clock_name(title) and runs_forwards(table.columns[title]):
+        times = table.columns[title]
+        if is_clock_name(title) and (runs_forwards(times) or clock_restarts(times)):
             return title
     for title in free:
         if has_clock_word(title) and runs_forwards(table.columns[title], strictly=True):
@@ -146,8 +152,14 @@ def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
     return bool(known[0] in (0.0, 1.0) and (np.diff(known) == 1.0).all())
 
 
-def clock_seconds(title: str, table: Table) -> tuple[Float[np.ndarray, "T"], str]:
-    """The times of a column in seconds, and in words what unit was read."""
+def clock_seconds(
+    title: str, table: Table, *, is_stated: bool = False
+) -> tuple[Float[np.ndarray, "T"], str]:
+    """The times of a column in seconds, and in words what unit was read.
+
+    Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
+    sampling time is stated: they may count milliseconds.
+    """
     times = table.columns[title]
     name = title or "the nameless first column"
     if title in table.dated:
@@ -160,7 +172,19 @@ def clock_seconds(title: str, table: Table) -> tuple[Float[np.ndarray, "T"], str
     for digits, seconds in EPOCHS:
         if largest >= digits and np.ptp(known) < 0.1 * largest:
             return seconds * (times - times[0]), f"clock {name} (units of {seconds:g} s since 1970)"
+    if not is_stated and counts_small_units(times):
+        return times, f"clock {name} ({MAYBE_SMALLER})"
     return times, f"clock {name} (no unit: seconds)"
+
+
+def counts_small_units(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether times are whole numbers several apart, and no whole minutes apart."""
+    known = times[np.isfinite(times)]
+    steps = np.diff(known)
+    if len(steps) < 2 or not np.array_equal(known, np.round(known)):
+        return False
+    period = float(np.median(steps))
+    return period >= FEWEST_UNITS and period % 60 != 0
 
 
 def counts_in_first_column(contents: Table) -> bool:
@@ -170,6 +194,31 @@ def counts_in_first_column(contents: Table) -> bool:
     if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
         return False
     return len(times) > 2 and counts_rows(times)
+
+
+def refuse_backward_clock(
+    contents: Table, taken: list[str], file: Path, *, is_stated: bool
+) -> None:
+    """Refuse a log whose clock, found by its name, runs backwards, at a row or as a whole.
+
+    Where the sampling time is stated a column of one letter may be anything (`T`, a temperature).
+    """
+    rows = {len(contents.columns[title]) for title in taken}
+    for title, times in contents.columns.items():
+        plain = title_without_unit(title).strip()
+        if title in taken or not is_clock_name(title) or (is_stated and len(plain) == 1):
+            continue
+        if len(times) not in rows:
+            continue
+        steps = np.diff(times[np.isfinite(times)])
+        if len(steps) < 2:
+            continue
+        descends = bool((steps < 0).mean() > MOSTLY)
+        out_of_order = bool((steps < 0).any()) and bool((steps > 0).mean() > MOSTLY)
+        row = int(np.argmax(steps < 0)) + 1
+        problem = f"is named like a clock, and runs backwards at row {row}, counted from 0"
+        remedy = "sort the rows by time, or put each experiment into a file of its own"
+        require(not (descends or out_of_order), f"{file.name} (column)", title, problem, remedy)
 
 
 def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:

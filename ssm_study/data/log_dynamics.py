@@ -101,12 +101,13 @@ def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
         lag = first_answer(coarse_u, coarse_y) if enough else None
         if lag is not None:
             return lag_sentence(lag, word) if stride == 1 else slow_sentence(lag, stride, word)
-    if max(shares.level, shares.change) > FOLLOWS:
-        by_level = shares.level >= shares.change
+    level = explained_level(u, y)
+    if max(level, shares.change) > FOLLOWS:
+        by_level = level >= shares.change
         explained = "output" if by_level else f"output's changes over {shares.window} samples"
         return (
             "no single step of the input stands out of the noise, but its level explains "
-            f"{max(shares.level, shares.change):.0%} of the {explained}"
+            f"{max(level, shares.change):.0%} of the {explained}"
         )
     return f"no answer to the input within {LAGS} samples stands out of the noise"
 
@@ -195,6 +196,13 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
         if shares.change > MOVED:
             return best
     return best
+
+
+def explained_level(u: Signal, y: Signal) -> float:
+    """Largest share of the output's level that the input's mean explains, over windows of several
+    lengths."""
+    windows = [window for window in WINDOWS if len(u) >= 8 * window]
+    return max((shares_over(u, y, window).level for window in windows), default=0.0)
 
 
 def shares_over(u: Signal, y: Signal, window: int) -> InputShares:

@@ -27,6 +27,9 @@ MOST_SKIPPED = 6  # entries that are listed one by one
 HELD = 0.5  # share of samples at which a column that holds levels does not change
 HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
 FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
+STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
+STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
+MOST_NAMED = 4  # columns that move besides input and output, by name in the sentence on them
 INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
                "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
                "current", "us", "setting", "inputdata", "throttle", "pump", "ph", "q")  # fmt: skip
@@ -171,7 +174,7 @@ def look(
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
         sentences += set_point_sentences(facts, (u, y), stated)
         records, found = examine(path, table, clock, stated.source(path, u, y))
-        sentences += found
+        sentences += [*found, *other_columns(facts, clock, (u, y))]
     return LogLook(
         path=path,
         columns=facts,
@@ -252,11 +255,30 @@ def is_set_point(name: str) -> bool:
     return word_score(name, SET_POINT_WORDS) == 1.0
 
 
+def other_columns(
+    facts: Sequence[ColumnFacts], clock: str | None, signals: tuple[str, str]
+) -> list[str]:
+    """The columns that move besides input and output, and where one of them belongs."""
+    taken = (*signals, clock)
+    moving = [column.name for column in facts if column.levels > 1 and column.name not in taken]
+    if not moving:
+        return []
+    named = ", ".join(moving[:MOST_NAMED])
+    more = f" and {len(moving) - MOST_NAMED} more" if len(moving) > MOST_NAMED else ""
+    return [
+        f"measured too: {named}{more}; what moves the output and is not commanded belongs in "
+        "data.disturbance=[COLUMN]"
+    ]
+
+
 def input_score(column: ColumnFacts) -> float:
-    """How much a column looks like an input: by its name, and by how it holds few levels."""
-    few_levels = round(1.0 - column.levels / column.rows, 1)
-    by_levels = HOLDS_COUNT * column.held + FEW_LEVELS_COUNT * few_levels
-    return word_score(column.name, INPUT_WORDS) + by_levels
+    """How much a column looks like an input: by its name, by how it holds few levels, and by how
+    far it moves. Columns that are alike in this are taken in their order."""
+    few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
+    by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
+    magnitude = max(abs(column.low), abs(column.high))
+    is_steady = column.high - column.low < STEADY * magnitude
+    return word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
 
 
 def word_score(name: str, words: tuple[str, ...]) -> float:

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import EvenRows, on_even_clock, require_agreement, without_missing
+from ssm_study.data.clock import EvenRows, require_agreement, without_missing
 from ssm_study.data.clock_column import (
     clock_seconds,
     counts_in_first_column,
     find_clock,
+    refuse_backward_clock,
     refuse_clock_as_signal,
 )
+from ssm_study.data.clock_restarts import on_even_clocks
 from ssm_study.data.readers.reader import FOREIGN, Reader, Table, read_table, reader_for
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
@@ -181,7 +183,7 @@ class Columns:
             rows = EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
             pieces = without_missing(rows)
         else:
-            pieces = on_even_clock(
+            pieces = on_even_clocks(
                 time_s,
                 values,
                 len(self.inputs),
@@ -248,7 +250,8 @@ class Columns:
         refuse_equal_columns(table, list(units), file)
         time_s = table.time_s
         if self.time is not None:
-            time_s, words = clock_seconds(str(self.time), table)
+            is_stated = self.step_s is not None
+            time_s, words = clock_seconds(str(self.time), table, is_stated=is_stated)
             remarks.append(words)
         elif time_s is None and self.searches_clock:
             time_s, clock_remarks = self._found_clock(file, reader, table, list(units))
@@ -272,8 +275,9 @@ class Columns:
         refuse_clock_as_signal(contents, taken, file)
         title = find_clock(contents, taken)
         if title is None or len(contents.columns[title]) != length:
+            refuse_backward_clock(contents, taken, file, is_stated=self.step_s is not None)
             return self._counted_rows(contents, length)
-        time_s, words = clock_seconds(title, contents)
+        time_s, words = clock_seconds(title, contents, is_stated=self.step_s is not None)
         return time_s, [words]
 
     def _counted_rows(

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from ssm_study.columns import Column
+from ssm_study.data.clock_column import MAYBE_SMALLER
 from ssm_study.data.recording import ASSUMED_SECOND
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback, fit, records, response
@@ -77,16 +78,30 @@ def judge(
         )
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
-    if ASSUMED_SECOND in data.metadata.get("reading", ""):
-        found.append(
+    found += clock_doubts(data.metadata.get("reading", ""))
+    if data.metadata.get("reading"):
+        found.append(note(f"The log was read so: {data.metadata['reading']}."))
+    return Judgement(findings=tuple(found))
+
+
+def clock_doubts(reading: str) -> list[Finding]:
+    """Doubts where the sampling time rests on a clock whose unit nobody stated."""
+    doubts = []
+    if ASSUMED_SECOND in reading:
+        doubts.append(
             doubt(
                 "How long a row lasts is unknown: the first column counts the rows, "
                 f"{ASSUMED_SECOND}. Give data.step_s."
             )
         )
-    if data.metadata.get("reading"):
-        found.append(note(f"The log was read so: {data.metadata['reading']}."))
-    return Judgement(findings=tuple(found))
+    if MAYBE_SMALLER in reading:
+        doubts.append(
+            doubt(
+                f"The unit of the clock is unknown ({MAYBE_SMALLER}). Give data.step_s, or write "
+                "the unit into the column's name."
+            )
+        )
+    return doubts
 
 
 def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:

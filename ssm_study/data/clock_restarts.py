@@ -1,0 +1,85 @@
+"""Several experiments in one file: a clock that starts again cuts the log there."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.clock import AGREEMENT, HOLE, EvenRows, on_even_clock
+from ssm_study.refusal import require
+
+SHORTEST_EXPERIMENT = 10  # rows: of a clock that starts again more often than this it is none
+APART = 2  # samples between two experiments: none follows the other
+
+
+def clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
+    """Rows at which a clock that runs forwards begins again at its first time; none of a clock
+    that runs backwards elsewhere too."""
+    known = time_s[np.isfinite(time_s)]
+    if len(known) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
+        return []
+    steps = np.diff(time_s)
+    backwards = np.flatnonzero(steps < 0) + 1
+    if not len(backwards) or not (steps > 0).any():
+        return []
+    period_s = float(np.median(steps[steps > 0]))
+    begins_again = np.abs(time_s[backwards] - time_s[0]) <= HOLE * period_s
+    lengths = np.diff([0, *backwards.tolist(), len(time_s)])
+    whole = bool(begins_again.all()) and int(lengths.min()) >= SHORTEST_EXPERIMENT
+    return [int(row) for row in backwards] if whole else []
+
+
+def on_even_clocks(
+    time_s: Float[np.ndarray, "T"],
+    values: Float[np.ndarray, "T c"],
+    inputs: int,
+    where: str,
+    *,
+    step_s: float | None,
+    tolerance: float,
+    resample: bool,
+) -> EvenRows:
+    """The rows on an even clock, each experiment of a file by itself (`on_even_clock`).
+
+    Raises `BadRequest` as that does, and for experiments of different sampling times.
+    """
+    restarts = clock_restarts(time_s)
+    bounds = [0, *restarts, len(time_s)]
+    experiments = [
+        on_even_clock(
+            time_s[a:b],
+            values[a:b],
+            inputs,
+            where,
+            step_s=step_s,
+            tolerance=tolerance,
+            resample=resample,
+        )
+        for a, b in pairwise(bounds)
+    ]
+    if not restarts:
+        return experiments[0]
+    return one_behind_the_other(experiments, where)
+
+
+def one_behind_the_other(experiments: Sequence[EvenRows], where: str) -> EvenRows:
+    """Experiments of one sampling time as pieces of one log, none of which follows another."""
+    steps_s = [experiment.step_s for experiment in experiments]
+    step_s = float(np.median(steps_s))
+    alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s
+    shown = ", ".join(f"{each:.4g}" for each in steps_s)
+    problem = "its clock starts again, and the experiments have different sampling times"
+    remedy = "put each experiment into a file of its own"
+    require(alike, f"{where} (time)", shown, problem, remedy)
+    values: list[np.ndarray] = []
+    starts: list[int] = []
+    end = 0
+    for experiment in experiments:
+        values += experiment.values
+        starts += [end + start for start in experiment.starts]
+        end = starts[-1] + len(values[-1]) + APART
+    words = [remark for experiment in experiments for remark in experiment.remarks]
+    remark = f"the clock starts again: {len(experiments)} experiments"
+    remarks = [remark, *dict.fromkeys(words)]
+    return EvenRows(values=values, starts=starts, step_s=step_s, remarks=remarks)
