@@ -217,7 +217,10 @@ def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
     if len(index) < 3:
         return None
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
-        kind = "datetime64[ns]" if isinstance(index, pd.DatetimeIndex) else "timedelta64[ns]"
+        is_dated = isinstance(index, pd.DatetimeIndex)
+        if is_dated and index.tz is not None:
+            index = index.tz_convert(None)
+        kind = "datetime64[ns]" if is_dated else "timedelta64[ns]"
         nanoseconds = index.to_numpy().astype(kind).astype(np.int64)
         return np.asarray(1e-9 * (nanoseconds - nanoseconds[0]), dtype=np.float64)
     if index.dtype.kind != "f":

@@ -18,6 +18,9 @@ SURE = 6.0  # standard errors
 OF_THE_LARGEST = 0.05  # share of the largest answer from which on a lag counts
 STRIDES = (1, 5, 20)  # samples: a slow answer stands out of the noise of coarser steps only
 FOLLOWS = 0.5  # share of the output that the input explains where no single step of it does
+FEWEST_LAGS = 5  # of outputs that a controller is taken to read
+INPUT_LAGS = 20  # of the input's own past
+FORESEEN = 1e-3  # share of the input's power, up to which it is foretold by its own past
 FED_BACK = 0.1  # share of the input's changes that earlier outputs explain in a closed loop
 MAYBE_FED_BACK = 0.015  # the same from which on a controller may answer within the sample
 WINDOWS = (5, 10, 20, 50, 100)  # samples over which an integrator may sum what moves it
@@ -163,20 +166,26 @@ def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np
 
 
 def fed_back_share(u: Signal, y: Signal) -> float:
-    """Share of what earlier inputs leave of the input's changes that earlier outputs explain."""
-    lags = range(1, 6)
-    earlier_u = [u[5 - lag : len(u) - lag] for lag in lags]
-    earlier_y = [y[5 - lag : len(y) - lag] for lag in lags]
-    by_input = np.stack([*earlier_u, np.ones(len(u) - 5)], axis=1)
+    """Share of what earlier inputs leave of the input's changes that earlier outputs explain.
+
+    An input that its own past foretells, as a sweep of sines, needs more of that past than the few
+    outputs that a controller reads: else outputs stand for inputs of long ago.
+    """
+    past = max(FEWEST_LAGS, min(INPUT_LAGS, len(u) // (4 * FEWEST_LAGS)))
+    earlier_u = [u[past - lag : len(u) - lag] for lag in range(1, past + 1)]
+    earlier_y = [y[past - lag : len(y) - lag] for lag in range(1, FEWEST_LAGS + 1)]
+    by_input = np.stack([*earlier_u, np.ones(len(u) - past)], axis=1)
     by_both = np.hstack([by_input, np.stack(earlier_y, axis=1)])
-    target = u[5:]
+    target = u[past:]
     half = len(target) // 2
     powers = []
     for x in (by_input, by_both):
         gains = np.linalg.lstsq(x[:half], target[:half], rcond=1e-9)[0]
         error = target[half:] - x[half:] @ gains
         powers.append(float((error**2).mean()))
-    return 1.0 - powers[1] / powers[0] if powers[0] > 0 else 0.0
+    if powers[0] <= FORESEEN * float(target.var()):
+        return 0.0  # its own past says all of it
+    return 1.0 - powers[1] / powers[0]
 
 
 def input_shares(u: Signal, y: Signal) -> InputShares:

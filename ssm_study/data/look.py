@@ -5,7 +5,7 @@ Each sentence is a measurement on the log alone; none of them decides anything a
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +116,7 @@ class LogLook:
     records: list[Trajectory]
     input: str | None
     output: str | None
+    step_is_known: bool = True
 
     def __str__(self) -> str:
         lines = [f"{self.path.name}", *(column.line() for column in self.columns)]
@@ -167,23 +168,25 @@ def look(
     y = guessed_y if stated.output is None else stated.output
     sentences = [f"read: {table.remark}"] if table.remark else []
     records: list[Trajectory] = []
+    step_is_known = True
     if u is None or y is None:
         sentences.append("one column alone: name a file for input and output each")
     else:
         if None in (stated.input, stated.output):
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
         sentences += set_point_sentences(facts, (u, y), stated)
-        records, found = examine(path, table, clock, stated.source(path, u, y))
+        records, step_is_known, found = examine(path, table, clock, stated.source(path, u, y))
         sentences += [*found, *other_columns(facts, clock, (u, y))]
     return LogLook(
         path=path,
         columns=facts,
         skipped=table.skipped,
         sentences=sentences,
-        command=run_command(path, u, y, stated, records, sentences),
+        command=run_command(path, u, y, stated, step_is_known, sentences),
         records=records,
         input=u,
         output=y,
+        step_is_known=step_is_known,
     )
 
 
@@ -208,16 +211,27 @@ def clock_of(table: Table) -> str | None:
 
 def examine(
     path: Path, table: Table, clock: str | None, source: RecordedData
-) -> tuple[list[Trajectory], list[str]]:
-    """The signals as a run reads them and sentences on them, or what hinders the reading."""
+) -> tuple[list[Trajectory], bool, list[str]]:
+    """The signals as a run reads them, whether the sampling time is known, and sentences on them,
+    or on what hinders the reading.
+
+    Where the sampling time alone is missing, lags, rests and noise are those of the samples.
+    """
     try:
         records, remark = source.read_pieces(path)
     except BadRequest as error:
         remedy = error.remedy.split("; `ssm-study look")[0]
         refusal = f"not read yet: {error.field} = {error.value}: {error.problem}; {remedy}"
-        return [], [refusal, *clock_sentences(table, clock)]
+        sentences = [refusal, *clock_sentences(table, clock)]
+        if error.field != "data.step_s" or error.value is not None:
+            return [], False, sentences
+        try:
+            records, _ = replace(source, step_s=1.0).read_pieces(path)
+        except BadRequest:
+            return [], False, sentences
+        return records, False, [*sentences, *describe_dynamics(records)]
     prefix = f"{path.name}: {table.remark}; "
-    return records, [remark.removeprefix(prefix), *describe_dynamics(records)]
+    return records, True, [remark.removeprefix(prefix), *describe_dynamics(records)]
 
 
 def column_facts(name: str, table: Table) -> ColumnFacts:
@@ -307,7 +321,7 @@ def run_command(
     u: str | None,
     y: str | None,
     stated: LogSettings,
-    records: Sequence[Trajectory],
+    step_is_known: bool,
     sentences: Sequence[str],
 ) -> str:
     """The command that fits the log, ready to paste."""
@@ -315,7 +329,7 @@ def run_command(
         return f"ssm-study run data=recorded data.path={quoted(str(path))} ..."
     words = ["ssm-study run data=recorded", f"data.path={quoted(str(path))}"]
     words += [f"data.input={quoted(u)}", f"data.output={quoted(y)}", *stated.overrides()]
-    if not records and stated.step_s is None:
+    if not step_is_known and stated.step_s is None:
         words.append("data.step_s=SECONDS")
     text = " ".join(sentences)
     words += [setting for setting in (INTEGRATOR, FEEDTHROUGH) if setting in text]

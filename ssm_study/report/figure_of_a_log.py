@@ -23,6 +23,6 @@ def draw_log(seen: "LogLook") -> "Figure":
             lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
         upper.set_ylabel(seen.output or "output")
         lower.set_ylabel(seen.input or "input")
-        lower.set_xlabel("time (s)")
+        lower.set_xlabel("time (s)" if seen.step_is_known else "sample")
         upper.set_title(seen.path.name, fontsize="medium")
     return figure

@@ -10,8 +10,10 @@ import scipy.io
 
 from ssm_study.cli.main import main
 from ssm_study.data.log_dynamics import (
+    FED_BACK,
     answer_sentence,
     describe_dynamics,
+    fed_back_share,
     first_answer,
     input_shares,
 )
@@ -62,6 +64,15 @@ def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:
     assert "a closed loop?" in str(look(tmp_path / "log.csv", step_s=0.1))
 
 
+def test_a_sweep_of_sines_is_no_closed_loop() -> None:
+    """Its next value follows from its own past, of which the outputs are another account."""
+    time = np.arange(1000)
+    u = sum(np.sin(2 * np.pi * f * time / 500 + f**2) for f in range(10, 60, 5))
+    y = np.convolve(u, 0.95 ** np.arange(60) * np.sin(0.3 * np.arange(60)))[:1000]
+    y = y + 0.02 * np.random.default_rng(0).standard_normal(1000)
+    assert fed_back_share(u, y) < FED_BACK
+
+
 def test_the_command_draws_and_prints(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,7 +89,14 @@ def test_a_log_that_cannot_be_read_yet_says_what_is_missing(tmp_path: Path) -> N
     pd.DataFrame({"u": [0.0, 1.0, 2.0] * 40, "y": np.arange(120.0) ** 2}).to_csv(path, index=False)
     text = str(look(path))
     assert "the sampling time is unknown" in text
+    assert "noise" not in text  # 120 rows
     assert text.endswith("data.step_s=SECONDS")
+    kind_named("dead_time").log(0)[["u", "y"]].to_csv(path, index=False)
+    seen = look(path)
+    lag = next(line for line in seen.sentences if line.startswith("dead time"))
+    assert "samples" in lag
+    assert not seen.step_is_known
+    assert str(seen).endswith("data.step_s=SECONDS")
     path.write_text("no numbers here\nat all\n")
     with pytest.raises(BadRequest, match="no rows of numbers"):
         look(path)

@@ -1,5 +1,7 @@
 """Arrays, series and frames that are no log, each refused in words of the array; frames by name."""
 
+import warnings
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -77,8 +79,11 @@ def test_an_index_that_is_no_even_clock_of_the_sampling_time(tmp_path, index, sa
 
 
 def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
-    for index in (INDEX, np.arange(T) * 0.010009, np.arange(T), list("abcd") * (T // 4)):
-        check_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
+    zoned = pd.date_range("2026-03-01", periods=T, freq="10ms", tz="Europe/Paris")
+    for index in (INDEX, zoned, np.arange(T) * 0.010009, np.arange(T), list("abcd") * (T // 4)):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            check_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
 
 
 def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
