@@ -37,13 +37,16 @@ def write_new_study(options: argparse.Namespace) -> None:
 def look_at_log(options: argparse.Namespace) -> None:
     """Print what is in a log, and draw it where it holds records."""
     from ssm_study.data.look import look
+    from ssm_study.data.text_layout import TextSettings
 
+    header = None if options.header is None else options.header == "true"
     log = look(
         options.file,
         input=options.input,
         output=options.output,
         time=options.time,
         step_s=options.step_s,
+        settings=TextSettings(separator=options.separator, decimal=options.decimal, header=header),
     )
     print(log)
     if log.records:

@@ -91,6 +91,11 @@ def add_look(subparsers: Subparsers) -> None:
     for name in ("input", "output", "time"):
         command.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
     command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
+    separator_help = "of a text: tabs, semicolons, commas, bars, spaces"
+    command.add_argument("--separator", metavar="NAME", help=separator_help)
+    command.add_argument("--decimal", metavar="MARK", help='of a text: "." or ","')
+    header_help = "whether the first line of a text holds names"
+    command.add_argument("--header", choices=("true", "false"), help=header_help)
     picture_help = "where to draw it (FILE.png)"
     command.add_argument("--picture", type=Path, metavar="PNG", help=picture_help)
     command.set_defaults(command=commands.look_at_log)

@@ -218,7 +218,7 @@ def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
         return None
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):
         is_dated = isinstance(index, pd.DatetimeIndex)
-        if is_dated and index.tz is not None:
+        if isinstance(index, pd.DatetimeIndex) and index.tz is not None:
             index = index.tz_convert(None)
         kind = "datetime64[ns]" if is_dated else "timedelta64[ns]"
         nanoseconds = index.to_numpy().astype(kind).astype(np.int64)

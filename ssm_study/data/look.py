@@ -17,7 +17,7 @@ from ssm_study.data.clock_column import (
     runs_evenly,
 )
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_dynamics
-from ssm_study.data.readers.reader import Table, reader_for
+from ssm_study.data.readers.reader import Table, folded, reader_for, title_without_unit
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
@@ -100,7 +100,7 @@ class LogSettings:
         words = [f"data.time={quoted(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         for name, value in vars(self.text).items():
-            words += [f"data.{name}={value}".lower()] if value is not None else []
+            words += [f"data.{name}={quoted(str(value).lower())}"] if value is not None else []
         return words
 
 
@@ -224,7 +224,7 @@ def examine(
         refusal = f"not read yet: {error.field} = {error.value}: {error.problem}; {remedy}"
         sentences = [refusal, *clock_sentences(table, clock)]
         if error.field != "data.step_s" or error.value is not None:
-            return [], False, sentences
+            return [], clock is not None, sentences
         try:
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:
@@ -273,8 +273,13 @@ def other_columns(
     facts: Sequence[ColumnFacts], clock: str | None, signals: tuple[str, str]
 ) -> list[str]:
     """The columns that move besides input and output, and where one of them belongs."""
-    taken = (*signals, clock)
-    moving = [column.name for column in facts if column.levels > 1 and column.name not in taken]
+    titles = [column.name for column in facts]
+    places = [place_in(titles, name) for name in (*signals, clock)]
+    moving = [
+        column.name
+        for k, column in enumerate(facts)
+        if column.levels > 1 and k not in places and not is_set_point(column.name)
+    ]
     if not moving:
         return []
     named = ", ".join(moving[:MOST_NAMED])
@@ -283,6 +288,16 @@ def other_columns(
         f"measured too: {named}{more}; what moves the output and is not commanded belongs in "
         "data.disturbance=[COLUMN]"
     ]
+
+
+def place_in(titles: Sequence[str], name: str | None) -> int | None:
+    """Which column a name of the command means; None for a name of none of them."""
+    if name is None or name in titles:
+        return None if name is None else titles.index(name)
+    plain = [folded(title_without_unit(title)) for title in titles]
+    if folded(name) in plain:
+        return plain.index(folded(name))
+    return int(name) if name.isdigit() and int(name) < len(titles) else None
 
 
 def input_score(column: ColumnFacts) -> float:

@@ -21,9 +21,8 @@ SPACES_GAIN = 0.05  # of the score, more than the bonus for columns, by which sp
 WORDS = {"\t": "tabs", ";": "semicolons", "|": "bars", ",": "commas", " ": "spaces"}
 BY_WORD = {word: mark for mark, word in WORDS.items()} | {r"\t": "\t"}
 COMMENTS = ("#", "%", "//", '"#')
-MISSING = frozenset(
-    ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "?", "nat", "-nan", "1.#qnan")
-)
+MISSING_WORDS = "nan na n/a #n/a n.a. #nv null none - -- --- ---- ? nat -nan 1.#qnan missing"
+MISSING = frozenset(["", *MISSING_WORDS.split()])
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
 COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d+)?|,\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
 DATE = re.compile(

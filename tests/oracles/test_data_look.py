@@ -82,6 +82,13 @@ def test_the_command_draws_and_prints(
     printed = capsys.readouterr().out
     assert "data.path=\"'my log.csv'\" data.input=u data.output=y" in printed
     assert (tmp_path / "my log_look.png").stat().st_size > 10_000
+    text = Path("my log.csv").read_text().replace(",", ";").replace(".", ",")
+    Path("german.txt").write_text(text)
+    layout = ["--separator", "semicolons", "--decimal", ",", "--header", "true"]
+    assert main(["look", "german.txt", *layout, "--picture", "seen.png"]) == 0
+    settings = "data.separator=semicolons data.decimal=\"','\" data.header=true"
+    assert settings in capsys.readouterr().out
+    assert (tmp_path / "seen.png").is_file()
 
 
 def test_a_log_that_cannot_be_read_yet_says_what_is_missing(tmp_path: Path) -> None:
@@ -100,6 +107,16 @@ def test_a_log_that_cannot_be_read_yet_says_what_is_missing(tmp_path: Path) -> N
     path.write_text("no numbers here\nat all\n")
     with pytest.raises(BadRequest, match="no rows of numbers"):
         look(path)
+
+
+def test_named_columns_are_not_measured_too(tmp_path: Path) -> None:
+    """They are named without their units, by number, or in other letters."""
+    path = tmp_path / "log.csv"
+    table = kind_named("direction").log(0, samples=400).rename(columns={"u": "Heat [%]"})
+    table.assign(**{"Out (C)": np.arange(400.0) % 7}).to_csv(path, index=False)
+    for name in ("Heat", "heat", "Heat [%]", str(list(table).index("Heat [%]"))):
+        others = [one for one in look(path, input=name, output="y").sentences if "too:" in one]
+        assert others[0].startswith("measured too: Out (C);")
 
 
 @pytest.mark.parametrize("lag_samples", [50, 400, 2000])
