@@ -249,9 +249,10 @@ class Loop:
             is_settled = None not in settling_times_s(controlled, plant.settling_band)
             if not is_settled and self._noise_crosses_band(plant, controller, noise):
                 noise_free = quiet
+        uncontrolled = self.simulate(plant, Uncontrolled.of(plant), y0, noise)
         return LoopRuns(
             controlled=controlled,
-            uncontrolled=self.simulate(plant, Uncontrolled.of(plant), y0, noise),
+            uncontrolled=uncontrolled,
             settling_band=plant.settling_band,
             input_equilibrium=rest.u,
             noise_free=noise_free,

@@ -128,7 +128,9 @@ def close_loop(
     )
 
 
-def _record(log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: Log) -> None:
+def _record(
+    log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: dict[str, np.ndarray]
+) -> None:
     """Write the signals of these cases at these samples."""
     for name, value in values.items():
         log[name][cases, samples] = value
