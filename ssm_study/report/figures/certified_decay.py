@@ -21,25 +21,30 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
 def draw(study: StudyFolder) -> Figure:
+    """Draw both sides for the best run without neurons."""
     model, certificate = study.of_best(
         "model", "certificate", otherwise="No run left a certificate for a model without neurons."
     )
     fig = style.canvas(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
-    feedback, observer = (  # with what is proved of the gains where the run knows it
-        (certificate.get(side) or {}) | (certificate.get(f"{side}_deployed") or {})
-        for side in ("state_feedback", "observer")
-    )
+    feedback = part_of(certificate, "state_feedback")
+    observer = part_of(certificate, "observer")
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
-        d = distances(controlled(model, a, b, k), np.linalg.inv(p))  # the dual form: M = P^-1
-        _panel(control, d, feedback, "State feedback")
+        metric = np.linalg.inv(p)  # the dual form: M = P^-1
+        draw_decay(control, distances(controlled(model, a, b, k), metric), feedback)
+        name_axes(control, "State feedback")
     if "l" in observer:
-        d = distances(
-            observed(model, np.array(observer["l"])), np.array(observer["q"])
-        )  # the primal form: M = Q
-        _panel(observe, d, observer, "Observer error")
+        metric = np.array(observer["q"])  # the primal form: M = Q
+        draw_decay(observe, distances(observed(model, np.array(observer["l"])), metric), observer)
+        name_axes(observe, "Observer error")
     return fig
+
+
+def part_of(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
+    """One side's certificate, with what is proved of the gains where the run knows it."""
+    deployed = certificate.get(f"{side}_deployed") or {}
+    return (certificate.get(side) or {}) | deployed
 
 
 def controlled(
@@ -64,25 +69,32 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
     """`d_k / d_0`, `d_k = sqrt((x - z)^T M (x - z))`, for random pairs of starts spread over four
     decades of size."""
     rng = np.random.default_rng(SEED)
-    x, z = 10 ** rng.uniform(-2, 2, (2, PAIRS, 1)) * rng.standard_normal((2, PAIRS, len(metric)))
+    sizes = 10 ** rng.uniform(-2, 2, (2, PAIRS, 1))
+    x, z = sizes * rng.standard_normal((2, PAIRS, len(metric)))
     d = np.empty((PAIRS, SAMPLES))
     for k in range(SAMPLES):
-        d[:, k] = np.sqrt(np.einsum("ni,ij,nj->n", x - z, metric, x - z))
+        gap = x - z
+        d[:, k] = np.sqrt(np.einsum("ni,ij,nj->n", gap, metric, gap))
         x = step(x)
         z = step(z)
     return d / d[:, :1]
 
 
-def _panel(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any], title: str) -> None:
+def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any]) -> None:
+    """Bound, worst pair and median pair over the samples."""
     k = np.arange(d.shape[1])
     r = np.sqrt(1 - part["rate"])
     median = np.median(d, axis=0)
-    said = "bound" if part["certified"] else "not certified"
-    axes.plot(k, r**k, color=style.VERMILLION, ls="--", zorder=3, label=f"{said}, r = {r:.3f}")
+    word = "bound" if part["certified"] else "not certified"
+    bound: dict[str, Any] = {"color": style.VERMILLION, "ls": "--", "zorder": 3}
+    axes.plot(k, r**k, label=f"{word}, r = {r:.3f}", **bound)
     axes.plot(k, d.max(axis=0), color=style.BLUE, label="worst pair")
     axes.plot(k, median, color=style.SKY, label="median pair")
-    axes.set(
-        yscale="log", ylim=(max(1e-12, 0.3 * float(np.nanmin(median))), 3)
-    )  # below lies only rounding
+    lowest = max(1e-12, 0.3 * float(np.nanmin(median)))  # below lies only rounding
+    axes.set(yscale="log", ylim=(lowest, 3))
+
+
+def name_axes(axes: Axes, title: str) -> None:
+    """Samples below, the distance of the titled side beside, the legend above."""
     axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
     style.above(axes)

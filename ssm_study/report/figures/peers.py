@@ -73,7 +73,7 @@ def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
     look: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
     axes.scatter(values, [row] * len(values), alpha=0.5 if several else 1.0, **look)
     if several:
-        bar = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
+        bar: dict[str, Any] = {"color": style.VERMILLION, "lw": 1.6, "zorder": 4}
         axes.plot([values.median()] * 2, [row - 0.3, row + 0.3], **bar)
 
 

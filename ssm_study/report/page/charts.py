@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import altair as alt
+import numpy as np
 import pandas as pd
 
 from ssm_study import style
@@ -80,36 +81,38 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     It also fills the data sets `runs` and `ticks`.
     """
     upright = [] if panel.rule_x is None else [panel.rule_x]
-    level = [
-        float(value) for value in [column(table, panel.rule_y).median()] if value == value
-    ]  # NaN: no rule
+    median = float(column(table, panel.rule_y).median())
+    level = [] if np.isnan(median) else [median]
     ticks = column(table, panel.tick).dropna().tolist()
     across = _scale(panel.x, table, panel.log == "x", upright)
     up = _scale(panel.y, table, panel.log == "y", level + ticks)
     x = alt.X(f"{panel.x}:Q", title=words(panel.x), scale=across)
-    points = _points().encode(x=x, y=alt.Y(f"{panel.y}:Q", title=words(panel.y), scale=up))
+    y = alt.Y(f"{panel.y}:Q", title=words(panel.y), scale=up)
     layers = [_rule().encode(x=alt.datum(value)) for value in upright]
     layers += [_rule().encode(y=alt.datum(value)) for value in level]
-    if panel.tick:
-        bars = alt.Chart(alt.NamedData("ticks")).mark_tick(
-            orient="horizontal", color=style.INK, size=16, thickness=1, opacity=0.8, aria=False,
-            tooltip=alt.TooltipContent("data"),
-        )  # fmt: skip
-        layers.append(
-            bars.encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up))
-        )  # else this layer's scale includes zero
-    best = alt.Chart().transform_filter("datum.i === 0")  # which the table has first
-    ring = best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
-    layers.append(
-        ring.encode(x=alt.X(f"{panel.x}:Q", scale=across), y=alt.Y(f"{panel.y}:Q", scale=up))
-    )
-    chart = alt.layer(*layers, points, data=alt.NamedData("runs")).properties(
-        width="container",
-        height=HEIGHT,
-        description=f"{panel.question} {words(panel.y)} against {words(panel.x)}, "
-        "one point per run",
-    )
-    return _dressed(chart)
+    if panel.tick:  # on the points' scale: one of its own would include zero
+        layers.append(_bars().encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))
+    at_best = {"x": alt.X(f"{panel.x}:Q", scale=across), "y": alt.Y(f"{panel.y}:Q", scale=up)}
+    layers.append(_ring().encode(**at_best))
+    points = _points().encode(x=x, y=y)
+    chart = alt.layer(*layers, points, data=alt.NamedData("runs"))
+    axes = f"{words(panel.y)} against {words(panel.x)}"
+    description = f"{panel.question} {axes}, one point per run"
+    sized = chart.properties(width="container", height=HEIGHT, description=description)
+    return _dressed(sized)
+
+
+def _bars() -> alt.Chart:
+    """A short bar per run, in the data set `ticks`."""
+    look = {"color": style.INK, "size": 16, "thickness": 1, "opacity": 0.8, "aria": False}
+    hint = alt.TooltipContent("data")
+    return alt.Chart(alt.NamedData("ticks")).mark_tick(orient="horizontal", tooltip=hint, **look)
+
+
+def _ring() -> alt.Chart:
+    """A ring around the best run, which the table has first."""
+    best = alt.Chart().transform_filter("datum.i === 0")
+    return best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
 
 
 def _dressed(chart: alt.LayerChart) -> dict[str, Any]:
@@ -137,9 +140,7 @@ def groups_specification() -> dict[str, Any]:
     shown = alt.Chart().transform_filter("!length(mask) || mask[datum.i]")
     grouped = shown.transform_aggregate(value="mean(value)", groupby=["label"])
     means = grouped.mark_tick(color=style.INK, size=20, thickness=2, opacity=1, aria=False)
-    best = alt.Chart().transform_filter("datum.i === 0")
-    ring = best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
-    layers = (means.encode(x=x, y=y), ring.encode(x=x, y=y), _points("x").encode(x=x, y=y))
+    layers = [layer.encode(x=x, y=y) for layer in (means, _ring(), _points("x"))]
     chart = alt.layer(*layers, data=alt.NamedData("runs"))
     return _dressed(chart.properties(width="container", height=HEIGHT))
 

@@ -59,26 +59,24 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     return {
         "study": study.name,
         "folder": study.folder.resolve().name,
-        "question": question(table),
         "verdicts": [vars(verdict) for verdict in VERDICTS],
         "columns": {str(name): coded(table[name]) for name in table},
         "words": {str(name): words(name) for name in table},
         "menus": by_part(map(str, table)),
         "known_columns": [c.name for c in DECLARED if c.word],
-        "first": [
-            "run",
-            "verdict",
-            *swept(table),
-            "stable_count",
-            *(c.name for c in RESULTS if c.shown),
-            *ALSO_FIRST,
-        ],
+        "first": first_columns(table),
         "parameters": swept(table),
         "trajectories": trajectories(study, table),
         "pictures": pictures(study, table),
         "comparisons": comparisons(study, table),
         "slider": slider(table),
     }
+
+
+def first_columns(table: pd.DataFrame) -> list[str]:
+    """Columns that the page's table shows before the reader asks for all."""
+    results = [result.name for result in RESULTS if result.shown]
+    return ["run", "verdict", *swept(table), "stable_count", *results, *ALSO_FIRST]
 
 
 def slider(table: pd.DataFrame) -> dict[str, Any] | None:
