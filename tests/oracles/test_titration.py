@@ -1,0 +1,115 @@
+"""A steep static curve behind a dead time, as of a titration: its records tell it from a good
+plant, and what swings on it is not predicted to settle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.adversarial.plants.titration import Titration
+from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import Design
+from ssm_study.data.simulated import PERIOD, mismatch_records, sine_records
+from ssm_study.models.identified import SSM
+from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
+from ssm_study.robustness.sine_trials import measure_sines, peak_lines
+from ssm_study.signals import Scale
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.sine_judgement import sine_facts
+from ssm_study.systems import StateSpace
+
+STEEP = Titration(lag_s=1.0, height=0.3, width=0.03)
+GOOD = replace(STEEP, height=0.0)
+ORDER = 4
+NOISE = np.sqrt(np.array(STEEP.noise_variance))
+SWINGS = 0.1  # of the output's scale, without noise, after the transient
+
+
+def least_squares_model(plant: Titration) -> SSM:
+    """ARX model of a broadband record, in observer form and scaled to unit deviations."""
+    rng = np.random.default_rng(0)
+    held = np.repeat(rng.uniform(-1, 1, 800), rng.integers(1, 12, 800))[:3000, None]
+    y = plant.simulate(held[None])[1][0]
+    input_scale, output_scale = held.std(), y.std()
+    u, y = held / input_scale, y / output_scale
+    past = range(1, ORDER + 1)
+    columns = [y[ORDER - lag : -lag, 0] for lag in past] + [
+        u[ORDER - lag : -lag, 0] for lag in past
+    ]
+    weights = np.linalg.lstsq(np.column_stack(columns), y[ORDER:, 0], rcond=None)[0]
+    a = np.eye(ORDER, k=1)
+    a[:, 0] = weights[:ORDER]
+    linear = StateSpace(a=a, b=weights[ORDER:, None], c=np.eye(1, ORDER), d=np.zeros((1, 1)))
+    scale = Scale(
+        input_scale=np.array([input_scale]),
+        output_scale=np.array([output_scale]),
+        input_equilibrium=np.zeros(1),
+        output_equilibrium=np.zeros(1),
+    )
+    return replace(SSM.of(linear, plant.step_s), scale=scale)
+
+
+def swing_of(plant: Titration, model: SSM, design: Design) -> float:
+    """Largest output, scaled, in the last part of three loops without noise."""
+    gains, linear = design.pair, model.linear
+    x = plant.states_at(np.array([[0.5], [-1.0], [0.05]]))
+    x_hat = np.zeros((3, ORDER))
+    sizes = []
+    for _ in range(400):
+        y = model.scale.scaled_output(plant.output(x))
+        u = x_hat @ gains.k.T
+        innovation = x_hat @ linear.c.T - y
+        x_hat = x_hat @ linear.a.T + u @ linear.b.T + innovation @ gains.l.T
+        x = plant.advance(x, model.scale.physical_input(u), np.zeros((3, 0)))
+        sizes.append(np.abs(y).max())
+    return float(max(sizes[-80:]))
+
+
+def judged(
+    plant: Titration, model: SSM, mismatch: Mismatch, input_weight: float, output_noise: float
+) -> tuple[bool, float]:
+    """Whether the design is predicted to be stable, sines included, and how its loop swings."""
+    balls = certified_balls(model)
+    request = RiccatiSynthesis(
+        rate_controller=0.05,
+        rate_observer=0.2,
+        input_weight=input_weight,
+        output_noise=output_noise,
+    )
+    design = request.design(model, balls)
+    assert design.certified
+    lines = peak_lines(model, design.pair, balls, PERIOD)
+    records = sine_records(plant, np.random.default_rng([0, 13]), NOISE, lines)
+    sines = measure_sines(model, records, mismatch, PERIOD)
+    facts = sine_facts(design, model, balls, mismatch, sines)
+    return facts["predicted_stable"], swing_of(plant, model, design)
+
+
+@pytest.fixture(scope="module", params=[STEEP, GOOD], ids=["steep", "good"])
+def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
+    plant = request.param
+    model = least_squares_model(plant)
+    trials = mismatch_records(plant, np.random.default_rng(0), NOISE)
+    full = tuple(trial for trial in trials if trial.name == "trial_at_1")
+    mismatch = measure_mismatch(model, full, 0, trials)
+    assert mismatch.rests
+    weights = [(0.1, 0.1), (1.0, 1.0)]
+    return plant, [judged(plant, model, mismatch, *pair) for pair in weights]
+
+
+def test_no_design_that_swings_is_predicted(outcomes) -> None:
+    _, judgements = outcomes
+    assert all(swing < SWINGS for predicted, swing in judgements if predicted)
+    assert any(predicted for predicted, _ in judgements)
+
+
+def test_the_steep_curve_is_told_from_a_good_plant(outcomes) -> None:
+    """The same designs: all predicted on the plant without the curve, some refused with it, and
+    those swing."""
+    plant, judgements = outcomes
+    if plant is GOOD:
+        assert all(predicted for predicted, _ in judgements)
+    else:
+        refused = [swing for predicted, swing in judgements if not predicted]
+        assert len(refused) >= 1
+        assert max(refused) > SWINGS
