@@ -46,6 +46,7 @@ class Run:
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
+    stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def note(self, **facts: Any) -> None:
         """Add numbers to the record; they are kept even if the work fails later."""
@@ -59,6 +60,12 @@ class Run:
         for name in files:
             if (stage.path / name).is_file():
                 link_or_copy(stage.path / name, self.path / name)
+        if not stage.path.is_dir():  # then a file may be missing that it had
+            raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
+
+    def has_lost_a_stage(self) -> bool:
+        """Whether somebody has removed a stage that the work has taken."""
+        return not all(folder.is_dir() for folder in self.stage_folders)
 
 
 def execute(
@@ -167,6 +174,8 @@ def _run(
         if _stopped_by_scheduler(error):
             raise
         death = error_facts(error, folder)
+        if run.has_lost_a_stage():  # its reader may say so in any words
+            death["failure_transient"] = True
         write_failure(folder, opening | run.facts, death, text=traceback.format_exc())
         return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
     return Outcome(folder=folder, status=str(status), did="ran")

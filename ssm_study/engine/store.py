@@ -1,6 +1,7 @@
 """A stage is a pure function of its key: computed once, kept under that key, checked to the last
 bit on reading."""
 
+import errno
 import os
 import secrets
 import shutil
@@ -108,7 +109,9 @@ class Store(Stages):
             times = {"seconds": seconds, "processor_seconds": processor_seconds}
             seal_folder(temporary, note | {"key": key} | times)
             _place(temporary, final)
-        except (Exception, SystemExit):
+        except (Exception, SystemExit) as error:
+            if not temporary.is_dir():  # somebody has removed it: a library may say so otherwise
+                raise FileNotFoundError(errno.ENOENT, "was removed", str(temporary)) from error
             shutil.rmtree(temporary, ignore_errors=True)
             raise  # Ctrl-C and kills leave the folder: the next attempt takes its checkpoint over
         return StageResult(path=final, key=key, seconds=seconds, reused=False, name=name)

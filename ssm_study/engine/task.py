@@ -180,7 +180,9 @@ class RunStages(Store):
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)
 
-        return super().keyed(name, key, note, announced)
+        result = super().keyed(name, key, note, announced)
+        self.run.stage_folders.append(result.path)
+        return result
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         facts = super().measured(output, before)

@@ -18,9 +18,11 @@ import pytest
 from ssm_study.durable import json_bytes, link_or_copy, sealed
 from ssm_study.engine.jobs import Job, kill_group, note_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import error_facts, execute
+from ssm_study.engine.runs import Run, error_facts, execute
 from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, Server
 from ssm_study.engine.settings import Settings
+from ssm_study.engine.stages import Stage
+from ssm_study.engine.task import RunStages
 from ssm_study.refusal import BadRequest
 from ssm_study.table.gather import gather
 
@@ -189,6 +191,35 @@ def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) 
     wrapped = ValueError("in between")
     wrapped.__cause__ = error
     assert error_facts(wrapped, tmp_path / "study" / "run")["failure_transient"] is transient
+
+
+@pytest.mark.parametrize("stage", ["first", "second"])
+def test_a_store_that_is_removed_under_a_run_is_no_fault_of_the_run(
+    tmp_path: Path, stage: str
+) -> None:
+    """Readers and writers say so in words of their own: the run had failed for good."""
+    store = tmp_path / ".store"
+
+    def compute(folder: Path, name: str) -> None:
+        (folder / "number.json").write_text("1")
+        if name == stage and not (tmp_path / "removed").exists():
+            (tmp_path / "removed").touch()
+            shutil.rmtree(store)
+            raise BadRequest("recording", folder, "cannot be read", "run again")
+
+    def work(run: Run) -> dict[str, Any]:
+        stages = RunStages(store, run)
+        for name in ("first", "second"):
+            stages.run_stage(
+                Stage(name=name, compute=compute, files=("number.json",)), {"name": name}
+            )
+        return {}
+
+    folder = tmp_path / "study" / "run"
+    assert execute(folder, {}, work).status == "failed"
+    assert (read_record(folder) or {})["failure_transient"] is True
+    assert execute(folder, {}, work).status == "ok"
+    assert (folder / "number.json").read_text() == "1"
 
 
 def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
