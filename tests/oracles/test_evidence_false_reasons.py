@@ -12,6 +12,7 @@ import scipy.signal
 from test_evidence_response import LEVELS, WHITE, answer, case
 
 from ssm_study.data.assembly import assemble
+from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence import feedback, fit, records
 from ssm_study.evidence.finding import Case
@@ -195,6 +196,27 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     assert "runs away" not in told
     if "sweep" in path.name:
         assert "use model.integrating_output=true" in told
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
+def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
+    """A speed that is either 51 or 0, read by whole numbers, under an input that climbs and falls:
+    it neither saturates nor runs away, is in no loop and integrates nothing."""
+    path = SHARED / "static.csv"
+    read = RecordedData(path=str(path), input="us", output="rpm", step_s=1.0).build(0)
+    assert sum(len(part[0]) for part in (read.training, read.validation, read.test)) == 1440
+    table = pd.read_csv(path)
+    u = table["us"].to_numpy() - 1250.0
+    data = blocks(u, table["rpm"].to_numpy(float) - 35.0, [864, 1152])
+    log = with_runs(data, case(WHITE, WHITE).model, 0.1)
+    assert not list(feedback.findings(log))
+    searches = (records._range, records._levels, records._same)
+    assert not [sentence for search in searches for sentence in search(log)]
+    assert not list(records._limits(log))
+    seen = str(look(path, step_s=1.0))
+    assert "its level explains 91% of the output" in seen
+    assert "closed loop" not in seen
+    assert "integrator" not in seen
 
 
 @pytest.mark.parametrize("seed", range(6))
