@@ -4,7 +4,10 @@ Where the input decides, a piece of a log is predicted as well from the log's be
 piece's own estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".
 """
 
+from collections.abc import Iterator
+
 import numpy as np
+from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding
 from ssm_study.models.metrics import free_run
@@ -40,21 +43,30 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
     beginning of the log. Means are taken off, for an integrator keeps an offset. None where no
     piece lies behind another of its log.
     """
-    powers = []
     skip = case.data.start_up_samples
     scale = case.data.scale.output_scale
-    for part, scored in ((case.data.validation, case.validation), (case.data.test, case.test)):
-        for piece, own in zip(part, scored.simulated, strict=True):
-            past = log_before(case.data, piece)
-            if past is not None:
-                log = Trajectory.joined([past, piece])
-                carried = free_run(case.model, log, skip)[-len(piece) :]
-                sides = piece.y, piece.y - own, piece.y - carried
-                powers.append(
-                    [
-                        float((((y - y[skip:].mean(axis=0)) / scale)[skip:] ** 2).sum())
-                        for y in sides
-                    ]
-                )
-    moved, *missed = np.sum(powers, axis=0) if powers else (0.0,)
-    return (1 - missed[0] / moved, 1 - missed[1] / moved) if moved else None
+
+    def power(y: Float[np.ndarray, "T p"]) -> float:
+        """Power of a scaled signal about its mean, start-up samples left out."""
+        deviation = (y - y[skip:].mean(axis=0)) / scale
+        return float((deviation[skip:] ** 2).sum())
+
+    powers = []
+    for piece, own in scored_pieces(case):
+        past = log_before(case.data, piece)
+        if past is None:
+            continue
+        log = Trajectory.joined([past, piece])
+        carried = free_run(case.model, log, skip)[-len(piece) :]
+        sides = (piece.y, piece.y - own, piece.y - carried)
+        powers.append([power(side) for side in sides])
+    if not powers:
+        return None
+    moved, missed, missed_by_input = np.sum(powers, axis=0)
+    return (1 - missed / moved, 1 - missed_by_input / moved) if moved else None
+
+
+def scored_pieces(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
+    """Records of validation and test, each with the model's free run."""
+    yield from zip(case.data.validation, case.validation.simulated, strict=True)
+    yield from zip(case.data.test, case.test.simulated, strict=True)

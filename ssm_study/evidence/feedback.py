@@ -102,15 +102,12 @@ def answers_at_once(data: DataSet) -> bool:
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
     """
-    rows = [
-        (sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1].reshape(len(u) - PAST, -1), y[PAST:])
-        for u, y in scaled(data)
-        if len(u) >= SHORTEST * PAST
-    ]
-    if not rows:
+    pairs = [(u, y) for u, y in scaled(data) if len(u) >= SHORTEST * PAST]
+    if not pairs:
         return False
-    past = np.concatenate([u for u, _ in rows])
-    outputs = np.concatenate([y for _, y in rows])
+    windows = [sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1] for u, _ in pairs]
+    past = np.concatenate([window.reshape(len(window), -1) for window in windows])
+    outputs = np.concatenate([y[PAST:] for _, y in pairs])
     with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
     weights = np.linalg.lstsq(with_constant, outputs, rcond=ROUNDING)[0][:-1]
     response = weights.reshape(-1, PAST + 1, outputs.shape[1])
@@ -186,31 +183,34 @@ def growth(data: DataSet) -> tuple[float, float]:
     scale = data.scale
     records = [(scale.scaled_input(one.u), scale.scaled_output(one.y)) for one in parts]
     inputs = np.concatenate([u for u, _ in records])
-    nodes = [np.unique(np.quantile(column, np.linspace(0, 1, KNOTS))) for column in inputs.T]
+    shares = np.linspace(0, 1, KNOTS)
+    nodes = [np.unique(np.quantile(column, shares)) for column in inputs.T]
     pieces = [_growth_rows(u, y, nodes) for u, y in records if len(u) > 4 * STRIDE]
     if not pieces:
         return 0.0, np.inf
     moved, rise, before = (np.concatenate(side) for side in zip(*pieces, strict=True))
-    missed = rise - moved @ np.linalg.lstsq(moved, rise, rcond=ROUNDING)[0]
+    weights = np.linalg.lstsq(moved, rise, rcond=ROUNDING)[0]
+    missed = rise - moved @ weights
     power = np.maximum((rise**2).sum(axis=0), np.finfo(float).tiny)
     explained = 1 - (missed**2).sum(axis=0) / power
-    errors = [_standard_errors(moved, rise[:, j], before[:, j]) for j in range(rise.shape[1])]
+    outputs = zip(rise.T, before.T, strict=True)
+    errors = [_standard_errors(moved, risen, earlier) for risen, earlier in outputs]
     return float(explained.min()), max(errors)
 
 
 def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
     """Regression rows: what the input added over a stride and the one before, the output's rise,
     and its past."""
-    hats = [
-        np.interp(column, at, corner)
-        for column, at in zip(u.T, nodes, strict=True)
-        for corner in np.eye(len(at))
-    ]
+    hats: list[np.ndarray] = []
+    for column, at in zip(u.T, nodes, strict=True):
+        hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
     added = np.cumsum(np.stack(hats, axis=1), axis=0) / STRIDE
     k = np.arange(2 * STRIDE, len(u) - STRIDE, STRIDE)
     now = added[k + STRIDE - 1] - added[k - 1]
     earlier = added[k - 1] - added[k - STRIDE - 1]
-    return np.concatenate([now, earlier], axis=1), y[k + STRIDE] - y[k], y[k - STRIDE]
+    moved = np.concatenate([now, earlier], axis=1)
+    rise = y[k + STRIDE] - y[k]
+    return moved, rise, y[k - STRIDE]
 
 
 def _standard_errors(
@@ -239,19 +239,26 @@ def fed_back(data: DataSet, first: int) -> float:
     halves = [half for u, y in scaled(data) for half in _halves(u, y, first)]
     if not halves:
         return 0.0
-    one, other = (
-        [np.concatenate(part) for part in zip(*halves[k::2], strict=True)] for k in (0, 1)
-    )
-    power, new, clipped, missed = _missed(one, other) + _missed(other, one)
+    first_half = _joined_rows(halves[0::2])
+    second_half = _joined_rows(halves[1::2])
+    powers = _missed(first_half, second_half) + _missed(second_half, first_half)
+    power, new, clipped, missed = powers
     tested = (new > FORESEEN * power) & (clipped > 0)
     return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
+
+
+def _joined_rows(halves: list[list[Rows]]) -> list[Rows]:
+    """Each regression array of several halves as one."""
+    return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
 def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
     """Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v` leaves of
     that."""
-    (past, y, u), (own_past, own_y, own_u) = fitted, scored
-    on_u, on_y = (np.linalg.lstsq(past, side, rcond=ROUNDING)[0] for side in (u, y))
+    past, y, u = fitted
+    own_past, own_y, own_u = scored
+    on_u = np.linalg.lstsq(past, u, rcond=ROUNDING)[0]
+    on_y = np.linalg.lstsq(past, y, rcond=ROUNDING)[0]
     v = y - past @ on_y
     w = u - past @ on_u
     own_v = own_y - own_past @ on_y
@@ -259,22 +266,23 @@ def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
     most = CLIPPED * np.median(np.abs(w), axis=0)
     w = np.clip(w, -most, most)
     own = np.clip(own_w, -most, most)
-    left = own - own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
-    return np.array(
-        [(side**2).sum(axis=0) for side in (own_u - own_u.mean(axis=0), own_w, own, left)]
-    )
+    explained = own_v @ np.linalg.lstsq(v, w, rcond=ROUNDING)[0]
+    moved = own_u - own_u.mean(axis=0)
+    signals = (moved, own_w, own, own - explained)
+    return np.array([(signal**2).sum(axis=0) for signal in signals])
 
 
 def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
     """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half
     of a record."""
     rows = len(u) - PAST
-    if len(u) >= SHORTEST * PAST:
-        past = sliding_window_view(u[:-1], PAST, axis=0).reshape(rows, -1)
-        before = sliding_window_view(
-            y[PAST - OUTPUTS : len(y) - first], OUTPUTS + 1 - first, axis=0
-        ).reshape(rows, -1)
-        sides = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0), before, u[PAST:]
-        yield from (
-            [side[part] for side in sides] for part in (slice(rows // 2), slice(rows // 2, None))
-        )
+    if len(u) < SHORTEST * PAST:
+        return
+    past = sliding_window_view(u[:-1], PAST, axis=0).reshape(rows, -1)
+    outputs = y[PAST - OUTPUTS : len(y) - first]
+    before = sliding_window_view(outputs, OUTPUTS + 1 - first, axis=0).reshape(rows, -1)
+    with_constant = np.pad(past, ((0, 0), (0, 1)), constant_values=1.0)
+    sides = (with_constant, before, u[PAST:])
+    middle = rows // 2
+    yield [side[:middle] for side in sides]
+    yield [side[middle:] for side in sides]

@@ -31,6 +31,12 @@ class Finding:
     sentence: str
 
 
+Inputs = Float[np.ndarray, "T m"]
+Outputs = Float[np.ndarray, "T p"]
+ScoredRecord = tuple[Inputs, Outputs, Outputs]
+ScaledRecord = tuple[Inputs, Outputs]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Case:
     """Case to be judged: the records, and the model's free runs of validation and test."""
@@ -40,15 +46,12 @@ class Case:
     validation: Simulation
     test: Simulation
 
-    def scaled(
-        self, record: Trajectory
-    ) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+    def scaled(self, record: Trajectory) -> ScaledRecord:
         """Input and output about the equilibrium, in scales."""
-        return self.data.scale.scaled_input(record.u), self.data.scale.scaled_output(record.y)
+        scale = self.data.scale
+        return scale.scaled_input(record.u), scale.scaled_output(record.y)
 
-    def driven(
-        self, record: Trajectory
-    ) -> tuple[Float[np.ndarray, "T j"], Float[np.ndarray, "T p"]]:
+    def driven(self, record: Trajectory) -> ScaledRecord:
         """`scaled`, with measured disturbances beside the input: all that moves the output."""
         scale = self.data.scale.with_disturbances_as_inputs()
         return scale.scaled_input(record.driven_by), scale.scaled_output(record.y)
@@ -58,27 +61,26 @@ class Case:
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
         """Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than
         twice the lags."""
-        none = (
-            np.empty((lags, self.data.scale.inputs)),
-            np.empty((lags, self.data.scale.outputs)),
-        )  # has no such row
-        used = [none, *(self.scaled(record) for record in records if len(record) > 2 * lags)]
-        return np.concatenate([lagged(u, lags) for u, _ in used]), np.concatenate(
-            [y[lags:] for _, y in used]
-        )
+        scale = self.data.scale
+        inputs = [np.empty((lags, scale.inputs))]  # of these no row follows
+        outputs = [np.empty((lags, scale.outputs))]
+        for record in records:
+            if len(record) > 2 * lags:
+                u, y = self.scaled(record)
+                inputs.append(u)
+                outputs.append(y)
+        past = np.concatenate([lagged(u, lags) for u in inputs])
+        return past, np.concatenate([y[lags:] for y in outputs])
 
-    def scored(
-        self,
-    ) -> Iterator[
-        tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]
-    ]:
+    def scored(self) -> Iterator[ScoredRecord]:
         """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up
         samples left out."""
         for part in (self.validation, self.test):
+            start = part.start_up_samples
             for record, simulated in zip(part.records, part.simulated, strict=True):
-                sides = *self.scaled(record), (record.y - simulated) / self.data.scale.output_scale
-                u, y, e = (side[part.start_up_samples :] for side in sides)
-                yield u, y, e
+                u, y = self.scaled(record)
+                error = (record.y - simulated) / self.data.scale.output_scale
+                yield u[start:], y[start:], error[start:]
 
 
 def note(sentence: str) -> Finding:

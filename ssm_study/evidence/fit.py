@@ -95,11 +95,10 @@ def linear_fit(case: Case) -> float:
     """
     x, y = case.regression(case.data.training, LAGS)
     tested, true = case.regression(case.data.test, LAGS)
-    return (
-        fit_percent(true, tested @ np.linalg.lstsq(x, y, rcond=None)[0])
-        if len(x) and len(true)
-        else -np.inf
-    )
+    if not len(x) or not len(true):
+        return -np.inf
+    weights = np.linalg.lstsq(x, y, rcond=None)[0]
+    return fit_percent(true, tested @ weights)
 
 
 def pooled_fit(case: Case) -> float:
@@ -135,7 +134,8 @@ def error_share(case: Case) -> float:
     rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
     trained = np.concatenate([case.scaled(record)[1] for record in case.data.training])
     ranges = np.ptp(trained, axis=0)
-    return float((rms / np.maximum(ranges, np.finfo(float).tiny)).max())
+    shares = rms / np.maximum(ranges, np.finfo(float).tiny)
+    return float(shares.max())
 
 
 def owed_to_input(case: Case) -> float:
@@ -150,13 +150,15 @@ def owed_to_input(case: Case) -> float:
         half = len(u) // 2
         if half <= 4 * LAGS:
             continue
-        weights = np.linalg.lstsq(lagged(u[:half], LAGS), e[LAGS:half], rcond=None)[0]
+        past = lagged(u[:half], LAGS)
+        weights = np.linalg.lstsq(past, e[LAGS:half], rcond=None)[0]
         rest = e[half + LAGS :]
         unexplained = rest - lagged(u[half:], LAGS) @ weights
         gained += float((rest**2).sum() - (unexplained**2).sum())
         samples += len(rest)
     outputs = [scored_part(case, part)[0] for part in (case.validation, case.test)]
-    powers = np.concatenate([((y - y.mean(axis=0)) ** 2).sum(axis=1) for y in outputs])
+    deviations = [y - y.mean(axis=0) for y in outputs]
+    powers = np.concatenate([(part**2).sum(axis=1) for part in deviations])
     whole = samples * float(powers.mean())
     return max(gained, 0.0) / whole if whole else 0.0
 
@@ -174,7 +176,8 @@ def whiteness(case: Case) -> list[Finding]:
     if power == 0:
         return []
     lags = range(1, min(26, len(e) // 4))
-    outside = sum(abs(float(e[lag:] @ e[:-lag])) / power > bound for lag in lags)
+    correlations = [float(e[lag:] @ e[:-lag]) / power for lag in lags]
+    outside = sum(abs(correlation) > bound for correlation in correlations)
     sentence = (
         f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most "
         "free runs."

@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
 from ssm_study.evidence.response import INTEGRATES, kept_over
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.robustness.bands import ANGLES
@@ -51,11 +51,11 @@ def findings(case: Case, shown: Mismatch) -> list[Finding]:
     return [*doubts, *_limits(case), *_rest(case, shown)]
 
 
-def _joined(
-    case: Case, records: tuple[Trajectory, ...]
-) -> tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]:
+def _joined(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
+    """Scaled inputs and outputs of all these records."""
     parts = [case.scaled(record) for record in records]
-    return np.concatenate([u for u, _ in parts]), np.concatenate([y for _, y in parts])
+    inputs = np.concatenate([u for u, _ in parts])
+    return inputs, np.concatenate([y for _, y in parts])
 
 
 def _range(case: Case) -> Iterator[str]:
@@ -65,17 +65,15 @@ def _range(case: Case) -> Iterator[str]:
         high = trained[index].max(axis=0)
         tested = _joined(case, case.data.test)[index]
         room = ROOM * (high - low)
-        share = float(((tested < low - room) | (tested > high + room)).any(axis=1).mean())
+        is_beyond = (tested < low - room) | (tested > high + room)
+        share = float(is_beyond.any(axis=1).mean())
         if share > BEYOND:
             yield (
                 f"{100 * share:.0f} % of the test record's {name} is beyond the training "
                 "records: train there too."
             )
-    starts = [
-        abs(case.scaled(record)[1][0])
-        for record in case.data.mismatch_records
-        if not np.any(case.scaled(record)[0])
-    ]
+    loops = [case.scaled(record) for record in case.data.mismatch_records]
+    starts = [abs(y[0]) for u, y in loops if not np.any(u)]
     reached = np.abs(trained[1]).max()
     farthest = max((float(start.max()) for start in starts), default=0.0)
     if farthest > REACHED * reached:
@@ -95,7 +93,9 @@ def _levels(case: Case) -> Iterator[str]:
             "The input has two levels, which leave the slopes of S_u between them open: use many "
             "levels."
         )
-    sides = float(min((u > 0).mean(axis=0).min(), (u < 0).mean(axis=0).min()))
+    above = (u > 0).mean(axis=0).min()
+    below = (u < 0).mean(axis=0).min()
+    sides = float(min(above, below))
     if sides < ONE_SIDED:
         yield (
             "The input stays on one side of its equilibrium, and a loop will not: record both "
@@ -110,10 +110,14 @@ def input_changes(data: DataSet) -> int:
     """
     parts = (data.training, data.validation, data.test)
     pieces = [piece for part in parts for piece in part if piece.log]
-    ending = {(piece.log, piece.first + len(piece)): piece.u[-1] for piece in pieces}
+    ending = {}
+    for piece in pieces:
+        end = piece.first + len(piece)
+        ending[piece.log, end] = piece.u[-1]
     changes = 0
     for record in data.training:
-        changes += int(np.any(np.diff(record.u, axis=0) != 0, axis=1).sum())
+        moves = np.diff(record.u, axis=0) != 0
+        changes += int(np.any(moves, axis=1).sum())
         before = ending.get((record.log, record.first)) if record.log else None
         changes += before is not None and bool(np.any(before != record.u[0]))
     return changes
@@ -202,7 +206,8 @@ def _drift(case: Case) -> Iterator[str]:
     least = max(map(len, errors)) // 4  # a short piece of a slow process is off as a whole
     for e in (e for e in errors if len(e) >= least):
         quarter = max(len(e) // 4, 1)
-        shifts.append(float(np.abs(e[-quarter:].mean(axis=0) - e[:quarter].mean(axis=0)).max()))
+        shift = e[-quarter:].mean(axis=0) - e[:quarter].mean(axis=0)
+        shifts.append(float(np.abs(shift).max()))
     if max(shifts) > DRIFT:
         yield (
             f"The model's error drifts by {max(shifts):.2f} output scales within a record: "
@@ -253,16 +258,17 @@ def _repeated(records: tuple[Trajectory, ...], length: int) -> float:
 
 def _spectrum(case: Case) -> Iterator[str]:
     def power(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
-        u = _joined(case, records)[0]
-        return np.asarray(scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)[1].sum(axis=1))
+        u, _ = _joined(case, records)
+        _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
+        return np.asarray(spectrum.sum(axis=1))
 
     trained = power(case.data.training)
     tested = power(case.data.test)
     if len(trained) != len(tested):
         return
-    share = float(
-        tested[trained < 0.01 * trained.mean()].sum() / max(tested.sum(), np.finfo(float).tiny)
-    )
+    untrained = trained < 0.01 * trained.mean()
+    whole = max(tested.sum(), np.finfo(float).tiny)
+    share = float(tested[untrained].sum() / whole)
     if share > UNTRAINED:
         yield (
             f"{100 * share:.0f} % of the test input's power lies where training has none: train "
@@ -273,8 +279,9 @@ def _spectrum(case: Case) -> Iterator[str]:
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
-    still = (after_motion(*case.driven(record), response) for record in case.data.test)
-    off = max((*shown.stuck, *(left(y) for y in still if len(y))), default=0.0)
+    rests = [after_motion(*case.driven(record), response) for record in case.data.test]
+    offsets = [left(y) for y in rests if len(y)]
+    off = max((*shown.stuck, *offsets), default=0.0)
     if not shown.rests:
         told = (
             f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"

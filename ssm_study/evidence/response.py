@@ -60,10 +60,8 @@ def _coherence(case: Case) -> Iterator[Finding]:
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
-    if (
-        not parts or segment < RESPONSES * linear.response_samples()
-    ):  # what outlasts a piece counts as noise
-        return
+    if not parts or segment < RESPONSES * linear.response_samples():
+        return  # what outlasts a piece would count as noise
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = gains(linear, angles)
     used = sizes >= USED * sizes.max()
@@ -90,31 +88,35 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     """
 
     def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
-        pairs = ((part[i][:, :, None], part[j][:, None, :]) for part in parts)
-        return np.sum(
-            [len(a) * scipy.signal.csd(a, b, nperseg=segment, axis=0)[1] for a, b in pairs], axis=0
-        )
+        spectra = []
+        for part in parts:
+            a = part[i][:, :, None]
+            b = part[j][:, None, :]
+            _, spectrum = scipy.signal.csd(a, b, nperseg=segment, axis=0)
+            spectra.append(len(a) * spectrum)
+        return np.sum(spectra, axis=0)
 
     power = cross(0, 0)
     through = cross(0, 1)
     whole = np.einsum("fpp->fp", cross(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
-    power = power + max(ridge, np.finfo(float).tiny) * np.eye(power.shape[-1])
-    explained = np.einsum("fmp,fmp->fp", through.conj(), np.linalg.solve(power, through)).real
-    return np.asarray((explained / np.maximum(whole, np.finfo(float).tiny)).min(axis=1))
+    tiny = np.finfo(float).tiny
+    power = power + max(ridge, tiny) * np.eye(power.shape[-1])
+    filters = np.linalg.solve(power, through)
+    explained = np.einsum("fmp,fmp->fp", through.conj(), filters).real
+    shares = explained / np.maximum(whole, tiny)
+    return np.asarray(shares.min(axis=1))
 
 
 def _sampling(case: Case) -> Iterator[Finding]:
     """Whether a log was sampled much too slowly or too fast for what its model answers."""
     response = case.model.linear.response_samples()
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
-    if case.data.metadata.get("source") == "recorded" and response <= COARSE:
+    if case.data.metadata.get("source") != "recorded":
+        return
+    if response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif (
-        case.data.metadata.get("source") == "recorded"
-        and response >= FINE
-        and kept_over(case) <= INTEGRATES
-    ):
+    elif response >= FINE and kept_over(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield note(
             f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "
@@ -144,12 +146,11 @@ def dead_time(case: Case) -> int:
     weights, _, rank, _ = np.linalg.lstsq(x, y, rcond=SMOOTH)
     if rank < x.shape[1]:
         return 0
-    spread = np.sqrt(np.diag(np.linalg.inv(x.T @ x))[:-1, None] * (y - x @ weights).var(axis=0))
-    m = case.model.scale.inputs
-    size, doubtful = (
-        part.reshape(LAGS + 1, m * y.shape[1]).max(axis=1)
-        for part in (np.abs(weights[:-1]), spread)
-    )
-    nothing = size + CLEAR * doubtful < SMALL * size.max()
-    first = int(np.argmin(nothing))  # the first lag that may be something
+    variances = np.diag(np.linalg.inv(x.T @ x))[:-1, None]
+    spread = np.sqrt(variances * (y - x @ weights).var(axis=0))
+    channels = case.model.scale.inputs * y.shape[1]
+    size = np.abs(weights[:-1]).reshape(LAGS + 1, channels).max(axis=1)
+    doubtful = spread.reshape(LAGS + 1, channels).max(axis=1)
+    is_nothing = size + CLEAR * doubtful < SMALL * size.max()
+    first = int(np.argmin(is_nothing))  # the first lag that may be something
     return max(first - 1, 0) if size[first] > CLEAR * doubtful[first] else 0
