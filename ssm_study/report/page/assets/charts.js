@@ -18,9 +18,12 @@ const NEAR = new IntersectionObserver(
   { rootMargin: "300px" },
 );
 
-/** A place for a chart; its accessible name is the specification's description. */
+const AROUND = 45; // pixels that axis and title add to a chart's height
+
+/** A place for a chart, as high as it will be, so that nothing moves when it is drawn; its accessible name is the
+ * specification's description. */
 function chartOf(spec) {
-  const chart = element("div", { class: "chart" });
+  const chart = element("div", { class: "chart", style: `min-height: ${spec.height + AROUND}px` });
   chart.spec = spec;
   NEAR.observe(chart);
   return chart;

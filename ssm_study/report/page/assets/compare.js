@@ -138,13 +138,7 @@ function drawStrips() {
     .getElementById("groups-title")
     .replaceChildren(DATA.words[metric], element("span", { class: "note" }, note));
   const columnOf = (field) => (field === "value" ? metric : field);
-  return embed(
-    document.getElementById("strips"),
-    spec,
-    { rows: usable },
-    DATA.panels.length + 1,
-    columnOf,
-  );
+  return embed(document.getElementById("strips"), spec, { rows: usable }, STRIPS, columnOf);
 }
 
 function drawGroupForm() {

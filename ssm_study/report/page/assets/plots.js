@@ -1,6 +1,7 @@
 // The plots: drawn by Vega, told which runs are shown and chosen; a brush in one filters all.
 const COARSE = matchMedia("(pointer: coarse)").matches; // a finger scrolls: there a drag must not brush
 const VIEWS = [];
+const STRIPS = DATA.panels.length + 1; // the number of the groups' plot, brushed along one axis
 const WIDTHS = []; // of the container each plot was last fitted into
 const STALE = new Set(); // plots that do not show the present choice yet
 const VISIBLE = new Set();
@@ -273,8 +274,10 @@ async function refresh() {
 /** Lift every brush: Vega keeps its selection in a data set of its own. */
 function clearBrushes() {
   state.brushes = {};
-  if (!COARSE)
-    VIEWS.forEach((view) =>
-      view.data("brush_store", []).signal("brush_x", []).signal("brush_y", []).runAsync(),
-    );
+  if (COARSE) return;
+  VIEWS.forEach((view, number) => {
+    view.data("brush_store", []).signal("brush_x", []);
+    if (number !== STRIPS) view.signal("brush_y", []);
+    view.runAsync();
+  });
 }
