@@ -3,7 +3,7 @@ pictures.
 
     python benchmarks/notebooks_rendered.py
 
-runs all four from top to bottom with the paper's configuration, shares one results folder among
+runs all five from top to bottom with the paper's configuration, shares one results folder among
 them, and writes `docs/notebooks/*.md` with the pictures beside them. The site shows these pages and
 executes nothing, so it builds in seconds; a test compares their code with the notebooks.
 """
@@ -26,7 +26,13 @@ from nbformat import NotebookNode
 from PIL import Image
 
 TARGET = ROOT / "docs" / "notebooks"
-NAMES = ("the_paper", "reading_a_sweep", "how_far_can_a_certificate_go", "your_own_data")
+NAMES = (
+    "the_paper",
+    "reading_a_sweep",
+    "how_far_can_a_certificate_go",
+    "strange_log",
+    "your_own_data",
+)
 WIDTH = 1200  # pixels: sharp at the width of a page, a sixth of the bytes of print resolution
 
 

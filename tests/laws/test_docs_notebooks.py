@@ -39,8 +39,8 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
             yield first.km
 
 
-def test_there_are_four() -> None:
-    assert len(NOTEBOOKS) == 4
+def test_there_are_five() -> None:
+    assert len(NOTEBOOKS) == 5
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

@@ -1,0 +1,117 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation: {extension: .py, format_name: percent}
+#   kernelspec: {display_name: Python 3, language: python, name: python3}
+# ---
+
+# %% [markdown]
+# # A strange file: from somebody else's log to a model
+#
+# A log from elsewhere rarely looks like a table of numbers. This notebook starts with a file as a
+# German data logger writes it, asks `ssm-study look` what is in it, and ends with a model that
+# knows which of its columns can be commanded. No line of it converts anything.
+
+# %%
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+from IPython.display import Image, display
+
+from ssm_study.cli.main import main
+from ssm_study.data.recorded import RecordedData
+from ssm_study.refusal import BadRequest
+
+RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
+RESULTS.mkdir(parents=True, exist_ok=True)
+LOG = RESULTS / "Gewächshaus.txt"
+
+# %% [markdown]
+# ## The file
+#
+# A greenhouse: a heater that somebody switches between levels, the air inside, and the air outside,
+# which nobody commands. The logger counts milliseconds, writes decimal commas, semicolons and
+# two lines about itself, was switched off once, and lost three readings.
+
+# %%
+rng = np.random.default_rng(4)
+samples = 1500
+heating = np.repeat(np.round(rng.uniform(0, 100, samples // 25), 0), 25)
+outside = 8 + 4 * np.sin(np.arange(samples) / 90) + np.cumsum(rng.normal(0, 0.05, samples))
+inside = np.full(samples, 20.0)
+for k in range(samples - 1):
+    loss = 0.06 * (inside[k] - outside[k])
+    inside[k + 1] = inside[k] + 0.02 * heating[k] * (1 - heating[k] / 300) - loss
+measured = np.round(inside + rng.normal(0, 0.03, samples), 2)
+
+milliseconds = 30_000 * np.arange(samples)
+milliseconds[900:] += 1_800_000  # half an hour without a logger
+cells = [
+    [f"{milliseconds[k]}", f"{heating[k]:.0f}", f"{measured[k]:.2f}", f"{outside[k]:.1f}"]
+    for k in range(samples)
+]
+for k in (400, 401, 1200):
+    cells[k][2] = "---"
+lines = ["# Logger 7, Gewächshaus Süd", "# exportiert 27.02.2026"]
+lines += ["time(ms);Heizung [%];Innen [°C];Außen [°C]"]
+lines += [";".join(row).replace(".", ",") for row in cells]
+LOG.write_text("\r\n".join(lines), encoding="cp1252")
+print("\n".join(lines[:6]))
+
+# %% [markdown]
+# ## Look first
+#
+# The command (`ssm-study look Gewächshaus.txt`) prints one screen and draws the signals. It guesses
+# input and output; their names say otherwise where the guess is wrong.
+
+# %%
+PICTURE = RESULTS / "Gewächshaus_look.png"
+named = ["--input", "Heizung", "--output", "Innen", "--picture", str(PICTURE)]
+_ = main(["look", str(LOG), *named])
+display(Image(filename=str(PICTURE), retina=True))
+
+# %% [markdown]
+# Everything that matters for what follows stands there: the separator and the decimal comma, the
+# clock in milliseconds and its period, the hole and the missing readings, at which the log is cut
+# (nothing is invented), and a column that moves and is neither input nor output.
+#
+# ## A column that nobody commands
+#
+# The air outside moves the air inside. As an input it would be commanded by the controller; left
+# out, the model takes its effect for noise. It belongs in `data.disturbance`: model and observer
+# are told it, the controller does not command it.
+
+# %%
+COMMAND = ["run", "data=recorded", f"data.path='{LOG}'", "data.input=Heizung"]
+COMMAND += ["data.output=Innen", "model=ssm", "model.order=2", "synthesis=riccati"]
+COMMAND += ["synthesis.rate_controller=0.9", "synthesis.rate_observer=0.9", "progress=false"]
+FIRST = ["training.max_epochs=25", "model.hidden_width=4", f"results_dir={RESULTS}"]
+_ = main([*COMMAND, *FIRST, "study=greenhouse"])
+
+# %%
+_ = main([*COMMAND, *FIRST, "study=greenhouse_weather", "data.disturbance='Außen'"])
+
+
+# %%
+def fit_percent(study: str) -> float:
+    """Fit on the test record of the only run of a study."""
+    (record,) = (RESULTS / study).glob("*/record.json")
+    return json.loads(record.read_text())["fit_test_percent"]
+
+
+print(f"fit on the test record without the weather  {fit_percent('greenhouse'):.1f} %")
+print(f"fit on the test record with the weather     {fit_percent('greenhouse_weather'):.1f} %")
+
+# %% [markdown]
+# ## What a misreading looks like
+#
+# Where two readings are possible the log is refused with both; nothing is guessed in silence.
+
+# %%
+for settings in ({"input": "time(ms)"}, {"input": "Heizung", "step_s": 0.03}):
+    try:
+        RecordedData(path=str(LOG), output="Innen", **settings).build(0)
+    except BadRequest as refusal:
+        print(refusal)
