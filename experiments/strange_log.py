@@ -63,7 +63,7 @@ print("\n".join(lines[:6]))
 # %% [markdown]
 # ## Look first
 #
-# The command (`ssm-study look Gewächshaus.txt`) prints one screen and draws the signals. It guesses
+# The command (`ssm-study look FILE`) prints one screen and draws the signals. It guesses
 # input and output; their names say otherwise where the guess is wrong.
 
 # %%

@@ -128,6 +128,7 @@ ELSEWHERE = {  # what a test cannot have, by name
     "-m benchmarks.excited_log": "ten seconds a line; its table is committed",
     "-m benchmarks.nonlinear_plants": "half a minute a line; its table is committed",
     "-m benchmarks.structured_loops": "half a minute a line; its table is committed",
+    "benchmarks/public_logs.py": "public records that are not part of the project",
     "ssm-study overlay": "run in tests/oracles/test_overlay.py on runs of one record",
     "ssm-study watch": "serves until it is stopped; tests/laws/test_report_live.py asks it",
 }
