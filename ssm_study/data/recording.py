@@ -25,6 +25,8 @@ from ssm_study.signals import Channel, Trajectory
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
+# Letters that have no plain form of their own in Unicode.
+LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "o", "Ø": "O", "ł": "l"}
 LOOK = "`ssm-study look {}` shows what is in the file"
 
 
@@ -370,9 +372,9 @@ def plain_name(column: str) -> str:
 
 
 def _spelled(letter: str) -> str:
-    """`ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`; another letter stays."""
-    if letter == "\N{DEGREE SIGN}":
-        return "deg"
+    """`ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`, `ß` -> `ss`; another letter stays."""
+    if letter in LETTERS:
+        return LETTERS[letter]
     name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))
     if name is None:
         return letter

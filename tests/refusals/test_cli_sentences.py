@@ -96,6 +96,7 @@ NAMES = {
     "Ω": "Omega",
     "ς": "sigma",
     "ü": "u",
+    "Außen": "Aussen",
     "!": "signal",
 }
 
