@@ -26,7 +26,7 @@ OPTIONS = {
     OPEN: (),
 }
 # With --dry-run nothing is launched, so what was said about another launcher does not matter.
-LAUNCHER = ("hydra/launcher=", "hydra.launcher.", "+hydra.launcher.")
+LAUNCHER = ("hydra/launcher=", "hydra.launcher.")
 SINE = re.compile(r"""(?<!["'\w])(\w+\([^()"']*\))""")
 # What Hydra answers by itself: versions, the composed configuration.
 JUST_ASKING = (
@@ -47,7 +47,7 @@ def translate(arguments: list[str]) -> list[str]:
     many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
     if "--dry-run" in rest:
-        rest = [word for word in rest if not word.startswith(LAUNCHER)]
+        rest = [word for word in rest if not word.lstrip("+~").startswith(LAUNCHER)]
     words = [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
     return ["--multirun"] * many + quoted(present_overrides(words))
 

@@ -212,7 +212,7 @@ def test_our_options_become_hydras() -> None:
         "seed=1,2",
         "retry_failed=true",
     ]
-    planned = translate(
-        ["-m", "seed=1,2", "hydra/launcher=slurm", "hydra.launcher.partition=debug", "--dry-run"]
-    )
+    launcher = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=HEAD:6399"]
+    launcher += ["++hydra.launcher.ray.init.object_store_memory=null", "~hydra.launcher.partition"]
+    planned = translate(["-m", "seed=1,2", *launcher, "--dry-run"])
     assert planned == ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]
