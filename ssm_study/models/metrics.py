@@ -199,7 +199,8 @@ def initial_state(
     """
     lifted = model.drive(record.u, record.d)
     target = model.scale.scaled_output(record.y[:samples])
-    prior = _reached(model, lifted if reached_by is None else model.lift(reached_by.u))
+    reaching = lifted if reached_by is None else model.drive(reached_by.u, reached_by.d)
+    prior = _reached(model, reaching)
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
         ybar, by_state = _linearised(model, lifted[:samples], x0)

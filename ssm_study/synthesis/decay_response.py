@@ -29,8 +29,11 @@ def decays_of(
 ) -> Float[np.ndarray, "N T p"]:
     """Scaled outputs of the model from the states at which recorded decays start, noise-free.
 
-    Decays at rest input count that start beyond the band of settling and that the model follows.
+    Decays at rest input count that start beyond the band of settling and that the model follows;
+    none with measured disturbances, which push an output without a start.
     """
+    if model.scale.disturbances:
+        return NO_DECAYS
     decays = []
     for trial in trials:
         if trial.closed_loop or model.scale.scaled_input(trial.u).any():
