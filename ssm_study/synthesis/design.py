@@ -242,9 +242,9 @@ class Synthesis(ABC):
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
     scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
-    (`synthesis.input_inversion`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the controller
-    is that of the model with these modes z (`theorems.integral_action`) and `integral_weight |z|^2`
-    in its cost: larger removes errors sooner.
+    (`synthesis.input_inversion`). With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the
+    controller is that of the model with these modes z (`theorems.integral_action`) and
+    `integral_weight |z|^2` in its cost: larger removes errors sooner.
     """
 
     rate_controller: float
