@@ -32,7 +32,7 @@ Row = dict[str, Any]
 class Candidate:
     """Settings that were tried, and the error of the free run on each held-out fold.
 
-    An error is `100 - fit`, in percent, at most `LARGEST_ERROR`. Folds that were left out, because
+    Errors are those of `relative_error`. Folds that were left out, because
     the candidate was far behind, are missing at the end of `errors`. `start` says from where the
     held-out pieces were simulated, `example` is the model trained without the last fold.
     """
@@ -108,7 +108,7 @@ class Trial:
                 errors.append(LARGEST_ERROR)
                 continue
             run = Simulation.of(model, fold.test, fold.start_up_samples, starts[name])
-            errors.append(bounded_error(run.fit_percent))
+            errors.append(relative_error(run, fold))
 
     @property
     def start(self) -> str:
@@ -197,8 +197,16 @@ def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Cand
     return count >= FEWEST_FOLDS and so_far > HOPELESS * float(best.errors[:count].sum())
 
 
-def bounded_error(fit_percent: float) -> float:
-    """`100 - fit` within zero and `LARGEST_ERROR`."""
-    if not np.isfinite(fit_percent):
-        return LARGEST_ERROR
-    return float(np.clip(100.0 - fit_percent, 0.0, LARGEST_ERROR))
+def relative_error(run: Simulation, data: DataSet) -> float:
+    """Root mean square error over the outputs' scale (their deviation in the training records),
+    percent, at most `LARGEST_ERROR`.
+
+    A piece in which the output hardly moves then counts for as much as it moves.
+    """
+    squares = []
+    for record, simulated in zip(run.records, run.simulated, strict=True):
+        error = (record.y - simulated)[run.start_up_samples :] / data.scale.output_scale
+        squares.append(error**2)
+    with np.errstate(all="ignore"):
+        error_percent = 100.0 * float(np.sqrt(np.mean(np.concatenate(squares))))
+    return min(error_percent, LARGEST_ERROR) if np.isfinite(error_percent) else LARGEST_ERROR

@@ -44,12 +44,12 @@ class Choice:
         )
         return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
 
-    def asks_for_refit(self, fit_validation_percent: float) -> bool:
+    def asks_for_refit(self, error_validation: float) -> bool:
         """Whether validation records are predicted far worse than held-out folds are: then the
         training records do not show what the others do."""
         if self.error is None or not self.spec.refit:
             return False
-        return 100.0 - fit_validation_percent > REFIT_BEYOND * self.error
+        return error_validation > REFIT_BEYOND * self.error
 
 
 def spoken(value: object) -> str:

@@ -131,12 +131,15 @@ class Training:
         self, choice: "Choice", data: DataSet, session: "Session"
     ) -> "Identification":
         """The chosen model, trained; on the validation records too where the choice asks for it."""
+        from ssm_study.models.warm_start import simulate_parts
+        from ssm_study.training.candidates import relative_error
         from ssm_study.training.choice import refit_words
         from ssm_study.training.folds import with_joined_records
         from ssm_study.training.metrics import mean_fit
 
         best = self._train_choice(choice, data, session)
-        if not choice.asks_for_refit(best.fit_validation_percent):
+        validation, _ = simulate_parts(best.model, data)
+        if not choice.asks_for_refit(relative_error(validation, data)):
             return best
         words = refit_words(best.fit_validation_percent)
         again = replace(session, folder=session.folder / "refit")

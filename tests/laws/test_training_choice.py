@@ -254,7 +254,7 @@ def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_
     refitted = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "moved")
     assert refitted.refitted
     assert "trained again with the validation records" in refitted.ended
-    assert not Choice(spec=replace(spec, order=2, refit=False), error=1.0).asks_for_refit(0.0)
+    assert not Choice(spec=replace(spec, order=2, refit=False), error=1.0).asks_for_refit(100.0)
 
 
 def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
