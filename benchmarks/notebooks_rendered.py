@@ -27,11 +27,11 @@ from PIL import Image
 
 TARGET = ROOT / "docs" / "notebooks"
 NAMES = (
+    "your_own_data",
+    "strange_log",
     "the_paper",
     "reading_a_sweep",
     "how_far_can_a_certificate_go",
-    "strange_log",
-    "your_own_data",
 )
 WIDTH = 1200  # pixels: sharp at the width of a page, a sixth of the bytes of print resolution
 
@@ -41,7 +41,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", default=NAMES, help="only these")
-    names = parser.parse_args().names
+    parser.add_argument("--ipynb", action="store_true", help="write experiments/*.ipynb alone")
+    asked = parser.parse_args()
+    names = asked.names
+    for name in names:
+        write_jupyter_file(name)
+    if asked.ipynb:
+        return
     TARGET.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         os.environ["SSM_STUDY_RESULTS"] = (
@@ -51,6 +57,15 @@ def main() -> None:
             start = time.perf_counter()
             write(name, Path(folder))
             print(f"{name}: {time.perf_counter() - start:.0f} s", flush=True)
+
+
+def write_jupyter_file(name: str) -> None:
+    """Write `experiments/NAME.ipynb`: the notebook without outputs, the same bytes each time."""
+    notebook = jupytext.read(ROOT / "experiments" / f"{name}.py")
+    for number, cell in enumerate(notebook.cells):
+        cell["id"] = f"cell-{number}"
+    notebook.metadata.pop("jupytext", None)
+    jupytext.write(notebook, ROOT / "experiments" / f"{name}.ipynb")
 
 
 def write(name: str, folder: Path) -> None:

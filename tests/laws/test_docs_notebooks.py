@@ -71,6 +71,17 @@ def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
     assert all((ROOT / "docs" / "notebooks" / name).is_file() for name in shown)
 
 
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_jupyter_file_is_the_same_notebook(path: Path) -> None:
+    """`python benchmarks/notebooks_rendered.py --ipynb` writes it."""
+    jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
+    ours, written = (
+        [(cell.cell_type, cell.source) for cell in jupytext.read(place).cells]
+        for place in (path, path.with_suffix(".ipynb"))
+    )
+    assert ours == written
+
+
 def pictures(notebook: Any) -> int:
     return sum(
         "image/png" in output.get("data", {})
