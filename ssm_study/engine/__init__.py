@@ -1,2 +1,2 @@
-"""Many runs of one task: stages computed once, records that survive, processes, launchers; it knows
-no science."""
+"""Engine that runs one task many times: it computes stages once, keeps a record of every run, and
+starts the jobs as processes or through a launcher; it knows no science."""

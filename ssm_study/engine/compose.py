@@ -1,5 +1,5 @@
-"""Uses of Hydra's private names, all in this file: composing a request once, and a thousand jobs
-with it.
+"""Composition of a request by Hydra, once for the request and for all jobs of a sweep; the only
+file that uses Hydra's private names.
 
 Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
 of a second each. Here the request is composed once, and so are all jobs that differ in plain values
@@ -41,8 +41,8 @@ NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Lists the choices of a group without copying all that it has read, a hundred times for one
-    `--help`."""
+    """Hydra's configuration loader, which lists the choices of a group without copying all files
+    that it has read (`--help` lists a hundred groups)."""
 
     defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
 
@@ -53,6 +53,7 @@ class Loader(ConfigLoaderImpl):
         config_name: str | None = None,
         overrides: list[str] | None = None,
     ) -> list[str]:
+        """Names of the choices of a configuration group, the default one marked by a star."""
         del config_name, overrides
         options = self.repository.get_group_options(group_name, results_filter)
         default = self.defaults.get(group_name)
@@ -82,7 +83,8 @@ class Command(Hydra):
 
     @cached_property
     def config(self) -> DictConfig:
-        """Raises whatever Hydra raises for a request it cannot compose."""
+        """Composed configuration of the request; raises whatever Hydra raises for a request that it
+        cannot compose."""
         mode = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN
         words = list(self.asked.overrides)
         if not any(word.startswith("hydra.mode=") for word in words):
@@ -99,15 +101,16 @@ class Command(Hydra):
 
     @property
     def many(self) -> bool:
-        """Whether it is a sweep."""
+        """Whether the request is a sweep of several jobs."""
         return bool(self.config.hydra.mode == RunMode.MULTIRUN)
 
     def do(self, task: TaskFunction) -> None:
-        """The run, or the sweep."""
+        """Run the task once, or for every job of the sweep."""
         run = self.multirun if self.many else self.run
         run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
+        """Return the configuration that is composed already, where Hydra would compose it again."""
         if self.asked.help:
             return super().compose_config(*asked, **further)
         if further.get("with_log_configuration"):
@@ -116,21 +119,20 @@ class Command(Hydra):
 
 
 def adopt(config: DictConfig) -> None:
-    """`${hydra:...}` is read from this; Hydra's own `set_config` copies its whole section first (5
-    ms)."""
+    """Make a configuration the one that `${hydra:...}` is read from; Hydra's own `set_config` would
+    copy its whole section first (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
 def forget() -> None:
-    """A program may compose again afterwards, and what it runs next was not asked for by these
-    words."""
+    """Clear Hydra's global state, so that a program may compose another request afterwards."""
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
 
 
 def combinations(config: DictConfig) -> list[list[str]]:
-    """`a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`, as Hydra's grid combines them; a search knows none
-    beforehand."""
+    """Override lists of all jobs of a grid sweep: `a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`; empty
+    for a search, which chooses its values while it runs."""
     if config.hydra.sweeper._target_ not in GRIDS:
         return []
     words = OmegaConf.to_container(config.hydra.overrides.task, resolve=False)
@@ -141,7 +143,8 @@ def combinations(config: DictConfig) -> list[list[str]]:
 
 @dataclass
 class Chosen:
-    """One composition of choices, into which the plain values of its jobs are put."""
+    """Configuration composed from one set of choices, into which the plain values of each job are
+    put."""
 
     config: DictConfig
     held: dict[str, bool] = field(default_factory=dict)
@@ -149,14 +152,16 @@ class Chosen:
 
     @cached_property
     def tree(self) -> Settings:
+        """The configuration as plain containers, without Hydra's section and with interpolations
+        unresolved."""
         tree = OmegaConf.to_container(self.config, resolve=False)
         assert isinstance(tree, dict)
         return Settings({str(key): settled(value) for key, value in tree.items() if key != "hydra"})
 
     @cached_property
     def shown(self) -> tuple[str, ...] | None:
-        """Settings that the name of the run shows; None where anything else is interpolated
-        (OmegaConf is slow at that)."""
+        """Settings that appear in the name of the run; None where anything else is interpolated
+        (OmegaConf then has to resolve it, which is slow)."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
         others = [value for key, value in self.tree.items() if key != "run"]
         if interpolation is None or any("${" in str(value) for value in others):
@@ -164,7 +169,8 @@ class Chosen:
         return tuple(word.strip() for word in interpolation[1].split(","))
 
     def holds(self, path: str) -> bool:
-        """Whether a value of no declared type stands there."""
+        """Whether the value at a dotted path has no declared type, so that it may be replaced
+        directly."""
         if path not in self.held:
             node: Any = self.config
             for word in path.split("."):
@@ -174,8 +180,8 @@ class Chosen:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Settings of the job with these values by their dotted path; unchanged sections are the
-        same objects."""
+        """Settings of the job with these values by their dotted path; unchanged sections are shared
+        between jobs."""
         assert self.shown is not None
         settings = Settings(self.tree)
         by_section: dict[str, dict[str, Any]] = {}
@@ -189,7 +195,7 @@ class Chosen:
         return Settings(settings | {"run": run_name(settings, *self.shown)})
 
     def section(self, name: str, values: dict[str, Any]) -> Any:
-        """A section of the settings with these values; equal ones are the same object."""
+        """Section of the settings with these values put in; equal sections are the same object."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
         if key not in self.sections:
@@ -201,7 +207,7 @@ class Chosen:
 
 
 def with_value(tree: Any, path: list[str], value: Any) -> Any:
-    """A copy of the tree with a value at the path."""
+    """Copy of a tree of dictionaries with one value replaced at a path."""
     if not path:
         return value
     first, *rest = path
@@ -209,8 +215,8 @@ def with_value(tree: Any, path: list[str], value: Any) -> Any:
 
 
 class Composer:
-    """`compose(overrides)` is Hydra's `load_sweep_config(sweep, overrides)`; `settings` what a task
-    sees of it.
+    """Composes the configuration of each job of a sweep, equal to Hydra's `load_sweep_config` but
+    without reading the files again for every job.
 
     `refuse` is asked about every composition.
     """
@@ -228,8 +234,8 @@ class Composer:
         self.composed: dict[tuple[str, ...], Chosen] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
-        """The whole configuration, Hydra's section included; the next one may be the same
-        object."""
+        """Whole configuration of one job, Hydra's section included; the next call may return the
+        same object with other values."""
         chosen, values = self._split(overrides)
         config = chosen.config
         parsed = [self._parse(word)[0] for word in overrides]
@@ -250,7 +256,8 @@ class Composer:
         return config
 
     def settings(self, overrides: list[str], number: int) -> Settings:
-        """The settings of a job; a value that OmegaConf has to resolve costs ten times as much."""
+        """Settings of one job without Hydra's section; a value that OmegaConf has to resolve costs
+        ten times as much."""
         chosen, values = self._split(overrides)
         if chosen.shown is not None:
             by_path = {str(override.key_or_group): override.value() for override in values}
@@ -260,7 +267,8 @@ class Composer:
         return plain(config)
 
     def _split(self, overrides: list[str]) -> tuple[Chosen, list[Override]]:
-        """The composition that a job shares with others, and the values that are its own."""
+        """Separate the overrides of a job into the composition that it shares with other jobs and
+        its own plain values."""
         parsed = [self._parse(word) for word in overrides]
         chosen = self._chosen(parsed)
         marked = []
@@ -272,6 +280,7 @@ class Composer:
         return chosen, [override for override, is_own in marked if is_own]
 
     def _chosen(self, parsed: list[tuple[Override, bool]]) -> Chosen:
+        """Composition for these parsed overrides, loaded by Hydra when it is first needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
         # same.
@@ -284,6 +293,7 @@ class Composer:
         return self.composed[key]
 
     def _parse(self, word: str) -> tuple[Override, bool]:
+        """Parse one override, and say whether it sets a plain value."""
         if word not in self.parsed:
             override = self.parser.parse_override(word)
             refuse_unbounded({str(override.key_or_group): override.value()})
@@ -292,8 +302,8 @@ class Composer:
 
 
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
-    """`a.b=1`: no choice of a group, nothing added, deleted, interpolated or to be built, nothing
-    of Hydra's own."""
+    """Whether an override sets a plain value (`a.b=1`): it chooses no group, adds, deletes,
+    interpolates and instantiates nothing, and changes nothing of Hydra's own."""
     path = str(override.key_or_group)
     value = override.value()
     if override.type is not OverrideType.CHANGE or override.package is not None:

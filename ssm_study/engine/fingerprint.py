@@ -1,5 +1,5 @@
-"""Fingerprints of the code that a result depends on, read from the sources: never from a list that
-somebody keeps.
+"""Fingerprints of the code that a result depends on, computed from the sources themselves and never
+from a list that somebody maintains.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these
 use, followed through imports anywhere in a file. Sources are compared as syntax trees, without
@@ -45,8 +45,8 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements: a digest of them, the names they read, and what imports inside their functions
-    bring in."""
+    """Statements that define one name: their digest, the names that they read, and the symbols that
+    imports inside their functions bring in."""
 
     digest: str
     names: list[str]
@@ -58,21 +58,22 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """The statements that bind each name; those that bind none (`LOOSE`, they run at import); what
-    imports bring in."""
+    """Content of one source file: the statements that bind each name, those that bind none
+    (`LOOSE`, they run at import), and the imported symbols."""
 
     parts: dict[str, Part] = field(default_factory=dict)
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
 
     @property
     def bound(self) -> set[str]:
+        """Names that the statements of the module bind."""
         return set(self.parts) - {LOOSE}
 
 
 @dataclass(frozen=True)
 class Code:
-    """The sources of packages: where they are imported from, or in the `folders` given (name:
-    folder)."""
+    """Reader of source code that finds all symbols on which given ones depend; sources are read
+    where they are imported from, or in `folders` (name: folder)."""
 
     folders: Mapping[str, Path] = field(default_factory=dict)
     modules: dict[str, Module | None] = field(default_factory=dict)
@@ -80,7 +81,7 @@ class Code:
     steps: dict[Symbol, frozenset[Symbol]] = field(default_factory=dict)
 
     def version(self, *roots: Symbol) -> str:
-        """SHA-256 over all that `roots` depend on; equal versions compute equal results."""
+        """SHA-256 of all code that the roots depend on; equal versions compute equal results."""
         for module, name in roots:
             symbol = f"{module}.{name}"
             is_defined = self._is_defined(module, name)
@@ -91,7 +92,7 @@ class Code:
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
     def _is_defined(self, module: str, name: str) -> bool:
-        """Whether the module has the name; a library, or a module without statements, may have
+        """Whether a module defines a name; a library, or a module without statements, may define
         any."""
         if not self._is_followed(module.split(".")[0]):
             return True
@@ -101,7 +102,8 @@ class Code:
         return read == Module() or name == WHOLE or name in read.bound or name in read.imported
 
     def closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """Every symbol that the roots lead to; libraries are not followed."""
+        """All symbols that the roots depend on, directly or through others; libraries are not
+        followed."""
         seen = set[Symbol]()
         waiting = {self._followed(symbol) for symbol in roots}
         while waiting:
@@ -113,20 +115,23 @@ class Code:
         return seen
 
     def remember(self) -> None:
-        """Read every module of this package that the process has loaded: later edits do not
-        count."""
+        """Read the source of every module of this package that the process has loaded, so that
+        later edits do not count."""
         for module in sorted(sys.modules):
             if module.split(".")[0] == OURS:
                 self._read(module)
 
     def _followed(self, symbol: Symbol) -> Symbol:
+        """Symbol as its dependencies are followed: a library as a whole, one of this package under
+        its present name."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
         return self._present(symbol) if top == OURS else symbol
 
     def _present(self, symbol: Symbol) -> Symbol:
-        """Where a symbol of ours lies today; other people's code may import it by an old name."""
+        """Present place of a symbol of this package; other people's code may import it by an old
+        name."""
         module, name = symbol
         if name in (WHOLE, LIBRARY):
             return (module if self._read(module) is not None else present_module(module)), name
@@ -136,8 +141,8 @@ class Code:
         return present_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether a package is read: this one, and whatever is not installed as a library (a clone,
-        a script)."""
+        """Whether the sources of a package are read: this package, and whatever is not installed as
+        a library (a clone, a script)."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
@@ -146,6 +151,7 @@ class Code:
         return self.followed[top]
 
     def _next(self, module: str, name: str) -> Iterator[Symbol]:
+        """Symbols that one symbol uses directly."""
         read = None if name == LIBRARY else self._read(module)
         if read is None:
             return
@@ -163,7 +169,8 @@ class Code:
             yield from self._whole(module, read)
 
     def _whole(self, module: str, read: Module) -> Iterator[Symbol]:
-        """Everything in a module; of a room also its files, whose members are found by name."""
+        """All symbols of a module; for a package's `__init__.py` also its files, whose members are
+        found by name."""
         for bound in read.bound:
             yield module, bound
         for symbols in read.imported.values():
@@ -176,12 +183,14 @@ class Code:
                 yield f"{module}.{file.stem}", WHOLE
 
     def _digest(self, module: str, name: str) -> str:
+        """Digest of the statements behind one symbol; for a library its version."""
         if name == LIBRARY:
             return library_version(module)
         parts = (self._read(module) or Module()).parts
         return f"{parts.get(LOOSE, NOTHING).digest} {parts.get(name, NOTHING).digest}"
 
     def _read(self, module: str) -> Module | None:
+        """Scanned source of a module, read once; None where it has no Python source."""
         if module not in self.modules:
             path = self._path(module)
             is_cached = module.split(".")[0] == OURS and not self.folders
@@ -190,8 +199,8 @@ class Code:
         return self.modules[module]
 
     def _path(self, module: str) -> Path | None:
-        """The source of a module, found without importing anything; None if there is none in
-        Python."""
+        """Path of a module's source, found without importing anything; None if it has no Python
+        source."""
         top, *inner = module.split(".")
         if top == "__main__":
             return None if inner else Path(sys.modules[top].__file__ or "")
@@ -215,7 +224,7 @@ CODE = Code()
 
 @cache
 def _folder(top: str) -> Path | None:
-    """Where a package lies, or the file of a module that is none."""
+    """Folder of a top-level package, or the file of a top-level module that is no package."""
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
         return None
@@ -242,8 +251,7 @@ def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """The version of the distribution that `library` is imported from; empty for the standard
-    library."""
+    """Version of the distribution that provides an import name; empty for the standard library."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):
@@ -255,7 +263,7 @@ def library_version(library: str) -> str:
 
 @cache
 def _files_of_distributions() -> list[tuple[metadata.Distribution, str]]:
-    """Every installed distribution with the text that lists its files."""
+    """Every installed distribution, each with the text that lists its files."""
     listed = []
     for owner in metadata.distributions():
         files = owner.read_text("RECORD") or owner.read_text("top_level.txt") or ""
@@ -282,6 +290,7 @@ def _scan_cached(path: Path, module: str) -> Module:
 
 
 def _module_from_json(cached: Mapping[str, Any]) -> Module:
+    """Rebuild a scanned module from its entry in the cache."""
     parts = {}
     for name, (digest, names, imports) in cached["parts"].items():
         parts[name] = Part(digest, names, _symbols(imports))
@@ -290,10 +299,12 @@ def _module_from_json(cached: Mapping[str, Any]) -> Module:
 
 
 def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
+    """Symbols from the pairs of module and name that JSON holds."""
     return [(module, name) for module, name in pairs]
 
 
 def _scan(path: Path, module: str) -> Module:
+    """Scan a source file: which statements bind each name, and what is imported."""
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     bound = defaultdict[str, list[ast.stmt]](list)
@@ -311,6 +322,7 @@ def _scan(path: Path, module: str) -> Module:
 
 
 def _drop_docstrings(tree: ast.Module) -> None:
+    """Remove all docstrings from a syntax tree, in place."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             has_docstring = ast.get_docstring(node, clean=False) is not None
@@ -318,6 +330,7 @@ def _drop_docstrings(tree: ast.Module) -> None:
 
 
 def _part(statements: list[ast.stmt], package: str) -> Part:
+    """Digest and dependencies of the statements that bind one name."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()
     imports: set[Symbol] = set()
@@ -330,8 +343,8 @@ def _part(statements: list[ast.stmt], package: str) -> Part:
 
 
 def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
-    """Top-level statements, those of `if`, `try` and `with` blocks among them; what only type
-    checkers see is left."""
+    """Top-level statements with those inside `if`, `try` and `with` blocks; statements that only
+    type checkers see are left out."""
     for statement in body:
         if isinstance(statement, ast.If) and ast.unparse(statement.test) in NOT_AT_IMPORT:
             continue
@@ -344,6 +357,7 @@ def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
 
 
 def _bound_names(statement: ast.stmt) -> set[str]:
+    """Names that a statement defines or assigns."""
     if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
         return {statement.name}
     names = [node for node in ast.walk(statement) if isinstance(node, ast.Name)]
@@ -351,7 +365,8 @@ def _bound_names(statement: ast.stmt) -> set[str]:
 
 
 def _names(node: ast.AST) -> Iterator[str]:
-    """Names that are read when the statement runs or is called: not those that annotate."""
+    """Names that are read when the statement runs or is called; those in annotations are
+    left out."""
     if isinstance(node, ast.Name):
         yield node.id
     for label, value in ast.iter_fields(node):

@@ -1,5 +1,5 @@
-"""The jobs of a sweep: each in a process of its own, with its own log, and a record however that
-process ends."""
+"""Jobs of a sweep: each runs in a process of its own with its own log, and leaves a record however
+that process ends."""
 
 import contextlib
 import faulthandler
@@ -51,14 +51,15 @@ class Job:
     started: float = 0.0
 
     def returned(self, outcome: Outcome | None) -> JobReturn:
-        """The outcome as Hydra wants it."""
+        """Outcome of the job in the form that Hydra expects."""
         ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
         ended.status = JobStatus.COMPLETED
         ended.return_value = outcome
         return ended
 
     def check(self, task: Task[Any]) -> None:
-        """Raises the `BadRequest` of this configuration; it names the run."""
+        """Check the settings of this job; raises the task's `BadRequest` with the name of the run
+        added."""
         try:
             task.request(self.settings)
         except BadRequest as refusal:
@@ -67,7 +68,7 @@ class Job:
 
 
 def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: int = 0) -> list[Job]:
-    """Every configuration of a sweep, numbered as Hydra numbers them, and the folder it names.
+    """All jobs of a sweep, numbered as Hydra numbers them, each with its settings and its folder.
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
@@ -118,6 +119,7 @@ def run_in_this_process(
 
 
 def _speak_into(folder: Path) -> None:
+    """Redirect all output of this process into `folder/run.log`."""
     folder.mkdir(parents=True, exist_ok=True)
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
     nothing = os.open(os.devnull, os.O_RDONLY)
@@ -128,7 +130,7 @@ def _speak_into(folder: Path) -> None:
 
 
 def conclude(job: Job) -> Outcome:
-    """Outcome of a job whose process has ended: its record says, or else how the process died."""
+    """Outcome of a job whose process has ended, from its record, or from how the process died."""
     assert job.process is not None
     job.process.join()
     kill_group(job)  # what the job started and left behind
@@ -142,8 +144,8 @@ def conclude(job: Job) -> Outcome:
 def note_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """Outcome in the run's record; if that is not final and no process is at the run, record a
-    failure with `text` as traceback.
+    """Outcome in the run's record; where that is not final and no process works on the run, a
+    failure with `text` as traceback is recorded first.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.
@@ -165,7 +167,7 @@ def note_death(
 
 
 def _cause_of_death(job: Job) -> dict[str, Any]:
-    """A signal or an exit without a record."""
+    """Error facts of a process that ended by a signal or an exit without leaving a record."""
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
@@ -181,12 +183,14 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
 
 
 def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
+    """Error facts of a job that ended without a record: type, message, and whether the same command
+    may succeed."""
     return {"error_type": kind, "error_message": message, "failure_transient": transient}
 
 
 def stop_hanging(job: Job) -> None:
-    """Ask for the traceback (faulthandler answers SIGABRT into the log), then stop the job's whole
-    group."""
+    """Stop a job that exceeds its time: request its traceback (faulthandler answers SIGABRT into
+    the log), then kill its whole process group."""
     assert job.process is not None
     seconds = time.monotonic() - job.started
     message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"
@@ -198,8 +202,8 @@ def stop_hanging(job: Job) -> None:
 
 
 def kill_group(job: Job) -> None:
-    """SIGKILL to the job and to whatever it started; a job that was never born has no group (0
-    would be our own)."""
+    """Send SIGKILL to a job and to all processes that it started; a job that was never started has
+    no group (0 would be our own)."""
     if job.process is None or job.process.pid == UNBORN:
         return
     if job.process.exitcode is None:

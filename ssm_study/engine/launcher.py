@@ -1,5 +1,5 @@
-"""A sweep: composed, checked or planned here, whoever runs its jobs; and the launcher that forks a
-process for each."""
+"""Launching of a sweep: its jobs are composed, checked or planned here for every launcher; the
+default one forks a process for each job."""
 
 import contextlib
 import os
@@ -36,7 +36,7 @@ from ssm_study.refusal import require
 
 @runtime_checkable
 class Sweep(Protocol):
-    """Sweep as Hydra hands it to a launcher."""
+    """Data with which Hydra calls a launcher."""
 
     hydra_context: HydraContext
     task_function: TaskFunction
@@ -44,13 +44,13 @@ class Sweep(Protocol):
 
 
 class Launcher(ABC):
-    """Where the jobs of a sweep run: on this machine, or on others."""
+    """Interface of what runs the jobs of a sweep, on this machine or on others."""
 
     at_once: int
 
     @abstractmethod
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Run `jobs`; afterwards each has its `outcome`, whatever became of it."""
+        """Run the jobs; afterwards each one has its `outcome`, also where its process failed."""
 
 
 def launch(
@@ -112,12 +112,14 @@ class Processes(Launcher):
 
     @property
     def at_once(self) -> int:  # type: ignore[override]
+        """Number of jobs that run at the same time."""
         if self.n_jobs is not None:
             return self.n_jobs
         return max(1, len(os.sched_getaffinity(0)) // self.threads)
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Fork the jobs that are to do, a few at a time, and wait for the end of each."""
+        """Fork a process for each unfinished job, a few at a time, and wait until all have
+        ended."""
         to_do = [job for job in jobs if job.outcome is None]
         running = list[Job]()
         task = task_of(sweep.task_function)
@@ -145,7 +147,8 @@ class Processes(Launcher):
             progress.tick(running=0)
 
     def _ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
-        """Wait a moment; the jobs that have ended, of themselves or by the time limit."""
+        """Wait a moment and return the jobs that have ended, by themselves or stopped at the time
+        limit."""
         server.listen(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.tick(running=len(running))
@@ -160,8 +163,8 @@ class Processes(Launcher):
 
 
 def preload(task: Task[Any], jobs: list[Job]) -> None:
-    """Load in advance what every job would import and read for itself: also the code that their
-    keys depend on (0.2 s)."""
+    """Import in advance what every job would import for itself, and read the code that their keys
+    depend on (0.2 s)."""
     planned = KeyedStages(store_of(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
@@ -173,10 +176,11 @@ def preload(task: Task[Any], jobs: list[Job]) -> None:
 
 @contextlib.contextmanager
 def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the sweep at once and take its jobs along; their runs are then `lost`,
-    to be run again."""
+    """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once; their runs count
+    as `lost` and run again next time."""
 
     def stop(number: int, _: FrameType | None) -> None:
+        """Raise the exception that ends the sweep; later signals are ignored meanwhile."""
         for name in previous:
             signal.signal(name, signal.SIG_IGN)  # a second Ctrl-C shall not stop the cleaning up
         raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)

@@ -1,5 +1,5 @@
-"""Plan before work: how many runs and stages a sweep needs, how many are there, and how long the
-rest will take."""
+"""Plan of a sweep before any work: how many runs and stages it needs, how many exist already, and
+how long the rest will take."""
 
 import json
 from collections import Counter
@@ -15,13 +15,14 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Walks down the line without computing: every stage is noted with its key and whether the
-    store has it."""
+    """Stages that are planned without computing: each is noted with its key and whether the store
+    has it."""
 
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+        """Note a stage by its key, with an empty folder where the store does not have it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
         folder = self.store.folder(name, key)
@@ -33,9 +34,11 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """A plan that finds the keys of the columns, too: so it reads all code that they depend on."""
+    """Planned stages with the keys of their columns too, which requires reading all code that the
+    columns depend on."""
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        """Key of a stage's columns, without computing them."""
         measure_key(output, before)
         return {}
 
@@ -47,8 +50,8 @@ def plan(
     finished: int,
     jobs_at_once: int = 1,
 ) -> list[str]:
-    """The plan of `runs` runs as text; its time is `at least` that where a missing stage was never
-    timed.
+    """Text with the plan of a sweep: runs and stages that are missing, and the time they will take
+    (`at least` where a missing stage was never timed).
 
     `walks` take the stages of each unfinished run down the line.
     """
@@ -78,7 +81,7 @@ def plan(
 
 
 def each(store: Store, stage: str) -> float | None:
-    """The mean seconds of a stage in the store; a damaged manifest has no say in it."""
+    """Mean computing time of one stage in the store, in seconds; damaged manifests are left out."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
         with suppress(OSError, ValueError, KeyError, TypeError):
@@ -87,7 +90,7 @@ def each(store: Store, stage: str) -> float | None:
 
 
 def duration(seconds: float) -> str:
-    """`7 s`, `3 min`, `2.5 h`: as precise as an estimate deserves."""
+    """Duration as text with the precision of an estimate: `7 s`, `3 min`, `2.5 h`."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     if seconds < 6000:

@@ -1,4 +1,4 @@
-"""A command line for a task: Hydra's, with overrides, and `-m` for sweeps."""
+"""Command line for a task: Hydra's overrides, and `-m` for sweeps."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -28,8 +28,8 @@ FOLDERS = {
 
 
 def main(task: Task[Any], settings: Mapping[str, Any]) -> None:
-    """Run `task` with `settings`, changed by the overrides of the command line; Hydra's options all
-    work."""
+    """Run a task with its settings, changed by the overrides on the command line; all options of
+    Hydra work."""
     choices = [{f"override hydra/{group}": choice} for group, choice in CHOICES.items()]
     defaults = {"defaults": ["_self_", *choices]}
     node = defaults | COMMON | {"dry_run": False} | dict(settings) | {"hydra": FOLDERS}

@@ -1,4 +1,4 @@
-"""One line over the whole sweep: runs done, failed, infeasible, time left."""
+"""One line of progress for a whole sweep: runs done, failed, infeasible, time left."""
 
 import sys
 import time
@@ -17,8 +17,8 @@ QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the 
 
 
 class Progress:
-    """Counts outcomes and says so on stderr: a living line on a terminal, now and then a line
-    elsewhere."""
+    """Counter of outcomes that prints progress on stderr: one line that is updated on a terminal, a
+    new line now and then elsewhere."""
 
     def __init__(self, total: int) -> None:
         self.total = total
@@ -42,16 +42,19 @@ class Progress:
         print(self.line(), file=sys.stderr, flush=True)
 
     def done(self, status: str, reused: bool = False) -> None:
+        """Count the outcome of a finished run and show the progress."""
         self.counts[status] += 1
         self.reused += reused
         self._say()
 
     def tick(self, running: int) -> None:
+        """Set the number of running jobs and show the progress."""
         self.running = running
         self._say()
 
     def line(self) -> str:
-        """`12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2 running; 3:20 left`"""
+        """Progress in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2
+        running; 3:20 left`."""
         statuses = (*FINAL, *sorted(set(self.counts) - set(FINAL)))
         counts = [f"{self.counts[status]} {status}" for status in statuses]
         parts = [f"{self.counts.total()}/{self.total} runs: {', '.join(counts)}"]
@@ -65,7 +68,7 @@ class Progress:
         return "; ".join(parts)
 
     def seconds_left(self) -> float | None:
-        """Seconds left, estimated from the mean pace of the runs done in this sweep; None before
+        """Seconds left, estimated from the mean time of the runs done in this sweep; None before
         the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()
@@ -74,6 +77,7 @@ class Progress:
         return (time.monotonic() - self.started) / fresh * remaining
 
     def _say(self) -> None:
+        """Update the line on a terminal; elsewhere print it if the last one is old enough."""
         if self.live:
             self.live.update(Text(self.line()), refresh=True)
         elif time.monotonic() - self.spoken > QUIET_S:
@@ -82,8 +86,8 @@ class Progress:
 
 
 class Watch(Thread):
-    """The same line for launchers that know nothing of it (basic, Slurm, Ray), read from the run
-    folders."""
+    """Thread that shows the progress from the run folders, for launchers that do not report it
+    (basic, Slurm, Ray)."""
 
     def __init__(self, folders: Sequence[Path], every_s: float = 2.0) -> None:
         super().__init__(daemon=True)
@@ -97,11 +101,12 @@ class Watch(Thread):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Look a last time, say the last line, and stop."""
+        """Read the run folders once more, print the last line, and stop."""
         self.over.set()
         self.join(timeout=30)  # a dead network file system must not hold up the end
 
     def run(self) -> None:
+        """Show the progress every few seconds until the sweep is over."""
         with Progress(total=len(self.folders)) as progress:
             progress.reused = self.there_before
             # Sleeps, yet wakes at once when the sweep is over.
@@ -110,9 +115,11 @@ class Watch(Thread):
             self._look(progress)  # the last line is of how it ended
 
     def _look(self, progress: Progress) -> None:
+        """Count the statuses in the run folders and show the progress."""
         statuses = self._statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
         progress.tick(running=statuses.count(RUNNING))
 
     def _statuses(self) -> list[str]:
+        """Status in the record of each run, `None` as text where there is no record."""
         return [str((read_record(folder) or {}).get("status")) for folder in self.folders]

@@ -1,4 +1,4 @@
-"""Who computed a number, with what, where: git commit and dirtiness, versions, machine, threads."""
+"""Provenance of a number: git commit and uncommitted changes, versions, machine, threads."""
 
 import os
 import platform
@@ -12,8 +12,8 @@ from typing import Any
 
 @cache
 def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
-    """Flat facts for a record; `git_commit` and `git_dirty` are None where no repository tracks the
-    file `source`."""
+    """Provenance as flat columns of a record; `git_commit` and `git_dirty` are None where no
+    repository tracks the file `source`."""
     source = source.resolve()
     commit = _ask_git(source, "rev-parse", "HEAD")
     changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
@@ -35,7 +35,7 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
 
 
 def _ask_git(here: Path, *question: str) -> str | None:
-    """git's answer about the repository that tracks the file `here`, else None."""
+    """Answer of git about the repository that tracks the file `here`; None if there is none."""
     with suppress(OSError, subprocess.SubprocessError):
         for arguments in (("ls-files", "--error-unmatch", here.name), question):
             command = ["git", "-C", str(here.parent), *arguments]
@@ -45,6 +45,7 @@ def _ask_git(here: Path, *question: str) -> str | None:
 
 
 def _processor() -> str:
+    """Name of the processor's model."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         named = next(line for line in lines if line.startswith("model name"))

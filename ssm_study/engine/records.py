@@ -1,5 +1,5 @@
-"""`record.json`: one flat object per run, sealed by its own SHA-256; what every table and figure is
-made from."""
+"""Record of a run, `record.json`: one flat object sealed by its own SHA-256; all tables and figures
+are made from records."""
 
 import math
 from collections.abc import Mapping
@@ -30,8 +30,8 @@ FINAL = (OK, INFEASIBLE, FAILED)  # no process is at work on it, nor was one sto
 
 
 def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) -> None:
-    """Replace the record of `folder` atomically; NaN becomes null, infinities become the texts
-    `inf` and `-inf`."""
+    """Write the record of `folder` atomically; NaN becomes null, infinities become the texts `inf`
+    and `-inf`."""
     columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
     flat = {name: storable(name, value) for name, value in columns.items()}
     body = {"record_version": VERSION} | with_both_columns(flat)
@@ -39,8 +39,8 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """The record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there
-    is none."""
+    """Record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is
+    none."""
     try:
         content = contents(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
@@ -56,7 +56,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def parse_record(content: bytes) -> dict[str, Any]:
-    """The record written as `content`; anything that is not exactly a sealed record has only
+    """Record in the bytes `content`; anything that is not exactly a sealed record gives only
     `status = corrupt`."""
     record = unsealed(content)
     version = None if record is None else record.get("record_version")
@@ -68,14 +68,14 @@ def parse_record(content: bytes) -> dict[str, Any]:
 
 
 def _fits(*values: Any) -> bool:
-    """A table holds whole numbers of 64 bits: one beyond them would spoil the table of its whole
-    study."""
+    """Whether all whole numbers among the values have at most 64 bits, as a table can store
+    them."""
     whole = [value for value in values if type(value) is int]
     return all(-(1 << 63) < value < 1 << 63 for value in whole)
 
 
 def storable(key: str, value: Any) -> bool | int | float | str | None:
-    """A value as a record holds it; raises `BadRequest` for one that is no single number, text or
+    """Value as a record stores it; raises `BadRequest` for anything but a single number, text or
     truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()

@@ -1,5 +1,5 @@
-"""One run: claim its folder, do the work, leave one record, of a failure too. A finished run is
-never touched again."""
+"""Execution of one run: claim its folder, do the work, and leave one record, also of a failure; a
+finished run is never touched again."""
 
 import errno
 import os
@@ -30,8 +30,8 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a run stands after `execute`: `did` is one of `ran`, `found` (finished before), `left`
-    (failed before and not asked to retry), `elsewhere` (another process is at it)."""
+    """Outcome of a run after `execute`: `did` is one of `ran`, `found` (finished before), `left`
+    (failed before and not asked to retry), `elsewhere` (another process works on it)."""
 
     folder: Path
     status: str
@@ -41,20 +41,19 @@ class Outcome:
 
 @dataclass
 class Run:
-    """A claimed run folder. The work writes its artefacts into `path` and its numbers through
-    `note`."""
+    """Claimed run folder; the work writes its files into `path` and its numbers through `note`."""
 
     path: Path
     facts: dict[str, Any] = field(default_factory=dict)
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def note(self, **facts: Any) -> None:
-        """Add numbers to the record; they are kept even if the work fails later."""
+        """Add numbers to the record; they stay there even if the work fails later."""
         self.facts.update(facts)
 
     def settle(self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]) -> None:
-        """Note a stage's columns, its key, its seconds and whether it was reused; bring its
-        files."""
+        """Record a finished stage (columns, key, seconds, whether it was reused) and copy its files
+        into the run folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
         self.note(**facts, **{f"stage_{stage.name}_{name}": value for name, value in about.items()})
         for name in files:
@@ -77,7 +76,7 @@ def execute(
     provenance: Mapping[str, Any] | None = None,
     retry_failed: bool = False,
 ) -> Outcome:
-    """Do `work(run)` in `folder` unless it is done already; record what it returns, or how it
+    """Call `work(run)` in `folder` unless the run is finished, and record what it returns or how it
     failed.
 
     `work` returns further facts; `status` among them may be `infeasible` (default `ok`).
@@ -104,8 +103,7 @@ def execute(
 
 
 def _opening(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Facts of a run that begins; a killed attempt left its number, so the count goes on over
-    crashes."""
+    """Columns of a run that begins; the count of attempts continues over killed ones."""
     attempts = int((before or {}).get("attempt") or 0)
     return {
         "study": folder.parent.name,
@@ -119,8 +117,8 @@ def _opening(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
 
 
 def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
-    """The record, with `status = corrupt` also for a finished run one of whose artefacts is not as
-    it was written.
+    """Status of a run from its record, `corrupt` also for a finished run one of whose files was
+    changed.
 
     `mine` is for the holder of the lock: a run that says `running` is then nobody's.
     """
@@ -133,8 +131,8 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 
 
 def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Finished runs stay; failed ones wait for `retry_failed`, unless the machine was at fault
-    (disk, signal)."""
+    """Whether a run has to be executed: finished runs are not, failed ones only with
+    `retry_failed`, unless the machine was at fault (disk, signal)."""
     if before is None:
         return not retry_failed
     status = before["status"]
@@ -156,6 +154,7 @@ def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
 def _run(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
+    """Do the work of a run and write its record, of a failure too."""
     run = Run(path=folder)
     started = time.perf_counter()
     # Until the end only the lock says that the run is under way.
@@ -182,22 +181,23 @@ def _run(
 
 
 def _stopped_by_scheduler(error: BaseException) -> bool:
-    """Whether it was raised by what submitit does on the signal before a time limit: the job is
-    queued again, or the last of its attempts is over; the run is then `lost`, which the next
-    attempt or the same command takes up."""
+    """Whether an error comes from submitit's answer to the signal before a time limit: the job is
+    queued again, or its last attempt is over, and the run is `lost`, so that the next attempt or
+    the same command repeats it."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
 
 def seal_run(folder: Path) -> None:
-    """`manifest.json` over the artefacts of the run, its configuration among them."""
+    """Write `manifest.json` with the checksums of all files of the run, its configuration
+    included."""
     changing = frozenset({LOCK, ATTEMPTS, RECORD, "run.log"})
     seal_folder(folder, {"run": folder.name}, leave_out=changing)
 
 
 def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
-    """The failure as data. Transient: the machine was at fault (disk, memory), so the same command
-    tries again."""
+    """Columns that describe a failure: type, message, and whether it is transient (disk or memory
+    of the machine), so that the same command tries again."""
     text = str(error) or type(error).__name__
     if isinstance(error, SystemExit):
         text = f"exited with status {error.code}"
@@ -212,7 +212,7 @@ def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """An exception, what it was raised from or while handling, what that was raised from, ..."""
+    """Chain of an exception: itself, what it was raised from or while handling, and so on."""
     cause: BaseException | None = error
     while cause is not None:
         yield cause
@@ -234,6 +234,7 @@ _OF_THE_DISK = tuple(os.strerror(code) for code in _ERRORS_OF_THE_DISK)
 
 
 def _is_the_machines(error: BaseException, folder: Path) -> bool:
+    """Whether an error is the machine's fault (disk, memory, a removed store) and not the run's."""
     if isinstance(error, FileNotFoundError):
         if error.filename is None:
             return False
@@ -249,8 +250,8 @@ def _is_the_machines(error: BaseException, folder: Path) -> bool:
 def write_failure(
     folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str
 ) -> None:
-    """Traceback first, then the record that names it; on a full disk the run stays `running`
-    without lock: lost."""
+    """Write the traceback, then the record of a failed run; on a full disk the run stays `running`
+    without a lock and counts as lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))
         storable_facts = {}
@@ -262,8 +263,8 @@ def write_failure(
 
 
 def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
-    """Move what an earlier attempt left into `attempts/<n>/`, so that two attempts never mix in one
-    file."""
+    """Move the files of an earlier attempt into `attempts/<n>/`, so that files of two attempts
+    never mix."""
     if before is None and not (folder / RECORD).exists():
         for path in folder.glob(".*.tmp"):  # of writes that were killed
             path.unlink()
@@ -280,4 +281,5 @@ def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
 
 
 def _now() -> str:
+    """Present time in UTC, as text."""
     return datetime.now(UTC).isoformat(timespec="seconds")

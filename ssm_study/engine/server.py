@@ -1,5 +1,5 @@
-"""The server that jobs are forked from: it was itself forked off the sweep, so it has all libraries
-and configurations.
+"""Server process from which jobs are forked: it is itself forked from the sweep, so it has all
+libraries and configurations loaded.
 
 So a job starts at once, and nothing is sent to it. The server also ends every job that would
 outlive the sweep.
@@ -35,14 +35,15 @@ UNBORN = 0
 
 @dataclass
 class Child:
-    """A job's process; `exitcode` is None while it lives, and minus the signal's number if one
-    killed it."""
+    """Process of one job; `exitcode` is None while it runs, and minus the signal's number if a
+    signal killed it."""
 
     pid: int
     listen: Callable[[float | None], object]
     exitcode: int | None = None
 
     def join(self, timeout: float | None = None) -> None:
+        """Wait until the process has ended, `timeout` seconds at most."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while self.exitcode is None and (deadline is None or time.monotonic() < deadline):
             self.listen(None if deadline is None else max(0.0, deadline - time.monotonic()))
@@ -50,8 +51,8 @@ class Child:
 
 @dataclass
 class Server:
-    """Forks processes at work on `tasks[number]()`; `preload` imports for all of them, `threads` is
-    what each may use."""
+    """Server that forks a process for each of `tasks`; `preload` imports for all of them, `threads`
+    is the number of threads of each."""
 
     tasks: Sequence[Callable[[], object]]
     preload: Callable[[], object]
@@ -61,7 +62,7 @@ class Server:
     pid: int = 0
 
     def fork(self, number: int) -> Child:
-        """A fresh process at work on a task; raises `BadRequest` if `preload` fails."""
+        """Fork a new process that does one of the tasks; raises `BadRequest` if `preload` fails."""
         if self.line is None:
             self._start()
         assert self.line is not None
@@ -76,18 +77,20 @@ class Server:
         return born
 
     def listen(self, timeout: float | None) -> None:
-        """Wait for the next end of a job, `timeout` seconds at most, and note it in its `Child`."""
+        """Wait for the next job to end, `timeout` seconds at most, and note its exit status in its
+        `Child`."""
         if self.line is not None and self.line.poll(timeout):
             self._hear()
 
     def close(self) -> None:
-        """The server ends, and whatever job is left with it."""
+        """Stop the server and all jobs that are still running."""
         if self.line is not None:
             self.line.close()
             os.waitpid(self.pid, 0)  # else it stays as a zombie until the sweep ends
             self.line = None
 
     def _hear(self) -> Child | None:
+        """Read one message of the server: the new process for a start, None for an end."""
         assert self.line is not None
         try:
             pid, exitcode = self.line.recv()  # a birth has no exit code, an end has
@@ -101,13 +104,14 @@ class Server:
         return None
 
     def _died(self) -> None:
-        """Its jobs have died with it; the next job starts another one."""
+        """Note that the server and all its jobs are dead; the next job starts a new server."""
         self.close()
         for child in self.children.values():
             child.exitcode = SERVER_DIED
         self.children.clear()
 
     def _start(self) -> None:
+        """Preload the libraries and fork the server."""
         with _environment(thread_limits(self.threads)):
             try:
                 self.preload()
@@ -132,8 +136,8 @@ class Server:
 
 
 def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Fork when asked to, tell of every end; when the sweep is gone, however it went, so is all it
-    has started."""
+    """Main loop of the server: fork a process on request and report every end; when the sweep is
+    gone, kill all processes."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -159,6 +163,7 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
 
 
 def _fork(sweep: Connection, task: Callable[[], object]) -> int:
+    """Fork a process that does the task, and return its id."""
     server = os.getpid()
     pid = os.fork()
     if pid:
@@ -184,7 +189,7 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
 
 
 def kill_all_of(pid: int) -> None:
-    """A job's process and whatever it has started."""
+    """Kill the process of a job and all processes that it started."""
     # A group of its own is the first thing it makes, not the birth of it.
     for kill in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -192,14 +197,14 @@ def kill_all_of(pid: int) -> None:
 
 
 def thread_limits(threads: int) -> dict[str, str]:
-    """The variables that torch, MKL and OpenBLAS read when they are first imported."""
+    """Environment variables that limit the threads of torch, MKL and OpenBLAS, which read them when
+    first imported."""
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
 def _settle_memory_and_threads(threads: int) -> None:
-    """Apply the settings of the environment variables to libraries that the sweep's own process has
-    loaded already."""
+    """Apply the memory and thread settings to libraries that the process has loaded already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
             ctypes.CDLL(None).mallopt(parameter, value)
@@ -225,6 +230,7 @@ def _into_large_pages() -> None:
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
+    """Context in which environment variables have these values."""
     before = {name: os.environ[name] for name in variables if name in os.environ}
     os.environ.update(variables)
     try:

@@ -1,4 +1,5 @@
-"""The settings of a run as plain containers, their one text, and the names that follow from it.
+"""Settings of a run as plain containers, their canonical text, and the names that are derived from
+it.
 
 A stage is called by the SHA-256 of all that its result depends on, a run by that of its
 configuration: so every launcher, today and tomorrow, finds it in the same folder.
@@ -29,8 +30,8 @@ NOT_IDENTITY = frozenset(
 
 
 class Settings(dict[str, Any]):
-    """Plain containers that nobody changes any more; `settings.seed` is `settings["seed"]`, at any
-    depth."""
+    """Dictionary of settings that is not to be changed; `settings.seed` is `settings["seed"]`, at
+    any depth."""
 
     def __getattr__(self, name: str) -> Any:
         try:
@@ -45,7 +46,7 @@ def targets(node: Any) -> frozenset[str]:
 
 
 def settled(value: Any) -> Any:
-    """Plain containers with every dictionary as `Settings`."""
+    """Plain containers with every dictionary turned into `Settings`."""
     if isinstance(value, list):
         return [settled(item) for item in value]
     if isinstance(value, Settings) or not isinstance(value, dict):
@@ -54,7 +55,8 @@ def settled(value: Any) -> Any:
 
 
 def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})) -> Settings:
-    """The configuration with its interpolations resolved, some keys left out."""
+    """Configuration as plain `Settings` with interpolations resolved, without the sections named in
+    `without`."""
     if isinstance(config, Settings):
         if without.isdisjoint(config):
             return config
@@ -64,12 +66,14 @@ def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"}
 
 
 def resolved(node: Any) -> Any:
-    """A value of a configuration as plain containers."""
+    """Node of a configuration as plain containers, with interpolations resolved; any other value
+    unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
 def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
-    """Dotted path, last key and value of everything in plain containers, from the outside in."""
+    """Dotted path, last key and value of every entry in nested plain containers, outer ones
+    first."""
     children: Iterable[tuple[Any, Any]] = ()
     if isinstance(tree, dict):
         children = tree.items()
@@ -81,8 +85,8 @@ def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
 
 
 def refuse_unbounded(tree: Any) -> None:
-    """Raise `BadRequest` for NaN and infinity, which Hydra composes: no run could be named by
-    them."""
+    """Raise `BadRequest` for NaN and infinity in the settings: Hydra accepts them, but no run could
+    be named by them."""
     for path, _, value in nodes(tree):
         is_finite = not isinstance(value, float) or math.isfinite(value)
         remedy = "leave it out, or give a finite value"
@@ -90,7 +94,8 @@ def refuse_unbounded(tree: Any) -> None:
 
 
 def canonical_json(value: Any) -> str:
-    """One text of plain containers for one meaning: sorted keys, no spaces, `1.0` and `1` alike.
+    """Canonical JSON text of plain containers, the same for the same meaning: sorted keys, no
+    spaces, `1.0` and `1` alike.
 
     Raises `BadRequest` for NaN, infinity and anything that is no plain container.
     """
@@ -102,6 +107,7 @@ def canonical_json(value: Any) -> str:
 
 
 def _alike(value: Any) -> Any:
+    """Plain containers with whole floats as integers and tuples as lists."""
     if isinstance(value, Mapping):
         return {str(key): _alike(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -112,13 +118,13 @@ def _alike(value: Any) -> Any:
 
 
 def digest(value: Any) -> str:
-    """SHA-256 of `canonical_json(value)`, 64 hexadecimal digits."""
+    """SHA-256 of the canonical JSON text of a value, 64 hexadecimal digits."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 def run_name(config: DictConfig | Settings, *shown: str) -> str:
-    """`order8-width32-seed0-1a2b3c4d5e`: what a reader looks for first, then ten digits of a hash
-    of the settings.
+    """Name of a run: the settings that are worth showing, then ten digits of a hash of all settings
+    (`order8-width32-seed0-1a2b3c4d5e`).
 
     `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
     out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
@@ -136,14 +142,15 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
 
 
 def entry(settings: Any, path: str) -> Any:
-    """Value at a dotted path of the settings; None where nothing stands there."""
+    """Value at a dotted path of the settings; None where there is no such entry."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None
     return settings
 
 
 def stored_yaml(path: Path) -> str:
-    """Text of a YAML file that a run left, and that may have been altered since.
+    """Text of a YAML file in a run folder; refuses one that aliases would expand beyond all bounds,
+    as it may have been altered.
 
     Raises `BadRequest` for text that is no YAML, and before anything is made of one that stands
     for more than itself: 500 bytes of aliases, or of interpolations, can fill any memory.
@@ -167,7 +174,7 @@ def stored_yaml(path: Path) -> str:
 
 
 def _count_values(node: yaml.Node, counted: dict[int, int]) -> int:
-    """Values that a YAML node stands for when its aliases are followed."""
+    """Number of values of a YAML node with its aliases expanded."""
     if id(node) in counted:
         return counted[id(node)]
     counted[id(node)] = MOST_VALUES + 1  # for a node that contains itself
@@ -179,14 +186,15 @@ def _count_values(node: yaml.Node, counted: dict[int, int]) -> int:
 
 
 class _Dumper(yaml.CSafeDumper):
-    """PyYAML's fast one; quotes what OmegaConf, unlike YAML, would read as a number (`1e5`,
-    `nan`)."""
+    """PyYAML's fast dumper, which quotes texts that OmegaConf, unlike YAML, would read as a number
+    (`1e5`, `nan`)."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
         return True
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
+    """Represent a text, in quotes where OmegaConf would read it as a number."""
     try:
         float(text)
     except ValueError:
@@ -199,8 +207,8 @@ _Dumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
 
 
 def yaml_text(value: Any) -> str:
-    """Plain containers as YAML that `OmegaConf.load` reads back to the same; five times as fast as
-    its own."""
+    """YAML text that `OmegaConf.load` reads back to the same plain containers; written five times
+    as fast as by OmegaConf."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 

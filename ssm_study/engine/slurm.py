@@ -1,5 +1,5 @@
-"""A sweep by Slurm: a job that is cancelled or loses its node is a row of the table, and the others
-are waited for."""
+"""Launcher of a sweep on Slurm: a job that is cancelled or loses its node becomes a failed run, and
+the others are waited for."""
 
 import time
 from dataclasses import dataclass
@@ -27,16 +27,17 @@ FORGOTTEN_S = 30.0
 
 @dataclass(frozen=True)
 class Slurm(Launcher):
-    """Submits jobs through Hydra's launcher of submitit, which Slurm's nodes call."""
+    """Launcher that submits the jobs to Slurm through Hydra's submitit plug-in."""
 
     launcher: Any
 
     @property
     def at_once(self) -> int:  # type: ignore[override]
+        """Number of jobs that Slurm may run at the same time."""
         return int(self.launcher.params["array_parallelism"])
 
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:  # noqa: ARG002
-        """Submit what is to do and wait for every job."""
+        """Submit every unfinished job and wait for all of them."""
         to_do = [job for job in jobs if job.outcome is None]
         Path(str(sweep.config.hydra.sweep.dir)).mkdir(parents=True, exist_ok=True)
         state = Singleton.get_state()  # what Hydra on the node needs of this process
@@ -51,7 +52,7 @@ class Slurm(Launcher):
 
 
 def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
-    """submitit's executor with the settings of `hydra.launcher`."""
+    """Executor of submitit with the settings of `hydra.launcher`."""
     settings = dict(params)
     slurm = submitit.AutoExecutor(
         cluster="slurm",
@@ -67,8 +68,8 @@ def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """Outcome that the job returned; or a failed run: where Slurm ended it, one that the same
-    command does again."""
+    """Outcome of a submitted job once it has ended; a job that Slurm ended becomes a failed run
+    that the same command repeats."""
     state = ended(submitted, patience_s)
     try:
         if state != FORGOTTEN:
@@ -90,8 +91,8 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
 
 
 def ended(submitted: submitit.Job, patience_s: float) -> str:
-    """Wait for the end; Slurm's word for it. Without accounting a job cancelled in the queue is
-    `FORGOTTEN`."""
+    """Wait until a submitted job has ended, and return Slurm's state of it; without accounting a
+    job cancelled in the queue is `FORGOTTEN`."""
     asked = time.monotonic()
     unheard = 0
     while not submitted.done():

@@ -1,5 +1,4 @@
-"""Stages: what a run computes on its way, each a pure function of what it is given, computed once
-and kept.
+"""Stages of a run: each is a pure function of its inputs, computed once and stored.
 
 The key of a result is written by nobody: it follows from the settings of its parts, the stages
 before it and the code of its functions.
@@ -22,14 +21,14 @@ Compute = Callable[[Path], None]
 
 
 def empty_facts(*_: Any) -> Any:
-    """Value, or columns, of a stage that has none: it leaves files only."""
+    """Empty columns, or an empty value, for a stage that only leaves files."""
     return {}
 
 
 @dataclass(frozen=True)
 class Stage(Generic[T]):
-    """`compute(folder, *before, **parts)` writes files; `read(folder)` gives the value that they
-    hold.
+    """One step of a run: `compute(folder, *before, **parts)` writes files, `read(folder)` returns
+    the value in them.
 
     `measure(value, *before)` gives columns of the record; it has a key of its own, so a new column
     computes nothing again. `before` are the values of earlier stages. `compute` may return the
@@ -50,8 +49,8 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """The folder of a finished stage. `seconds` is what computing it took; `reused` if not in this
-    call."""
+    """Folder of a finished stage; `seconds` is how long computing it took, `reused` whether it was
+    computed before this call."""
 
     path: Path
     key: str
@@ -62,7 +61,7 @@ class StageResult:
 
 @dataclass(frozen=True)
 class StageOutput(Generic[T]):
-    """A stage that stands: its value is read from its folder when first asked for."""
+    """Output of a finished stage, whose value is read from its folder when first asked for."""
 
     stage: Stage[T]
     result: StageResult
@@ -71,13 +70,13 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
+        """Value of the stage, read from its folder."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
     @cached_property
     def value_key(self) -> str:
-        """Key of the value, by which what depends on it is known: how it was made, or what its
-        files
-        say, and how these are read."""
+        """Key by which later stages identify this value: the key of the stage, or a checksum of its
+        files, and the version of its reader."""
         made: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
@@ -86,8 +85,8 @@ class StageOutput(Generic[T]):
 
 
 class Stages(ABC):
-    """Takes stages: `Store` computes and keeps, `PlannedStages` only notes what would be
-    computed."""
+    """Interface of what takes stages: `Store` computes and stores them, `PlannedStages` only notes
+    what would be computed."""
 
     def run_stage(
         self,
@@ -96,8 +95,8 @@ class Stages(ABC):
         parts: Mapping[str, Any] | None = None,
         *before: StageOutput[Any],
     ) -> StageOutput[T]:
-        """The stage of these `settings`, which `compute` is given as `parts` (as they are where
-        that is None).
+        """Output of a stage for these settings, which `compute` receives as `parts` (the settings
+        themselves where that is None).
 
         Of the two the key depends on `settings` alone: what changes no result stands in `parts`. A
         plan has no files, so values may be asked for only inside the functions of a stage.
@@ -106,6 +105,7 @@ class Stages(ABC):
         computed: list[T] = []
 
         def compute(folder: Path) -> None:
+            """Compute the stage from the values of the stages before it."""
             values = [output.value for output in before]
             value = stage.compute(folder, *values, **arguments)
             if value is not None:
@@ -124,18 +124,18 @@ class Stages(ABC):
 
     @abstractmethod
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """The stage of this key; `note` says what the key was made of."""
+        """Result of the stage with this key; `note` says what the key was made of."""
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Columns of a stage; a plan has none."""
+        """Columns of a finished stage; empty in a plan."""
         return {}
 
     def unrecorded(self) -> "Stages":
-        """Takes the same stages, of which no run is told: what leads to its own."""
+        """Stages of the same store that do not appear in the run's record."""
         return self
 
 
 def measure_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
-    """The key of a stage's columns."""
+    """Key under which the columns of a stage are stored."""
     earlier_keys = [earlier.value_key for earlier in before]
     return digest([output.value_key, earlier_keys, code_version(output.stage.measure)])

@@ -1,5 +1,5 @@
-"""A stage is a pure function of its key: computed once, kept under that key, checked to the last
-bit on reading."""
+"""Store of stages: each is computed once, stored under its key, and checked to the last bit when it
+is read."""
 
 import errno
 import os
@@ -30,8 +30,8 @@ CHECKPOINT = "last.ckpt"
 
 @dataclass(frozen=True)
 class Store(Stages):
-    """`root/<stage>/<key>/` holds the files of one stage and `manifest.json` with the SHA-256 of
-    each.
+    """Folder of stored stages: `root/<stage>/<key>/` holds the files of one stage and
+    `manifest.json` with the SHA-256 of each.
 
     A folder under its final name is complete: it was written as `.tmp-*` beside, synchronised, and
     renamed. Only one process computes a key at a time (flock). Where the lock does not reach from
@@ -41,7 +41,8 @@ class Store(Stages):
     root: Path
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Columns of a stage, from their sealed file beside its folder, or measured into it.
+        """Columns of a stage, read from their sealed file beside its folder, or measured and
+        written there.
 
         A damaged file is measured again.
         """
@@ -61,7 +62,8 @@ class Store(Stages):
         return facts
 
     def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
-        """The stage's folder, computed by `compute(folder)` if it is not there or no longer intact.
+        """Result of the stage with this key, computed by `compute(folder)` if it is missing or
+        damaged.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
@@ -80,7 +82,7 @@ class Store(Stages):
             return self._compute(name, key, note, compute)
 
     def find(self, name: str, key: str) -> StageResult | None:
-        """The intact stage of this key, or None; a damaged one counts as absent."""
+        """Intact stage with this key; None if it is missing or damaged."""
         folder = self.folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
@@ -90,11 +92,13 @@ class Store(Stages):
         return StageResult(path=folder, key=key, seconds=seconds, reused=True, name=name)
 
     def folder(self, name: str, key: str) -> Path:
+        """Folder of the stage with this key."""
         is_plain = name.replace("_", "").replace("-", "").isalnum()
         require(is_plain, "stage", name, "not a plain name", "use letters and digits")
         return self.root / name / key[:32]
 
     def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+        """Compute a stage in a temporary folder, seal it, and move it to its place."""
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{node()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.
@@ -118,7 +122,7 @@ class Store(Stages):
 
 
 def _place(temporary: Path, final: Path) -> None:
-    """Give a finished stage its final name, under which it is whole or not there."""
+    """Move a finished stage to its final name in one step, so that it is complete or absent."""
     try:
         temporary.rename(final)
     except OSError:
@@ -130,13 +134,14 @@ def _place(temporary: Path, final: Path) -> None:
 
 
 def node() -> str:
-    """This machine, in file names: its locks hold here, and may not reach others."""
+    """Name of this machine as it appears in file names; its locks are reliable here, and may not be
+    elsewhere."""
     return digest(socket.gethostname())[:8]
 
 
 def _take_over(temporary: Path, final: Path) -> None:
-    """Clear up after the killed; what they had saved to go on from (`CHECKPOINT`) moves to their
-    successor.
+    """Remove the temporary folders of killed processes; a checkpoint in them (`CHECKPOINT`) moves
+    to the new folder, to continue from.
 
     Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it
     saved is copied.
@@ -158,8 +163,8 @@ def _take_over(temporary: Path, final: Path) -> None:
 def seal_folder(
     folder: Path, note: dict[str, Any], leave_out: frozenset[str] = frozenset()
 ) -> None:
-    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own), then make the whole
-    folder durable.
+    """Write `manifest.json` (the note, sizes and SHA-256 sums, and its own sum), then flush the
+    whole folder to disk.
 
     `leave_out` names entries directly in `folder` that may change later; they are synchronised, not
     sealed. A manifest that was cut short seals nothing, so it needs no replacing; what makes the
@@ -183,8 +188,7 @@ def seal_folder(
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of `folder` if it and every file it lists are as they were written, else
-    None."""
+    """Manifest of `folder` if it and all files that it lists are unchanged; else None."""
     try:
         manifest = unsealed(contents(folder / MANIFEST))
     except OSError:
@@ -195,9 +199,10 @@ def intact_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
-    """Names listed in the manifest whose file is missing, shorter, longer or different."""
+    """Names of files in the manifest that are missing, or differ from it in size or content."""
 
     def is_same(path: Path, facts: dict[str, Any]) -> bool:
+        """Whether a file has the size and checksum of the manifest."""
         with suppress(OSError):
             if path.stat().st_size != facts["bytes"]:  # the cheap one first
                 return False

@@ -1,4 +1,4 @@
-"""A task: what is done many times. These few questions are all that the engine knows of it."""
+"""Interface of a task that is run many times; the engine knows nothing else of it."""
 
 import inspect
 import re
@@ -31,8 +31,8 @@ _CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
-    """`check` a configuration, take its `stages` down the line, say at the end of the `run` how it
-    went.
+    """Task of a program: it checks a configuration, takes its stages, and completes the record at
+    the end of the run.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
     `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
@@ -43,50 +43,52 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def check(self, settings: Settings) -> R:
-        """The request that the settings make; raises `BadRequest` for whatever can be known before
-        any long work."""
+        """Request that the settings describe; raises `BadRequest` for every mistake that can be
+        seen before long work."""
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
-        """Take every stage of the request. Values are read only inside stages: a plan has none."""
+        """Take every stage of the request through `stages`; values are read inside stages only,
+        since a plan has none."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute the facts known once all stages stand; `run.facts` are their columns, `status`
+        """Compute the columns that need all stages; `run.facts` holds the stages' columns, `status`
         may be `infeasible`."""
         return {}
 
     def parameters(self, request: R) -> Facts:  # noqa: ARG002
-        """Parameters of the request: columns of the record from the start."""
+        """Parameters of the request, which are columns of the record from the start."""
         return {}
 
     def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Further columns of the record, of what the command alone says: a run made without it
-        lacks them."""
+        """Further columns of the record that depend on the command line alone; a run made without
+        one lacks them."""
         return {}
 
     def refuse(self, config: DictConfig) -> None:
-        """Raise `BadRequest` for what no configuration may contain; asked before anything is made
-        or resolved of it."""
+        """Raise `BadRequest` for what no configuration may contain, before anything in it is
+        resolved or instantiated."""
 
     def inputs(self, settings: Settings) -> list[Path]:  # noqa: ARG002
-        """Files that the request reads: a finished run knows by their content whether it is still
-        its result."""
+        """Files that the request reads; a finished run is up to date only while their content is
+        the same."""
         return []
 
     def preload(self, again: Set[str]) -> None:
-        """Import what every job of a sweep would import for itself; asked once, before the first is
-        forked.
+        """Import what every job of a sweep would import for itself; called once, before the first
+        job is forked.
 
         `again` names the stages that several jobs will compute; what only other stages take is left
         to the job.
         """
 
     def provenance(self) -> Facts:
-        """Commit, versions and machine; found once in a process."""
+        """Commit, versions and machine, determined once in a process."""
         return provenance(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
-        """A configuration refused or resolved."""
+        """Settings of a configuration; raises `BadRequest` for what no configuration may
+        contain."""
         if not isinstance(config, Settings):
             self.refuse(config)
         settings = plain(config)
@@ -97,7 +99,7 @@ class Task(ABC, Generic[R]):
         return settings
 
     def request(self, config: DictConfig | Settings) -> R:
-        """`check`, once per run and process."""
+        """Request of a configuration, checked once per run and process."""
         settings = self.settings(config)
         folder = folder_of(settings).absolute()
         if folder not in _CHECKED:
@@ -106,7 +108,7 @@ class Task(ABC, Generic[R]):
         return found
 
     def job(self, config: DictConfig | Settings) -> Outcome:
-        """Do the run of this configuration unless it is done, and leave its record."""
+        """Execute the run of this configuration unless it is finished, and leave its record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.finished(settings)
@@ -121,6 +123,7 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def work(run: Run) -> Facts:
+            """Take all stages and complete the record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(store_of(settings).root, run, announces))
             return self.run(request, run)
@@ -143,7 +146,7 @@ class Task(ABC, Generic[R]):
         )
 
     def finished(self, config: DictConfig | Settings) -> Outcome | None:
-        """Outcome of a run that is not to be executed; None for one that is.
+        """Outcome of a run that is not executed now; None for a run that is.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
@@ -165,17 +168,17 @@ class Task(ABC, Generic[R]):
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """The stages of a run: noted in its record, their files copied: a run stays whole when the
-    store is removed."""
+    """Stages of one run: each is noted in the record and its files are copied, so that the run
+    stays complete when the store is removed."""
 
     run: Run
     announces: bool = False
 
     def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
-        """Compute or reuse a stage like the store; the name of a stage is printed before it is
-        computed."""
+        """Stage from the store, computed or reused; its name is printed before it is computed."""
 
         def announced(folder: Path) -> None:
+            """Print the name of the stage and compute it."""
             if self.announces:
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)
@@ -185,11 +188,13 @@ class RunStages(Store):
         return result
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        """Columns of a stage from the store, noted in the record of the run."""
         facts = super().measured(output, before)
         self.run.settle(output.result, output.stage.files, facts)  # at once: a later one may fail
         return facts
 
     def unrecorded(self) -> Store:
+        """Stages of the store that do not appear in the record."""
         return Store(self.root)
 
 
@@ -198,8 +203,8 @@ CHARACTERS_OF_A_NAME = "use letters, digits, '.', '_' and '-', at most 200 of th
 
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
-    """`results_dir/study/run`; raises `BadRequest` for names that would leave the results
-    folder."""
+    """Folder of a run, `results_dir/study/run`; raises `BadRequest` for names that lead out of the
+    results folder."""
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
     for key, name in names.items():
         require(isinstance(name, str) and name != "", key, name, "is no name", "give a text")
@@ -210,17 +215,17 @@ def folder_of(settings: Mapping[str, Any]) -> Path:
 
 
 def content_of(files: list[Path]) -> str:
-    """One sum over the content of these files, in this order."""
+    """Checksum of the content of several files, in this order."""
     return digest([sha256_of_file(path) if path.is_file() else None for path in files])
 
 
 def store_of(config: DictConfig | Settings) -> Store:
-    """`results_dir/.store`, shared by all studies there."""
+    """Store at `results_dir/.store`, shared by all studies there."""
     return Store(Path(str(config["results_dir"])) / ".store")
 
 
 def task_of(task_function: Any) -> Task[Any]:
-    """The task whose `job` Hydra was given."""
+    """Task whose `job` method Hydra was given."""
     task = getattr(task_function, "__self__", None)
     assert isinstance(task, Task), "Hydra calls the method `job` of a Task"
     return task
