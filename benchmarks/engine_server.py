@@ -92,9 +92,9 @@ if __name__ == Path(__file__).stem and JOBS in os.environ:  # in the forkserver,
         LOADED = pickle.load(stream)
     LOADED[1]()
     gc.freeze()
-    ours._settle_memory_and_threads(LOADED[2])
+    ours._apply_memory_and_threads(LOADED[2])
     if len(LOADED[0]) >= ours.MANY:
-        ours._into_large_pages()
+        ours._collapse_into_large_pages()
 
 
 def command(server: str, study: str, runs: int, results: Path) -> list[str]:

@@ -10,7 +10,7 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.cli.request import OPTIONS
-from ssm_study.engine.settings import nodes
+from ssm_study.engine.settings import walk_nodes
 from ssm_study.refusal import BadRequest, require
 
 ASK = "see `ssm-study run --help`"
@@ -105,7 +105,7 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
     config = compose_without_mistake(key, overrides, folder)
-    keys = [path for path, _, _ in nodes(OmegaConf.to_container(config))]
+    keys = [path for path, _, _ in walk_nodes(OmegaConf.to_container(config))]
     groups = [path.name for path in folder.iterdir() if path.is_dir()]
     near = get_close_matches(key, keys + groups, n=1)
     if not near and len(key) > 2:
@@ -157,7 +157,7 @@ def choices_with(key: str, folder: Path) -> list[str]:
         group = "/".join(parts[:cut])
         setting = ".".join(parts[cut:])
         for path in sorted((folder / group).glob("*.yaml")):
-            settings = [at for at, _, _ in nodes(yaml.safe_load(path.read_text()))]
+            settings = [at for at, _, _ in walk_nodes(yaml.safe_load(path.read_text()))]
             if setting in settings:
                 choices.append(f"{group}={path.stem}")
     return choices

@@ -10,7 +10,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import OmegaConf
 
-from ssm_study.engine.compose import Command, Composer, Loader, combinations
+from ssm_study.engine.compose import Command, Composer, Loader, grid_combinations
 from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
@@ -114,15 +114,15 @@ def checked(request: Command) -> Iterator[None]:
     from ssm_study.study.line import STUDY, check_retry
 
     config, launcher = request.config, str(request.config.hydra.launcher._target_)
-    check_retry(config, "*" if request.many else str(config.run))
-    if not request.many:
+    check_retry(config, "*" if request.is_sweep else str(config.run))
+    if not request.is_sweep:
         settings = STUDY.settings(config)
         _ = STUDY.finished(settings) or STUDY.request(settings)  # built only if it is to run
     # Ours checks its jobs, and counts them.
-    if not request.many or launcher.endswith("ProcessesLauncher"):
+    if not request.is_sweep or launcher.endswith("ProcessesLauncher"):
         yield
         return
-    jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), combinations(config))
+    jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), grid_combinations(config))
     # On Slurm our launcher checks them, too.
     for job in jobs if "ssm_study" not in launcher else ():
         if STUDY.finished(job.settings) is None:

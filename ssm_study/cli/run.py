@@ -21,7 +21,7 @@ from ssm_study.cli.exit_status import DONE, SOME_FAILED, full_or_forbidden
 from ssm_study.cli.hydra_errors import advised, refuse_dashes
 from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checked, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
-from ssm_study.engine.compose import Command, forget
+from ssm_study.engine.compose import Command, clear_hydra_state
 from ssm_study.refusal import BadRequest, require
 
 NOTHING_SET = "no setting given: this is the paper's motor (experiment=paper); --help lists others"
@@ -86,7 +86,7 @@ def run(overrides: list[str]) -> int:
             raise
         raise full_or_forbidden("results_dir", error) from error
     finally:
-        forget()
+        clear_hydra_state()
 
 
 def answer(overrides: list[str], opens: bool) -> int:
@@ -103,7 +103,7 @@ def answer(overrides: list[str], opens: bool) -> int:
     request = check_request(overrides, folder, "study")
     with checked(request):
         say("loading the libraries")
-        request.do(_job())
+        request.execute(_job())
     if request.config.dry_run:
         return DONE
     failed = concluded(request)
@@ -142,7 +142,7 @@ def show_page(request: Command) -> None:
 
 def concluded(request: Command) -> bool:
     """The study gathered and told, after a single run drawn; True if a run failed."""
-    return conclude_sweep(request.config) if request.many else conclude_run(request.config)
+    return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 
 def _job() -> Callable[[DictConfig], Any]:

@@ -30,6 +30,6 @@ def part(group: str, choice: str) -> Any:
     """The object a study would get for `group=choice`."""
     from ssm_study.cli.from_python import composed
     from ssm_study.construction import construct_part
-    from ssm_study.engine.settings import plain
+    from ssm_study.engine.settings import plain_settings
 
-    return construct_part(group, plain(composed([f"{group}={choice}"]))[group])
+    return construct_part(group, plain_settings(composed([f"{group}={choice}"]))[group])

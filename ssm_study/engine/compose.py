@@ -31,7 +31,13 @@ from hydra.core.utils import configure_log
 from hydra.types import RunMode, TaskFunction
 from omegaconf import AnyNode, DictConfig, OmegaConf, open_dict
 
-from ssm_study.engine.settings import Settings, plain, refuse_unbounded, run_name, settled
+from ssm_study.engine.settings import (
+    Settings,
+    as_settings,
+    plain_settings,
+    refuse_unbounded,
+    run_name,
+)
 
 GRIDS = (
     "hydra_plugins.ssm_study_launcher.GridSweeper",
@@ -90,7 +96,7 @@ class Command(Hydra):
         if not any(word.startswith("hydra.mode=") for word in words):
             words.append(f"hydra.mode={mode.name}")
         config = self.config_loader.load_configuration(self.name, words, run_mode=mode)
-        adopt(config)
+        set_hydra_config(config)
         return config
 
     def help(self) -> None:
@@ -100,13 +106,13 @@ class Command(Hydra):
         self.app_help(self.name, get_args_parser(), self.asked)
 
     @property
-    def many(self) -> bool:
+    def is_sweep(self) -> bool:
         """Whether the request is a sweep of several jobs."""
         return bool(self.config.hydra.mode == RunMode.MULTIRUN)
 
-    def do(self, task: TaskFunction) -> None:
+    def execute(self, task: TaskFunction) -> None:
         """Run the task once, or for every job of the sweep."""
-        run = self.multirun if self.many else self.run
+        run = self.multirun if self.is_sweep else self.run
         run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
@@ -118,19 +124,19 @@ class Command(Hydra):
         return self.config
 
 
-def adopt(config: DictConfig) -> None:
+def set_hydra_config(config: DictConfig) -> None:
     """Make a configuration the one that `${hydra:...}` is read from; Hydra's own `set_config` would
     copy its whole section first (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
-def forget() -> None:
+def clear_hydra_state() -> None:
     """Clear Hydra's global state, so that a program may compose another request afterwards."""
     GlobalHydra.instance().clear()
     HydraConfig.instance().cfg = None
 
 
-def combinations(config: DictConfig) -> list[list[str]]:
+def grid_combinations(config: DictConfig) -> list[list[str]]:
     """Override lists of all jobs of a grid sweep: `a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`; empty
     for a search, which chooses its values while it runs."""
     if config.hydra.sweeper._target_ not in GRIDS:
@@ -142,7 +148,7 @@ def combinations(config: DictConfig) -> list[list[str]]:
 
 
 @dataclass
-class Chosen:
+class ComposedChoices:
     """Configuration composed from one set of choices, into which the plain values of each job are
     put."""
 
@@ -156,10 +162,12 @@ class Chosen:
         unresolved."""
         tree = OmegaConf.to_container(self.config, resolve=False)
         assert isinstance(tree, dict)
-        return Settings({str(key): settled(value) for key, value in tree.items() if key != "hydra"})
+        return Settings(
+            {str(key): as_settings(value) for key, value in tree.items() if key != "hydra"}
+        )
 
     @cached_property
-    def shown(self) -> tuple[str, ...] | None:
+    def names_in_run(self) -> tuple[str, ...] | None:
         """Settings that appear in the name of the run; None where anything else is interpolated
         (OmegaConf then has to resolve it, which is slow)."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
@@ -168,7 +176,7 @@ class Chosen:
             return None
         return tuple(word.strip() for word in interpolation[1].split(","))
 
-    def holds(self, path: str) -> bool:
+    def is_untyped(self, path: str) -> bool:
         """Whether the value at a dotted path has no declared type, so that it may be replaced
         directly."""
         if path not in self.held:
@@ -182,7 +190,7 @@ class Chosen:
     def settings(self, values: dict[str, Any]) -> Settings:
         """Settings of the job with these values by their dotted path; unchanged sections are shared
         between jobs."""
-        assert self.shown is not None
+        assert self.names_in_run is not None
         settings = Settings(self.tree)
         by_section: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
@@ -192,7 +200,7 @@ class Chosen:
             settings[section] = self.section(section, inner_values)
         if "run" in values:
             return settings
-        return Settings(settings | {"run": run_name(settings, *self.shown)})
+        return Settings(settings | {"run": run_name(settings, *self.names_in_run)})
 
     def section(self, name: str, values: dict[str, Any]) -> Any:
         """Section of the settings with these values put in; equal sections are the same object."""
@@ -202,7 +210,7 @@ class Chosen:
             section = self.tree[name]
             for path, value in values.items():
                 section = with_value(section, path.split(".") if path else [], value)
-            self.sections[key] = settled(section)
+            self.sections[key] = as_settings(section)
         return self.sections[key]
 
 
@@ -231,14 +239,14 @@ class Composer:
         self.parser = OverridesParser.create(config_loader=loader)
         # Every word, and whether it is a plain value.
         self.parsed: dict[str, tuple[Override, bool]] = {}
-        self.composed: dict[tuple[str, ...], Chosen] = {}
+        self.composed: dict[tuple[str, ...], ComposedChoices] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
         """Whole configuration of one job, Hydra's section included; the next call may return the
         same object with other values."""
-        chosen, values = self._split(overrides)
+        chosen, values = self._split_overrides(overrides)
         config = chosen.config
-        parsed = [self._parse(word)[0] for word in overrides]
+        parsed = [self._parse_override(word)[0] for word in overrides]
         ConfigLoaderImpl._apply_overrides_to_config(values, config)
         naming = config.hydra.job.config.override_dirname
         with open_dict(config):
@@ -258,28 +266,28 @@ class Composer:
     def settings(self, overrides: list[str], number: int) -> Settings:
         """Settings of one job without Hydra's section; a value that OmegaConf has to resolve costs
         ten times as much."""
-        chosen, values = self._split(overrides)
-        if chosen.shown is not None:
+        chosen, values = self._split_overrides(overrides)
+        if chosen.names_in_run is not None:
             by_path = {str(override.key_or_group): override.value() for override in values}
             return chosen.settings(by_path)
         config = self.compose(overrides, number)
-        adopt(config)
-        return plain(config)
+        set_hydra_config(config)
+        return plain_settings(config)
 
-    def _split(self, overrides: list[str]) -> tuple[Chosen, list[Override]]:
+    def _split_overrides(self, overrides: list[str]) -> tuple[ComposedChoices, list[Override]]:
         """Separate the overrides of a job into the composition that it shares with other jobs and
         its own plain values."""
-        parsed = [self._parse(word) for word in overrides]
-        chosen = self._chosen(parsed)
+        parsed = [self._parse_override(word) for word in overrides]
+        chosen = self._composition(parsed)
         marked = []
         for override, is_plain in parsed:
-            is_own = is_plain and chosen.holds(str(override.key_or_group))
+            is_own = is_plain and chosen.is_untyped(str(override.key_or_group))
             marked.append((override, is_own))
         if marked != parsed:
-            chosen = self._chosen(marked)
+            chosen = self._composition(marked)
         return chosen, [override for override, is_own in marked if is_own]
 
-    def _chosen(self, parsed: list[tuple[Override, bool]]) -> Chosen:
+    def _composition(self, parsed: list[tuple[Override, bool]]) -> ComposedChoices:
         """Composition for these parsed overrides, loaded by Hydra when it is first needed."""
         choices = [str(override.input_line) for override, is_plain in parsed if not is_plain]
         # The paths, too: values are put into the composition itself, so all its jobs must give the
@@ -289,10 +297,10 @@ class Composer:
         if key not in self.composed:
             config = self.loader.load_sweep_config(self.sweep, choices)
             self.refuse(config)
-            self.composed[key] = Chosen(config)
+            self.composed[key] = ComposedChoices(config)
         return self.composed[key]
 
-    def _parse(self, word: str) -> tuple[Override, bool]:
+    def _parse_override(self, word: str) -> tuple[Override, bool]:
         """Parse one override, and say whether it sets a plain value."""
         if word not in self.parsed:
             override = self.parser.parse_override(word)

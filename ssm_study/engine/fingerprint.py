@@ -96,7 +96,7 @@ class Code:
         any."""
         if not self._is_followed(module.split(".")[0]):
             return True
-        read = self._read(module)
+        read = self._read_module(module)
         if read is None:
             return False
         return read == Module() or name == WHOLE or name in read.bound or name in read.imported
@@ -105,12 +105,14 @@ class Code:
         """All symbols that the roots depend on, directly or through others; libraries are not
         followed."""
         seen = set[Symbol]()
-        waiting = {self._followed(symbol) for symbol in roots}
+        waiting = {self._followed_symbol(symbol) for symbol in roots}
         while waiting:
             symbol = waiting.pop()
             seen.add(symbol)
             if symbol not in self.steps:
-                self.steps[symbol] = frozenset(map(self._followed, self._next(*symbol)))
+                self.steps[symbol] = frozenset(
+                    map(self._followed_symbol, self._symbols_used(*symbol))
+                )
             waiting |= self.steps[symbol] - seen
         return seen
 
@@ -119,23 +121,25 @@ class Code:
         later edits do not count."""
         for module in sorted(sys.modules):
             if module.split(".")[0] == OURS:
-                self._read(module)
+                self._read_module(module)
 
-    def _followed(self, symbol: Symbol) -> Symbol:
+    def _followed_symbol(self, symbol: Symbol) -> Symbol:
         """Symbol as its dependencies are followed: a library as a whole, one of this package under
         its present name."""
         top = symbol[0].split(".")[0]
         if not self._is_followed(top):
             return (top, LIBRARY)
-        return self._present(symbol) if top == OURS else symbol
+        return self._present_symbol(symbol) if top == OURS else symbol
 
-    def _present(self, symbol: Symbol) -> Symbol:
+    def _present_symbol(self, symbol: Symbol) -> Symbol:
         """Present place of a symbol of this package; other people's code may import it by an old
         name."""
         module, name = symbol
         if name in (WHOLE, LIBRARY):
-            return (module if self._read(module) is not None else present_module(module)), name
-        read = self._read(module)
+            return (
+                module if self._read_module(module) is not None else present_module(module)
+            ), name
+        read = self._read_module(module)
         if read is not None and (name in read.parts or name in read.imported):
             return symbol
         return present_symbol(module, name)
@@ -144,15 +148,15 @@ class Code:
         """Whether the sources of a package are read: this package, and whatever is not installed as
         a library (a clone, a script)."""
         if top not in self.followed:
-            path = None if top in sys.stdlib_module_names else self._path(top)
+            path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
             is_library = path is None or not INSTALLED.isdisjoint(path.parts)
             self.followed[top] = is_ours or not is_library
         return self.followed[top]
 
-    def _next(self, module: str, name: str) -> Iterator[Symbol]:
+    def _symbols_used(self, module: str, name: str) -> Iterator[Symbol]:
         """Symbols that one symbol uses directly."""
-        read = None if name == LIBRARY else self._read(module)
+        read = None if name == LIBRARY else self._read_module(module)
         if read is None:
             return
         for part in (read.parts.get(LOOSE, NOTHING), read.parts.get(name, NOTHING)):
@@ -163,19 +167,19 @@ class Code:
             yield from part.imports
         if name not in read.parts:  # imported from elsewhere, or itself a module of this package
             yield from read.imported.get(name, ())
-            if self._read(f"{module}.{name}") is not None:
+            if self._read_module(f"{module}.{name}") is not None:
                 yield f"{module}.{name}", WHOLE
         if name == WHOLE:
-            yield from self._whole(module, read)
+            yield from self._symbols_in_module(module, read)
 
-    def _whole(self, module: str, read: Module) -> Iterator[Symbol]:
+    def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
         """All symbols of a module; for a package's `__init__.py` also its files, whose members are
         found by name."""
         for bound in read.bound:
             yield module, bound
         for symbols in read.imported.values():
             yield from symbols
-        path = self._path(module)
+        path = self._source_path(module)
         if path is None or path.name != "__init__.py":
             return
         for file in path.parent.glob("*.py"):
@@ -186,25 +190,25 @@ class Code:
         """Digest of the statements behind one symbol; for a library its version."""
         if name == LIBRARY:
             return library_version(module)
-        parts = (self._read(module) or Module()).parts
+        parts = (self._read_module(module) or Module()).parts
         return f"{parts.get(LOOSE, NOTHING).digest} {parts.get(name, NOTHING).digest}"
 
-    def _read(self, module: str) -> Module | None:
+    def _read_module(self, module: str) -> Module | None:
         """Scanned source of a module, read once; None where it has no Python source."""
         if module not in self.modules:
-            path = self._path(module)
+            path = self._source_path(module)
             is_cached = module.split(".")[0] == OURS and not self.folders
-            scan = _scan_cached if is_cached else _scan
+            scan = _scan_cached if is_cached else _scan_source
             self.modules[module] = None if path is None else scan(path, module)
         return self.modules[module]
 
-    def _path(self, module: str) -> Path | None:
+    def _source_path(self, module: str) -> Path | None:
         """Path of a module's source, found without importing anything; None if it has no Python
         source."""
         top, *inner = module.split(".")
         if top == "__main__":
             return None if inner else Path(sys.modules[top].__file__ or "")
-        folder = self.folders.get(top) or _folder(top)
+        folder = self.folders.get(top) or _package_folder(top)
         if folder is None or (folder.suffix == ".py" and inner):
             return None
         if folder.suffix == ".py":
@@ -223,7 +227,7 @@ CODE = Code()
 
 
 @cache
-def _folder(top: str) -> Path | None:
+def _package_folder(top: str) -> Path | None:
     """Folder of a top-level package, or the file of a top-level module that is no package."""
     spec = importlib.util.find_spec(top)
     if spec is None or not spec.origin or not spec.origin.endswith(".py"):
@@ -280,7 +284,7 @@ def _scan_cached(path: Path, module: str) -> Module:
         cached = unsealed(file.read_bytes())
         if cached is not None and cached["content"] == digest:
             return _module_from_json(cached)
-    read = _scan(path, module)
+    read = _scan_source(path, module)
     with suppress(OSError):  # a home that cannot be written to
         CACHE.mkdir(parents=True, exist_ok=True)
         body = {"content": digest, "parts": read.parts, "imported": read.imported}
@@ -303,21 +307,21 @@ def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
     return [(module, name) for module, name in pairs]
 
 
-def _scan(path: Path, module: str) -> Module:
+def _scan_source(path: Path, module: str) -> Module:
     """Scan a source file: which statements bind each name, and what is imported."""
     tree = ast.parse(path.read_bytes())
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     bound = defaultdict[str, list[ast.stmt]](list)
     imported = defaultdict[str, list[Symbol]](list)
     _drop_docstrings(tree)
-    for statement in _flat(tree.body):
+    for statement in _top_level_statements(tree.body):
         if isinstance(statement, ast.Import | ast.ImportFrom):
-            for name, symbol in _bindings(statement, package):
+            for name, symbol in _import_bindings(statement, package):
                 imported[name].append(symbol)
             continue
         for name in _bound_names(statement) or {LOOSE}:
             bound[name].append(statement)
-    parts = {name: _part(statements, package) for name, statements in bound.items()}
+    parts = {name: _part_of(statements, package) for name, statements in bound.items()}
     return Module(parts, dict(imported))
 
 
@@ -329,20 +333,20 @@ def _drop_docstrings(tree: ast.Module) -> None:
             node.body = node.body[has_docstring:]
 
 
-def _part(statements: list[ast.stmt], package: str) -> Part:
+def _part_of(statements: list[ast.stmt], package: str) -> Part:
     """Digest and dependencies of the statements that bind one name."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()
     imports: set[Symbol] = set()
     for statement in statements:
-        names.update(_names(statement))
+        names.update(_names_read(statement))
         for node in ast.walk(statement):
             if isinstance(node, ast.Import | ast.ImportFrom):
-                imports.update(symbol for _, symbol in _bindings(node, package))
+                imports.update(symbol for _, symbol in _import_bindings(node, package))
     return Part(hashlib.sha256(text.encode()).hexdigest(), sorted(names), sorted(imports))
 
 
-def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
+def _top_level_statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
     """Top-level statements with those inside `if`, `try` and `with` blocks; statements that only
     type checkers see are left out."""
     for statement in body:
@@ -353,7 +357,9 @@ def _flat(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
             continue
         for block in ("body", "orelse", "handlers", "finalbody"):
             for part in getattr(statement, block, []):
-                yield from _flat(part.body if isinstance(part, ast.ExceptHandler) else [part])
+                yield from _top_level_statements(
+                    part.body if isinstance(part, ast.ExceptHandler) else [part]
+                )
 
 
 def _bound_names(statement: ast.stmt) -> set[str]:
@@ -364,7 +370,7 @@ def _bound_names(statement: ast.stmt) -> set[str]:
     return {node.id for node in names if isinstance(node.ctx, ast.Store)}
 
 
-def _names(node: ast.AST) -> Iterator[str]:
+def _names_read(node: ast.AST) -> Iterator[str]:
     """Names that are read when the statement runs or is called; those in annotations are
     left out."""
     if isinstance(node, ast.Name):
@@ -372,10 +378,12 @@ def _names(node: ast.AST) -> Iterator[str]:
     for label, value in ast.iter_fields(node):
         for child in value if isinstance(value, list) else [value]:
             if isinstance(child, ast.AST) and label not in ("annotation", "returns"):
-                yield from _names(child)
+                yield from _names_read(child)
 
 
-def _bindings(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[tuple[str, Symbol]]:
+def _import_bindings(
+    node: ast.Import | ast.ImportFrom, package: str
+) -> Iterator[tuple[str, Symbol]]:
     """Names that an import binds, each with the symbol that it stands for."""
     if isinstance(node, ast.Import):
         for alias in node.names:

@@ -18,10 +18,10 @@ from hydra.types import HydraContext
 from omegaconf import open_dict, read_write
 
 from ssm_study.durable import PATIENCE_S, locked
-from ssm_study.engine.compose import Composer, adopt
+from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
-from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_all_of
+from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_with_children
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.task import Task, folder_of
 from ssm_study.refusal import BadRequest
@@ -50,7 +50,7 @@ class Job:
     process: Child | None = None
     started: float = 0.0
 
-    def returned(self, outcome: Outcome | None) -> JobReturn:
+    def as_job_return(self, outcome: Outcome | None) -> JobReturn:
         """Outcome of the job in the form that Hydra expects."""
         ended = JobReturn(self.overrides, working_dir=str(Path.cwd()), task_name=self.folder.name)
         ended.status = JobStatus.COMPLETED
@@ -92,11 +92,11 @@ def run_in_this_process(
     os.setsid()  # a group of its own, so that whatever it starts can be stopped with it
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(str(OUT_OF_MEMORY_SCORE))
-    _speak_into(job.folder)  # first of all: what goes wrong from here on is in the log
+    _redirect_output(job.folder)  # first of all: what goes wrong from here on is in the log
     config = composer.compose(job.overrides, job.number)
     with read_write(config.hydra.runtime), open_dict(config.hydra.runtime):
         config.hydra.runtime.output_dir = str(job.folder)
-    adopt(config)
+    set_hydra_config(config)
     if config.hydra.job.chdir:
         os.chdir(job.folder)
     configure_log(config.hydra.job_logging, config.hydra.verbose)
@@ -118,7 +118,7 @@ def run_in_this_process(
         sys.exit(1)
 
 
-def _speak_into(folder: Path) -> None:
+def _redirect_output(folder: Path) -> None:
     """Redirect all output of this process into `folder/run.log`."""
     folder.mkdir(parents=True, exist_ok=True)
     log = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
@@ -129,7 +129,7 @@ def _speak_into(folder: Path) -> None:
     faulthandler.enable()  # a crash in native code leaves its Python traceback in the log
 
 
-def conclude(job: Job) -> Outcome:
+def outcome_of_ended(job: Job) -> Outcome:
     """Outcome of a job whose process has ended, from its record, or from how the process died."""
     assert job.process is not None
     job.process.join()
@@ -171,18 +171,18 @@ def _cause_of_death(job: Job) -> dict[str, Any]:
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
-        return _death("ServerKilled", message, transient=True)
+        return _death_facts("ServerKilled", message, transient=True)
     if code >= 0:  # it chose to end; a signal has a negative code
         message = f"the process ended with status {code} before the run was recorded"
-        return _death("ProcessExit", message, transient=False)
+        return _death_facts("ProcessExit", message, transient=False)
     if job.outcome is not None:
-        return _death("Timeout", job.outcome.message, transient=False)
+        return _death_facts("Timeout", job.outcome.message, transient=False)
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     message = f"the process was stopped by {name}{HINTS.get(name, '')}"
-    return _death(name, message, transient=name in FROM_OUTSIDE)
+    return _death_facts(name, message, transient=name in FROM_OUTSIDE)
 
 
-def _death(kind: str, message: str, transient: bool) -> dict[str, Any]:
+def _death_facts(kind: str, message: str, transient: bool) -> dict[str, Any]:
     """Error facts of a job that ended without a record: type, message, and whether the same command
     may succeed."""
     return {"error_type": kind, "error_message": message, "failure_transient": transient}
@@ -207,7 +207,7 @@ def kill_group(job: Job) -> None:
     if job.process is None or job.process.pid == UNBORN:
         return
     if job.process.exitcode is None:
-        kill_all_of(job.process.pid)
+        kill_with_children(job.process.pid)
     else:
         # Its own number may be another process's by now, that of its group not while a member
         # lives.

@@ -20,13 +20,13 @@ from omegaconf import DictConfig
 from ssm_study.engine.compose import Composer
 from ssm_study.engine.jobs import (
     Job,
-    conclude,
     jobs_of,
     kill_group,
+    outcome_of_ended,
     run_in_this_process,
     stop_hanging,
 )
-from ssm_study.engine.plan import KeyedStages, plan
+from ssm_study.engine.plan import KeyedStages, plan_lines
 from ssm_study.engine.progress import Progress
 from ssm_study.engine.records import FAILED
 from ssm_study.engine.server import Server
@@ -73,11 +73,11 @@ def launch(
         walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
         store = store_of(sweep.config)
-        print("\n".join(plan(store, walks, len(unique), finished, launcher.at_once)))
+        print("\n".join(plan_lines(store, walks, len(unique), finished, launcher.at_once)))
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
-    return [job.returned(ends[job.folder]) for job in jobs]
+    return [job.as_job_return(ends[job.folder]) for job in jobs]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,30 +128,30 @@ class Processes(Launcher):
         works = [partial(run_in_this_process, job, composer, task, context) for job in to_do]
         # Starts with the first job.
         server = Server(works, preload=partial(preload, task, to_do), threads=self.threads)
-        with _stopped_by_signals(running, server), Progress(total=len(jobs)) as progress:
+        with _end_on_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
-                    progress.done(job.outcome.status, reused=True)
+                    progress.count_outcome(job.outcome.status, reused=True)
             while waiting or running:
                 while waiting and len(running) < self.at_once:
                     number, ready = waiting.popleft()
                     running.append(ready)
                     ready.process = server.fork(number)
                     ready.started = time.monotonic()
-                for job in self._ended(server, running, progress):
+                for job in self._wait_for_ended(server, running, progress):
                     running.remove(job)
-                    job.outcome = conclude(job)
-                    progress.done(job.outcome.status)
+                    job.outcome = outcome_of_ended(job)
+                    progress.count_outcome(job.outcome.status)
                     if self.fail_fast and job.outcome.status == FAILED:
                         waiting.clear()
-            progress.tick(running=0)
+            progress.show_running(running=0)
 
-    def _ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
+    def _wait_for_ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
         """Wait a moment and return the jobs that have ended, by themselves or stopped at the time
         limit."""
         server.listen(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
-        progress.tick(running=len(running))
+        progress.show_running(running=len(running))
         if self.timeout_s is None:
             return ended
         for job in running:
@@ -175,7 +175,7 @@ def preload(task: Task[Any], jobs: list[Job]) -> None:
 
 
 @contextlib.contextmanager
-def _stopped_by_signals(running: list[Job], server: Server) -> Iterator[None]:
+def _end_on_signals(running: list[Job], server: Server) -> Iterator[None]:
     """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once; their runs count
     as `lost` and run again next time."""
 

@@ -43,7 +43,7 @@ class KeyedStages(PlannedStages):
         return {}
 
 
-def plan(
+def plan_lines(
     store: Store,
     walks: Sequence[Callable[[Stages], object]],
     runs: int,
@@ -64,7 +64,7 @@ def plan(
     seconds = 0.0
     bound = "about"
     for name, count in needed.items():  # in the order of the line
-        seconds_each = each(store, name)
+        seconds_each = mean_stage_seconds(store, name)
         missing = count - there[name]
         known = "unknown" if seconds_each is None else f"{seconds_each:.2f} s"
         lines.append(f"{name:<14}{count:>8}{there[name]:>8}{missing:>9}{known:>10}")
@@ -76,11 +76,11 @@ def plan(
         f"{'stage':<14}{'needed':>8}{'there':>8}{'compute':>9}{'each':>10}",
         *lines,
         "",
-        f"estimated time: {bound} {duration(seconds)} with {jobs_at_once} at a time",
+        f"estimated time: {bound} {format_duration(seconds)} with {jobs_at_once} at a time",
     ]
 
 
-def each(store: Store, stage: str) -> float | None:
+def mean_stage_seconds(store: Store, stage: str) -> float | None:
     """Mean computing time of one stage in the store, in seconds; damaged manifests are left out."""
     seconds = []
     for manifest in store.root.glob(f"{stage}/[!.]*/{MANIFEST}"):
@@ -89,7 +89,7 @@ def each(store: Store, stage: str) -> float | None:
     return fmean(seconds) if seconds else None
 
 
-def duration(seconds: float) -> str:
+def format_duration(seconds: float) -> str:
     """Duration as text with the precision of an estimate: `7 s`, `3 min`, `2.5 h`."""
     if seconds < 100:
         return f"{seconds:.0f} s"

@@ -41,16 +41,16 @@ class Progress:
             self.live.stop()
         print(self.line(), file=sys.stderr, flush=True)
 
-    def done(self, status: str, reused: bool = False) -> None:
+    def count_outcome(self, status: str, reused: bool = False) -> None:
         """Count the outcome of a finished run and show the progress."""
         self.counts[status] += 1
         self.reused += reused
-        self._say()
+        self._show()
 
-    def tick(self, running: int) -> None:
+    def show_running(self, running: int) -> None:
         """Set the number of running jobs and show the progress."""
         self.running = running
-        self._say()
+        self._show()
 
     def line(self) -> str:
         """Progress in one line: `12/60 runs: 10 ok, 1 infeasible, 1 failed; 8 there before; 2
@@ -76,7 +76,7 @@ class Progress:
             return None
         return (time.monotonic() - self.started) / fresh * remaining
 
-    def _say(self) -> None:
+    def _show(self) -> None:
         """Update the line on a terminal; elsewhere print it if the last one is old enough."""
         if self.live:
             self.live.update(Text(self.line()), refresh=True)
@@ -111,14 +111,14 @@ class Watch(Thread):
             progress.reused = self.there_before
             # Sleeps, yet wakes at once when the sweep is over.
             while not self.over.wait(self.every_s):
-                self._look(progress)
-            self._look(progress)  # the last line is of how it ended
+                self._read_folders(progress)
+            self._read_folders(progress)  # the last line is of how it ended
 
-    def _look(self, progress: Progress) -> None:
+    def _read_folders(self, progress: Progress) -> None:
         """Count the statuses in the run folders and show the progress."""
         statuses = self._statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
-        progress.tick(running=statuses.count(RUNNING))
+        progress.show_running(running=statuses.count(RUNNING))
 
     def _statuses(self) -> list[str]:
         """Status in the record of each run, `None` as text where there is no record."""

@@ -33,7 +33,7 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
     """Write the record of `folder` atomically; NaN becomes null, infinities become the texts `inf`
     and `-inf`."""
     columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
-    flat = {name: storable(name, value) for name, value in columns.items()}
+    flat = {name: storable_value(name, value) for name, value in columns.items()}
     body = {"record_version": VERSION} | with_both_columns(flat)
     write_json_atomically(folder / RECORD, sealed(body), durable)
 
@@ -62,19 +62,23 @@ def parse_record(content: bytes) -> dict[str, Any]:
     version = None if record is None else record.get("record_version")
     if type(version) is not int or version not in READABLE:
         return {"status": CORRUPT}
-    if record is None or not isinstance(record.get("status"), str) or not _fits(*record.values()):
+    if (
+        record is None
+        or not isinstance(record.get("status"), str)
+        or not _fit_in_64_bits(*record.values())
+    ):
         return {"status": CORRUPT}
     return with_both_columns(record)
 
 
-def _fits(*values: Any) -> bool:
+def _fit_in_64_bits(*values: Any) -> bool:
     """Whether all whole numbers among the values have at most 64 bits, as a table can store
     them."""
     whole = [value for value in values if type(value) is int]
     return all(-(1 << 63) < value < 1 << 63 for value in whole)
 
 
-def storable(key: str, value: Any) -> bool | int | float | str | None:
+def storable_value(key: str, value: Any) -> bool | int | float | str | None:
     """Value as a record stores it; raises `BadRequest` for anything but a single number, text or
     truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
@@ -83,7 +87,7 @@ def storable(key: str, value: Any) -> bool | int | float | str | None:
         return None
     if isinstance(value, float) and math.isinf(value):
         return "inf" if value > 0 else "-inf"
-    if value is None or (isinstance(value, (bool, int, float, str)) and _fits(value)):
+    if value is None or (isinstance(value, (bool, int, float, str)) and _fit_in_64_bits(value)):
         return value
     if isinstance(value, Path):
         return str(value)

@@ -51,7 +51,9 @@ class Run:
         """Add numbers to the record; they stay there even if the work fails later."""
         self.facts.update(facts)
 
-    def settle(self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]) -> None:
+    def note_stage(
+        self, stage: StageResult, files: Iterable[str], facts: Mapping[str, Any]
+    ) -> None:
         """Record a finished stage (columns, key, seconds, whether it was reused) and copy its files
         into the run folder."""
         about = {"key": stage.key, "seconds": stage.seconds, "reused": stage.reused}
@@ -94,15 +96,15 @@ def execute(
         before = run_status(folder, mine=True)
         if not is_to_run(before, retry_failed):
             return outcome_of(folder, before)
-        _set_aside(folder, before)
+        _move_attempt_aside(folder, before)
         for name, text in (configuration or {}).items():
             (folder / ".hydra").mkdir(exist_ok=True)
             write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
-        opening = dict(parameters) | _opening(folder, before) | dict(provenance or {})
-        return _run(folder, opening, work)
+        opening = dict(parameters) | _opening_facts(folder, before) | dict(provenance or {})
+        return _do_work(folder, opening, work)
 
 
-def _opening(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
+def _opening_facts(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
     """Columns of a run that begins; the count of attempts continues over killed ones."""
     attempts = int((before or {}).get("attempt") or 0)
     return {
@@ -151,7 +153,7 @@ def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
     return Outcome(folder=folder, status=before["status"], did=did, message=message)
 
 
-def _run(
+def _do_work(
     folder: Path, opening: dict[str, Any], work: Callable[[Run], Mapping[str, Any] | None]
 ) -> Outcome:
     """Do the work of a run and write its record, of a failure too."""
@@ -203,7 +205,7 @@ def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
         text = f"exited with status {error.code}"
     if isinstance(error, OSError) and error.filename is None:
         text = f"{text} (in {folder})"
-    is_transient = any(_is_the_machines(cause, folder) for cause in _causes(error))
+    is_transient = any(_is_fault_of_machine(cause, folder) for cause in _causes(error))
     return {
         "error_type": type(error).__name__,
         "error_message": " ".join(text.split())[:LONGEST_MESSAGE],
@@ -233,7 +235,7 @@ _ERRORS_OF_THE_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno
 _OF_THE_DISK = tuple(os.strerror(code) for code in _ERRORS_OF_THE_DISK)
 
 
-def _is_the_machines(error: BaseException, folder: Path) -> bool:
+def _is_fault_of_machine(error: BaseException, folder: Path) -> bool:
     """Whether an error is the machine's fault (disk, memory, a removed store) and not the run's."""
     if isinstance(error, FileNotFoundError):
         if error.filename is None:
@@ -257,12 +259,12 @@ def write_failure(
         storable_facts = {}
         for name, value in facts.items():
             with suppress(BadRequest):  # what no record holds may be the very cause of the failure
-                storable_facts[name] = records.storable(name, value)
+                storable_facts[name] = records.storable_value(name, value)
         closing = {"status": FAILED, "ended_utc": _now()} | dict(error)
         records.write_record(folder, storable_facts | closing)
 
 
-def _set_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
+def _move_attempt_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
     """Move the files of an earlier attempt into `attempts/<n>/`, so that files of two attempts
     never mix."""
     if before is None and not (folder / RECORD).exists():

@@ -69,9 +69,9 @@ class Server:
         try:
             self.line.send(number)
         except ConnectionError:
-            self._died()
+            self._note_death()
         # The ends of other jobs may be told before the birth of this one.
-        while self.line is None or not isinstance(born := self._hear(), Child):
+        while self.line is None or not isinstance(born := self._read_message(), Child):
             if self.line is None:  # the server was killed before it could fork
                 return Child(pid=UNBORN, listen=self.listen, exitcode=SERVER_DIED)
         return born
@@ -80,7 +80,7 @@ class Server:
         """Wait for the next job to end, `timeout` seconds at most, and note its exit status in its
         `Child`."""
         if self.line is not None and self.line.poll(timeout):
-            self._hear()
+            self._read_message()
 
     def close(self) -> None:
         """Stop the server and all jobs that are still running."""
@@ -89,13 +89,13 @@ class Server:
             os.waitpid(self.pid, 0)  # else it stays as a zombie until the sweep ends
             self.line = None
 
-    def _hear(self) -> Child | None:
+    def _read_message(self) -> Child | None:
         """Read one message of the server: the new process for a start, None for an end."""
         assert self.line is not None
         try:
             pid, exitcode = self.line.recv()  # a birth has no exit code, an end has
         except (EOFError, ConnectionError):
-            self._died()
+            self._note_death()
             return None
         if exitcode is None:
             self.children[pid] = Child(pid=pid, listen=self.listen)
@@ -103,7 +103,7 @@ class Server:
         self.children.pop(pid).exitcode = exitcode
         return None
 
-    def _died(self) -> None:
+    def _note_death(self) -> None:
         """Note that the server and all its jobs are dead; the next job starts a new server."""
         self.close()
         for child in self.children.values():
@@ -112,7 +112,7 @@ class Server:
 
     def _start(self) -> None:
         """Preload the libraries and fork the server."""
-        with _environment(thread_limits(self.threads)):
+        with _environment_variables(thread_limits(self.threads)):
             try:
                 self.preload()
             except Exception as error:  # whatever a module raises
@@ -141,9 +141,9 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
-    _settle_memory_and_threads(threads)
+    _apply_memory_and_threads(threads)
     if len(tasks) >= MANY:
-        _into_large_pages()
+        _collapse_into_large_pages()
     living: dict[int, int] = {}  # process by its descriptor
     with contextlib.suppress(BaseException):
         while True:
@@ -158,7 +158,7 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
                     os.close(ready)
                     sweep.send((pid, os.waitstatus_to_exitcode(status)))
     for pid in living.values():
-        kill_all_of(pid)
+        kill_with_children(pid)
     os._exit(0)  # without the sweep's own handlers at exit, which the fork has inherited
 
 
@@ -188,7 +188,7 @@ def _fork(sweep: Connection, task: Callable[[], object]) -> int:
         os._exit(status)
 
 
-def kill_all_of(pid: int) -> None:
+def kill_with_children(pid: int) -> None:
     """Kill the process of a job and all processes that it started."""
     # A group of its own is the first thing it makes, not the birth of it.
     for kill in (os.killpg, os.kill):
@@ -203,7 +203,7 @@ def thread_limits(threads: int) -> dict[str, str]:
     return dict.fromkeys(names, str(threads)) | {"OMP_WAIT_POLICY": "passive"}
 
 
-def _settle_memory_and_threads(threads: int) -> None:
+def _apply_memory_and_threads(threads: int) -> None:
     """Apply the memory and thread settings to libraries that the process has loaded already."""
     with contextlib.suppress(AttributeError):  # another C library
         for parameter, value in ALLOCATOR:
@@ -212,7 +212,7 @@ def _settle_memory_and_threads(threads: int) -> None:
         torch.set_num_threads(threads)
 
 
-def _into_large_pages() -> None:
+def _collapse_into_large_pages() -> None:
     """Collapse the server's memory into large pages, so that a fork copies a short page table: 35
     -> 13 ms per job, for 0.8 s once.
 
@@ -229,7 +229,7 @@ def _into_large_pages() -> None:
 
 
 @contextlib.contextmanager
-def _environment(variables: dict[str, str]) -> Iterator[None]:
+def _environment_variables(variables: dict[str, str]) -> Iterator[None]:
     """Context in which environment variables have these values."""
     before = {name: os.environ[name] for name in variables if name in os.environ}
     os.environ.update(variables)

@@ -40,21 +40,23 @@ class Settings(dict[str, Any]):
             raise AttributeError(name) from None
 
 
-def targets(node: Any) -> frozenset[str]:
+def target_names(node: Any) -> frozenset[str]:
     """Every class that plain containers name by `_target_`."""
-    return frozenset(str(value) for _, key, value in nodes(node) if key == "_target_")
+    return frozenset(str(value) for _, key, value in walk_nodes(node) if key == "_target_")
 
 
-def settled(value: Any) -> Any:
+def as_settings(value: Any) -> Any:
     """Plain containers with every dictionary turned into `Settings`."""
     if isinstance(value, list):
-        return [settled(item) for item in value]
+        return [as_settings(item) for item in value]
     if isinstance(value, Settings) or not isinstance(value, dict):
         return value
-    return Settings({str(key): settled(item) for key, item in value.items()})
+    return Settings({str(key): as_settings(item) for key, item in value.items()})
 
 
-def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})) -> Settings:
+def plain_settings(
+    config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"})
+) -> Settings:
     """Configuration as plain `Settings` with interpolations resolved, without the sections named in
     `without`."""
     if isinstance(config, Settings):
@@ -62,16 +64,16 @@ def plain(config: DictConfig | Settings, without: Set[str] = frozenset({"hydra"}
             return config
         return Settings({name: config[name] for name in config if name not in without})
     names = [str(key) for key in config if str(key) not in without]
-    return Settings({name: settled(resolved(config[name])) for name in names})
+    return Settings({name: as_settings(resolve_node(config[name])) for name in names})
 
 
-def resolved(node: Any) -> Any:
+def resolve_node(node: Any) -> Any:
     """Node of a configuration as plain containers, with interpolations resolved; any other value
     unchanged."""
     return OmegaConf.to_container(node, resolve=True) if OmegaConf.is_config(node) else node
 
 
-def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
+def walk_nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
     """Dotted path, last key and value of every entry in nested plain containers, outer ones
     first."""
     children: Iterable[tuple[Any, Any]] = ()
@@ -81,13 +83,13 @@ def nodes(tree: Any, prefix: str = "") -> Iterator[tuple[str, str, Any]]:
         children = enumerate(tree)
     for key, value in children:
         yield f"{prefix}{key}", str(key), value
-        yield from nodes(value, f"{prefix}{key}.")
+        yield from walk_nodes(value, f"{prefix}{key}.")
 
 
 def refuse_unbounded(tree: Any) -> None:
     """Raise `BadRequest` for NaN and infinity in the settings: Hydra accepts them, but no run could
     be named by them."""
-    for path, _, value in nodes(tree):
+    for path, _, value in walk_nodes(tree):
         is_finite = not isinstance(value, float) or math.isfinite(value)
         remedy = "leave it out, or give a finite value"
         require(is_finite, path, value, "is not a finite number", remedy)
@@ -100,18 +102,20 @@ def canonical_json(value: Any) -> str:
     Raises `BadRequest` for NaN, infinity and anything that is no plain container.
     """
     try:
-        return json.dumps(_alike(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return json.dumps(
+            _normalise_numbers(value), sort_keys=True, separators=(",", ":"), allow_nan=False
+        )
     except (TypeError, ValueError) as error:
         remedy = "use finite numbers, text or lists"
         raise BadRequest("config", value, str(error), remedy) from error
 
 
-def _alike(value: Any) -> Any:
+def _normalise_numbers(value: Any) -> Any:
     """Plain containers with whole floats as integers and tuples as lists."""
     if isinstance(value, Mapping):
-        return {str(key): _alike(item) for key, item in value.items()}
+        return {str(key): _normalise_numbers(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_alike(item) for item in value]
+        return [_normalise_numbers(item) for item in value]
     if isinstance(value, float) and value.is_integer():
         return int(value)
     return value
@@ -130,25 +134,25 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
     out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
     hexadecimal digits: among 10,000 runs two share a name with probability 5e-5.
     """
-    settings = plain(config, NOT_IDENTITY)
+    settings = plain_settings(config, NOT_IDENTITY)
     identity = {key: value for key, value in settings.items() if value is not None}
     words = []
     for pair in shown:
         word, _, path = pair.partition(":")
-        value = entry(identity, path)
+        value = value_at(identity, path)
         if isinstance(value, int | float | str):
             words.append(re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD])
     return "-".join([*words, digest(identity)[:NAME_DIGITS]])
 
 
-def entry(settings: Any, path: str) -> Any:
+def value_at(settings: Any, path: str) -> Any:
     """Value at a dotted path of the settings; None where there is no such entry."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None
     return settings
 
 
-def stored_yaml(path: Path) -> str:
+def read_stored_yaml(path: Path) -> str:
     """Text of a YAML file in a run folder; refuses one that aliases would expand beyond all bounds,
     as it may have been altered.
 

@@ -45,13 +45,13 @@ class Slurm(Launcher):
         for job in to_do:
             number = job.number
             arguments.append((job.overrides, "hydra.sweep.dir", number, f"{number}", state))
-        slurm = executor(self.launcher.params)
+        slurm = submitit_executor(self.launcher.params)
         submitted = slurm.map_array(self.launcher, *zip(*arguments, strict=True))
         for job, of_slurm in zip(to_do, submitted, strict=True):
-            job.outcome = settled(job, of_slurm)
+            job.outcome = wait_for_outcome(job, of_slurm)
 
 
-def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
+def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
     """Executor of submitit with the settings of `hydra.launcher`."""
     settings = dict(params)
     slurm = submitit.AutoExecutor(
@@ -67,10 +67,10 @@ def executor(params: dict[str, Any]) -> submitit.AutoExecutor:
     return slurm
 
 
-def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
+def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
     """Outcome of a submitted job once it has ended; a job that Slurm ended becomes a failed run
     that the same command repeats."""
-    state = ended(submitted, patience_s)
+    state = wait_for_end(submitted, patience_s)
     try:
         if state != FORGOTTEN:
             outcome: Outcome = submitted.results()[0].return_value
@@ -90,7 +90,7 @@ def settled(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) 
     return note_death(job.folder, death, problem)
 
 
-def ended(submitted: submitit.Job, patience_s: float) -> str:
+def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:
     """Wait until a submitted job has ended, and return Slurm's state of it; without accounting a
     job cancelled in the queue is `FORGOTTEN`."""
     asked = time.monotonic()

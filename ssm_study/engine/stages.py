@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.fingerprint import code_version
-from ssm_study.engine.settings import digest, targets
+from ssm_study.engine.settings import digest, target_names
 
 T = TypeVar("T")
 Facts = dict[str, Any]
@@ -116,7 +116,7 @@ class Stages(ABC):
             "stage": stage.name,
             "settings": settings,
             "before": [output.value_key for output in before],
-            "code": code_version(stage.compute, *sorted(targets(settings))),
+            "code": code_version(stage.compute, *sorted(target_names(settings))),
         }
         result = self.keyed(stage.name, digest(note), note, compute)
         output = StageOutput(stage, result, tuple(computed))

@@ -17,7 +17,7 @@ from typing import Any
 
 from ssm_study import durable
 from ssm_study.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
-from ssm_study.engine.records import storable
+from ssm_study.engine.records import storable_value
 from ssm_study.engine.settings import digest
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
 from ssm_study.refusal import require
@@ -55,7 +55,7 @@ class Store(Stages):
             return facts
         started = time.process_time()
         columns = output.stage.measure(output.value, *(earlier.value for earlier in before))
-        facts = {name: storable(name, value) for name, value in columns.items()}
+        facts = {name: storable_value(name, value) for name, value in columns.items()}
         seconds = time.process_time() - started
         body = {"key": key, "facts": facts, "processor_seconds": seconds}
         durable.write_json_atomically(path, sealed(body), durable=False)
@@ -100,10 +100,10 @@ class Store(Stages):
     def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
         """Compute a stage in a temporary folder, seal it, and move it to its place."""
         final = self.folder(name, key)
-        temporary = final.with_name(f".tmp-{final.name}-{node()}-{secrets.token_hex(4)}")
+        temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.
         temporary.mkdir(parents=True)
-        _take_over(temporary, final)
+        _clear_leftovers(temporary, final)
         try:
             started = time.perf_counter()
             processor_started = time.process_time()
@@ -112,7 +112,7 @@ class Store(Stages):
             processor_seconds = time.process_time() - processor_started
             times = {"seconds": seconds, "processor_seconds": processor_seconds}
             seal_folder(temporary, note | {"key": key} | times)
-            _place(temporary, final)
+            _move_into_place(temporary, final)
         except (Exception, SystemExit) as error:
             if not temporary.is_dir():  # somebody has removed it: a library may say so otherwise
                 raise FileNotFoundError(errno.ENOENT, "was removed", str(temporary)) from error
@@ -121,7 +121,7 @@ class Store(Stages):
         return StageResult(path=final, key=key, seconds=seconds, reused=False, name=name)
 
 
-def _place(temporary: Path, final: Path) -> None:
+def _move_into_place(temporary: Path, final: Path) -> None:
     """Move a finished stage to its final name in one step, so that it is complete or absent."""
     try:
         temporary.rename(final)
@@ -133,13 +133,13 @@ def _place(temporary: Path, final: Path) -> None:
     sync(final.parent)  # only now does the stage survive a power loss
 
 
-def node() -> str:
+def machine_name() -> str:
     """Name of this machine as it appears in file names; its locks are reliable here, and may not be
     elsewhere."""
     return digest(socket.gethostname())[:8]
 
 
-def _take_over(temporary: Path, final: Path) -> None:
+def _clear_leftovers(temporary: Path, final: Path) -> None:
     """Remove the temporary folders of killed processes; a checkpoint in them (`CHECKPOINT`) moves
     to the new folder, to continue from.
 
@@ -149,7 +149,7 @@ def _take_over(temporary: Path, final: Path) -> None:
     for leftover in final.parent.glob(f".tmp-{final.name}-*"):
         if leftover == temporary:
             continue
-        is_foreign = leftover.name.rsplit("-", 2)[1] not in (node(), final.name)
+        is_foreign = leftover.name.rsplit("-", 2)[1] not in (machine_name(), final.name)
         for checkpoint in leftover.rglob(CHECKPOINT):
             heir = temporary / checkpoint.relative_to(leftover)
             heir.parent.mkdir(parents=True, exist_ok=True)

@@ -13,10 +13,10 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from ssm_study.durable import sha256_of_file
-from ssm_study.engine.plan import plan
+from ssm_study.engine.plan import plan_lines
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_status
-from ssm_study.engine.settings import Settings, digest, plain, yaml_text
+from ssm_study.engine.settings import Settings, digest, plain_settings, yaml_text
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages
 from ssm_study.engine.store import Store
 from ssm_study.refusal import require
@@ -91,7 +91,7 @@ class Task(ABC, Generic[R]):
         contain."""
         if not isinstance(config, Settings):
             self.refuse(config)
-        settings = plain(config)
+        settings = plain_settings(config)
         for name in FLAGS & settings.keys():
             value = settings[name]
             problem = "is neither true nor false"
@@ -116,7 +116,7 @@ class Task(ABC, Generic[R]):
             walks = [lambda stages: self.stages(self.request(settings), stages)]
             if outcome is not None:
                 walks = []
-            print("\n".join(plan(store_of(settings), walks, runs=1, finished=1 - len(walks))))
+            print("\n".join(plan_lines(store_of(settings), walks, runs=1, finished=1 - len(walks))))
             return outcome or Outcome(folder=folder_of(settings), status="absent", did="planned")
         if outcome is not None:
             return outcome
@@ -190,7 +190,9 @@ class RunStages(Store):
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """Columns of a stage from the store, noted in the record of the run."""
         facts = super().measured(output, before)
-        self.run.settle(output.result, output.stage.files, facts)  # at once: a later one may fail
+        self.run.note_stage(
+            output.result, output.stage.files, facts
+        )  # at once: a later one may fail
         return facts
 
     def unrecorded(self) -> Store:

@@ -21,7 +21,7 @@ from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
-from ssm_study.engine.settings import resolved, stored_yaml
+from ssm_study.engine.settings import read_stored_yaml, resolve_node
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
@@ -95,11 +95,11 @@ def limits(run: Path) -> tuple[Range, Range]:
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
     file = run / ".hydra" / "config.yaml"
-    settings = OmegaConf.create(stored_yaml(file)) if file.is_file() else OmegaConf.create()
+    settings = OmegaConf.create(read_stored_yaml(file)) if file.is_file() else OmegaConf.create()
     lower = OmegaConf.select(settings, "loop.input_lower")
     upper = OmegaConf.select(settings, "loop.input_upper")
     around_rest = _model(run).scale.with_rest([np.stack(visited[1:])])
-    return input_limits(resolved(lower), resolved(upper), around_rest)
+    return input_limits(resolve_node(lower), resolve_node(upper), around_rest)
 
 
 def _recorded_range(

@@ -15,7 +15,7 @@ import yaml  # type: ignore[import-untyped]
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
-from ssm_study.engine.settings import stored_yaml
+from ssm_study.engine.settings import read_stored_yaml
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, StructuredSSM, model_from_json
 from ssm_study.refusal import BadRequest, require
@@ -122,7 +122,7 @@ class RunFolder:
     @cached_property
     def config(self) -> dict[str, Any]:
         path = self.path / ".hydra" / "config.yaml"
-        return (yaml.safe_load(stored_yaml(path)) if path.is_file() else None) or {}
+        return (yaml.safe_load(read_stored_yaml(path)) if path.is_file() else None) or {}
 
     @cached_property
     def curve(self) -> pd.DataFrame | None:

@@ -1,5 +1,5 @@
-"""A configuration from a stranger must not run a program: only what is named here may be
-instantiated."""
+"""Allow list of what a configuration may instantiate, so that a stranger's configuration cannot run
+a program."""
 
 import re
 from importlib.util import find_spec
@@ -8,7 +8,7 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from ssm_study.engine.settings import nodes, plain
+from ssm_study.engine.settings import plain_settings, walk_nodes
 from ssm_study.extensions import packages
 from ssm_study.refusal import require
 from ssm_study.renamed import withdrawn_target
@@ -50,8 +50,8 @@ REMEDY = "name a part of ssm_study; your own study: add --with FOLDER"
 
 
 def refuse_foreign_targets(config: DictConfig) -> None:
-    """Walk the whole tree before anything is instantiated; raises `BadRequest` for the first key
-    that is not ours.
+    """Raise `BadRequest` for the first key of a configuration that names a class not on the allow
+    list, before anything is instantiated.
 
     Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its
     plugins. Refused as well: interpolations that read the environment (secrets would end up in
@@ -63,15 +63,16 @@ def refuse_foreign_targets(config: DictConfig) -> None:
     _refuse_in_task(
         tree
     )  # before anything is resolved: an interpolation may already read what it must not
-    for path, key, value in nodes(hydra, "hydra."):
+    for path, key, value in walk_nodes(hydra, "hydra."):
         _refuse_in_hydra(path, key, value)
     if any("${" in str(value) for key, value in tree.items() if key != "run"):
-        _refuse_in_task(plain(config))  # what the remaining interpolations bring in
+        _refuse_in_task(plain_settings(config))  # what the remaining interpolations bring in
 
 
 def _refuse_in_task(tree: Any) -> None:
+    """Raise `BadRequest` for a forbidden target in the settings of the task."""
     problem = "this interpolation reads the environment or builds configuration from text"
-    for path, key, value in nodes(tree):
+    for path, key, value in walk_nodes(tree):
         if key == "_target_" and (gone := withdrawn_target(value)):
             require(False, path, value, gone.sentence, gone.remedy)
         require(
@@ -87,6 +88,7 @@ def has_only(allowed: re.Pattern[str], value: Any) -> bool:
 
 
 def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
+    """Raise `BadRequest` for a value in Hydra's own section that could run a program."""
     is_plain = has_only(HYDRAS_INTERPOLATION, value)
     problem = "this interpolation reads the environment or builds configuration from text"
     require(is_plain, path, value, problem, "write the value itself")

@@ -1,5 +1,5 @@
-"""Columns derived again and findings, section by section, from the files of a run and its
-configuration.
+"""Checks of a run's claims, section by section: columns and findings derived again from its files
+and its configuration.
 
 Each section is a function of the run that yields `Checked` (a claim that holds or does not),
 `Derived` (columns of the record, to be compared) and `NotChecked` (what cannot be derived of this
@@ -17,7 +17,7 @@ from ssm_study.columns import ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import contents, unsealed
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
-from ssm_study.engine.settings import plain, run_name
+from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
@@ -58,7 +58,7 @@ NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 
 def files(run: RunFiles) -> Claims:
-    """Every file that such a run leaves is there, sealed, and as it was written."""
+    """Check that every file such a run leaves exists, is sealed and is unchanged."""
     path = run.path / MANIFEST
     manifest = unsealed(contents(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
@@ -74,7 +74,8 @@ def files(run: RunFiles) -> Claims:
 
 
 def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Files that are needed and absent, there and not sealed, or sealed and no stage's."""
+    """Problems with a run's files: needed but absent, present but not sealed, or sealed but of no
+    stage."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
     if run.claims_certificate:
@@ -99,7 +100,7 @@ def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked
 
 
 def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """Files and entries from which nothing is derived again, with the reason."""
+    """Files and entries from which nothing is derived again, each with the reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     reasons = dict.fromkeys(repeated, NOT_REPEATED)
@@ -112,14 +113,15 @@ def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
 
 
 def requested(run: RunFiles) -> Claims:
-    """The settings are those of the configuration, and the run's name is its hash."""
+    """Check that the recorded settings are those of the configuration, and that the run's name is
+    their hash."""
     name = str(run.config.run)
     hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
     expected = name if name.endswith(hashed) else f"...-{hashed}"
     yield Derived({"study": str(run.config.study), "run": expected})
     yield folder_claim(run.path.absolute(), name)
     # As it was stored: a record names the parts by what they were called then.
-    configuration = plain(run.config)
+    configuration = plain_settings(run.config)
     specification = replace(run.specification, configuration=configuration)
     further_settings = [setting_of(column) for column in run.record if FURTHER.covers(column)]
     settings = STUDY.parameters(specification) | further(configuration, further_settings)
@@ -134,7 +136,8 @@ def requested(run: RunFiles) -> Claims:
 
 
 def folder_claim(folder: Path, name: str) -> Checked:
-    """That a run counts once in its study: its folder has its name, or lies outside a study."""
+    """Claim that a run counts only once in its study: its folder has its name, or lies outside a
+    study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:
@@ -144,13 +147,13 @@ def folder_claim(folder: Path, name: str) -> Checked:
 
 
 def status(run: RunFiles) -> Claims:
-    """A run is infeasible exactly if a part of its design is missing."""
+    """Check that the run is infeasible exactly if a part of its design is missing."""
     is_feasible = not run.claims_certificate or run.design.feasible
     yield Derived({"status": OK if is_feasible else INFEASIBLE})
 
 
 def data(run: RunFiles) -> Claims:
-    """The records are those that the configuration gives, simulated or read anew.
+    """Check that the records are those of the configuration, simulated or read again.
 
     A recording of somebody else's may be elsewhere by now: then what follows from it is not
     checked.
@@ -173,7 +176,7 @@ def data(run: RunFiles) -> Claims:
 
 
 def data_read(run: RunFiles, records: DataSet) -> Claims:
-    """The columns and recordings that follow from the records."""
+    """Columns and recordings that follow from the records."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
         yield Derived(data_metrics.data_facts(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
@@ -207,7 +210,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
-    """Inputs and measured disturbances of the training records, stored and made again."""
+    """Inputs and measured disturbances of the training records, each as stored and as made
+    again."""
     inputs = [record.u for record in records.training]
     pairs = numbered_pairs(run.inputs, inputs, "u ")
     made = [record.d for record in records.training if record.d is not None]
@@ -220,13 +224,13 @@ def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, An
 def numbered_pairs(
     stored: Sequence[Any], made: Sequence[Any], word: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Stored values beside those made again, by their number."""
+    """Pairs of stored values and values made again, labelled by a word and their number."""
     pairs = zip(stored, made, strict=True)
     return {f"{word}{number}": pair for number, pair in enumerate(pairs)}
 
 
 def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """That the free runs of a part begin as the choice between its two starts says.
+    """Check that the free runs of a split start as the choice between the two kinds of start says.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -247,8 +251,8 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
 
 
 def model(run: RunFiles) -> Claims:
-    """Claims of the stored model: what is proved of it, and that it runs at the records' sampling
-    time."""
+    """Check what is claimed of the stored model: its proved properties, and that its sampling time
+    is that of the records."""
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
@@ -258,7 +262,8 @@ def model(run: RunFiles) -> Claims:
 
 
 def fits(run: RunFiles) -> Claims:
-    """The stored model replays the stored simulations, and the errors are theirs."""
+    """Check that the stored model reproduces the stored simulations, and that the recorded errors
+    are theirs."""
     replayed = []
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
@@ -271,8 +276,8 @@ def fits(run: RunFiles) -> Claims:
 
 
 def loop(run: RunFiles) -> Claims:
-    """The recorded loops are those of the stored model and gains on the configured plant; the
-    columns are theirs."""
+    """Check that the recorded loops are those of the stored model and gains on the configured
+    plant, and that the columns follow from them."""
     yield from loop_files(run)
     if not run.closes_loop:
         return
@@ -300,15 +305,16 @@ def loop(run: RunFiles) -> Claims:
 
 
 def textbook_pi(run: RunFiles) -> Claims:
-    """The PI that the textbook's rule tunes on the stored model, run again on the configured
-    plant."""
+    """Check the PI controller that the textbook's rule tunes on the stored model, by running it
+    again on the configured plant."""
     specification = run.specification
     fitted = specification.loop.fitted(run.model)
     yield Derived(pi_facts(specification.plant, run.model, fitted, specification.loop_seed))
 
 
 def loop_files(run: RunFiles) -> Iterator[Checked]:
-    """Recordings of loops that are absent, or there although such a run closes no loop."""
+    """Problems with the recordings of loops: absent, or present although such a run closes
+    no loop."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
         for name in sorted(present):
@@ -324,7 +330,8 @@ def loop_files(run: RunFiles) -> Iterator[Checked]:
 def loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
 ) -> Iterator[Checked]:
-    """That the recorded input is the controller's answer to the recorded output, and on what."""
+    """Check that the recorded input is the controller's response to the recorded output, and what
+    the loop was closed on."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
     found = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)
@@ -334,7 +341,7 @@ def loop_signals(
 
 
 def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
-    """That the configured plant with the certified gains gives the recorded loops."""
+    """Check that the configured plant with the certified gains reproduces the recorded loops."""
     pairs = of_rollouts(stored.controlled, again.controlled)
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(again, name)

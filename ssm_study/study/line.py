@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from ssm_study.engine.plan import PlannedStages
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
-from ssm_study.engine.settings import Settings, entry
+from ssm_study.engine.settings import Settings, value_at
 from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.task import Task, folder_of, store_of
 from ssm_study.refusal import require
@@ -33,7 +33,7 @@ LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jo
 
 
 class Study(Task["Specification"]):
-    """The line of stages from data to closed loop, for one configuration."""
+    """Task of the engine that takes one configuration from data to closed loop."""
 
     libraries = (
         "torch",
@@ -65,7 +65,8 @@ class Study(Task["Specification"]):
         return files_of(settings)
 
     def check(self, settings: Settings) -> "Specification":
-        """Build the request; raises `BadRequest` for whatever can be known beforehand.
+        """Build the request; raises `BadRequest` for every mistake that can be seen before work
+        begins.
 
         Recorded data are read for it.
         """
@@ -143,7 +144,8 @@ class Study(Task["Specification"]):
         *,
         with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
-        """Controller and observer that these records lead to, and the loop that they close."""
+        """Take the stages that design controller and observer from these records and close the loop
+        with them."""
         from ssm_study.study.stages.evidence import EVIDENCE
         from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
@@ -180,7 +182,8 @@ class Study(Task["Specification"]):
     def identified(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
-        """Data, trained model, and the model with its free runs, in the coordinates that go on."""
+        """Take the stages from data to the model with its free runs, in the coordinates used
+        afterwards."""
         from ssm_study.study.stages.bounds import BOUNDS
         from ssm_study.study.stages.dataset import DATASET
         from ssm_study.study.stages.free_run import SCORE
@@ -207,7 +210,7 @@ class Study(Task["Specification"]):
         return facts | {"status": INFEASIBLE if is_infeasible else OK}
 
     def parameters(self, request: "Specification") -> Facts:
-        """Settings that a study is read by: numbers of the configuration, and the kinds of parts.
+        """Parameters of a run as columns: numbers of the configuration, and the kinds of its parts.
 
         A number stands where the configuration has it (`Column.setting`).
         """
@@ -216,7 +219,7 @@ class Study(Task["Specification"]):
 
         configuration = request.configuration
         model = configuration["model"]
-        values = {column.name: entry(configuration, column.setting) for column in SETTINGS}
+        values = {column.name: value_at(configuration, column.setting) for column in SETTINGS}
         numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
         model_kind = model.get("cell")  # gru and lstm share a class
         return numbers | {
@@ -262,7 +265,8 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for settings that have none declared: `plant__step_s` for `plant.step_s`.
+    """Columns for numbers of the configuration that have no declared column: `plant__step_s` for
+    `plant.step_s`.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
@@ -272,7 +276,7 @@ def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
     paths -= {column.setting for column in SETTINGS}
     facts: Facts = {}
     for path in sorted(path for path in paths if "." in path):
-        value = entry(configuration, path)
+        value = value_at(configuration, path)
         if not is_number_or_none(value):
             value = kind_of(value) or str(value)
         facts[path.replace(".", "__")] = value
@@ -285,7 +289,7 @@ def is_number_or_none(value: Any) -> bool:
 
 
 def chosen_rates(values: Mapping[str, Any]) -> str:
-    """Sides whose rate is chosen by `auto`, in words."""
+    """Names of the sides whose rate is chosen by `auto`, as text."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]

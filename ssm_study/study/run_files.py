@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
-from ssm_study.engine.settings import stored_yaml
+from ssm_study.engine.settings import read_stored_yaml
 from ssm_study.evidence.metrics import Judgement, judge
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
@@ -47,11 +47,11 @@ class RunFiles:
 
     @cached_property
     def config(self) -> DictConfig:
-        """The resolved configuration that the run was made from."""
+        """Resolved configuration from which the run was made."""
         there = (self.path / CONFIGURATION).is_file()
         remedy = "give a run folder that the study made"
         require(there, "run", self.path, f"has no {CONFIGURATION}", remedy)
-        config = OmegaConf.create(stored_yaml(self.path / CONFIGURATION))
+        config = OmegaConf.create(read_stored_yaml(self.path / CONFIGURATION))
         is_mapping = isinstance(config, DictConfig)
         remedy = "run the study again"
         require(is_mapping, CONFIGURATION, "a list", "is no configuration", remedy)
@@ -60,7 +60,8 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Refuses targets that are not allowed before anything is built; old names are read."""
+        """Parts of the run, built from its configuration; targets that are not allowed are refused
+        first, and old names are read."""
         config = self.config.copy()
         bring_up_to_date(config)
         refuse_foreign_targets(config)
@@ -68,8 +69,8 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Simulated or read anew: paths are relative to where the run was made, or to where the
-        command is given."""
+        """Data set of the run, simulated or read again; relative paths start where the run was
+        made, or in the present folder."""
         try:
             with chdir(self.made_in):
                 return self._data()
@@ -78,13 +79,15 @@ class RunFiles:
 
     @property
     def made_in(self) -> Path:
-        """The folder that `results_dir` of the configuration is relative to; the present one if it
-        lies elsewhere."""
+        """Folder to which `results_dir` of the configuration is relative; the present one if the
+        run lies elsewhere."""
         below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
+        """Data set of the run, simulated or read again, with the trials it was refined with;
+        refuses a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
         problem = "is a device, which is not run again"
@@ -99,21 +102,22 @@ class RunFiles:
 
     @cached_property
     def simulated(self) -> ModelRun:
-        """The stored model beside its free runs, each read when first asked for."""
+        """Stored model with its free runs, each read when first asked for."""
         return ModelRun(self.path)
 
     @property
     def model(self) -> Any:
+        """The stored model."""
         return self.simulated.model
 
     @cached_property
     def trials(self) -> Trajectories:
-        """The records for the mismatch alone, where the run has such."""
+        """Records used only for the mismatch, where the run has any."""
         return read_trials(self.path)
 
     @cached_property
     def judgement(self) -> Judgement:
-        """The judgement of the plant that data and model allow."""
+        """Judgement of the plant derived again from data and model."""
         data = self.data
         runs = self.simulated
         mismatch = measure_mismatch(
@@ -122,7 +126,7 @@ class RunFiles:
         return judge(data, self.model, runs.validation, runs.test, mismatch)
 
     def stored(self, name: str) -> dict[str, Any]:
-        """The object in a file of the run, each of its keys said once."""
+        """Object in a JSON file of the run; refuses one that repeats a key."""
         as_object = partial(said_once, name)
         content = json.loads(contents(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
@@ -132,34 +136,37 @@ class RunFiles:
 
     @cached_property
     def certificate(self) -> dict[str, Any]:
+        """The stored certificate, as JSON."""
         return self.stored("certificate.json")
 
     @cached_property
     def design(self) -> Design:
+        """The stored design."""
         return Design.from_json(self.certificate)
 
     @cached_property
     def inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs that the training records applied, as `excitation.mcap` has them."""
+        """Inputs applied in the training records, as `excitation.mcap` stores them."""
         recording = RecordedCases.of(self.path / "excitation.mcap")
         return [signal.values for signal in recording.signals("input")]
 
     @cached_property
     def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
-        """The measured disturbances of the training records, as `excitation.mcap` has them; none
+        """Measured disturbances of the training records, as `excitation.mcap` stores them; none
         where there are none."""
         cases = RecordedCases.of(self.path / "excitation.mcap").cases.values()
         return [case["disturbance"].values for case in cases if "disturbance" in case]
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
-        """`DataSet.applied`, from the files of the run."""
+        """Excitation that was applied in the training records (`DataSet.applied`), from the files
+        of the run."""
         return self.model.scale.with_rest(self.inputs)
 
     @property
     def excitation(self) -> dict[str, float]:
-        """Settings of a next record (`OwnPlantRecord`), taken from this one: its inputs with rest,
-        its model's response, s."""
+        """Settings for exciting the plant again (`OwnPlantRecord`), derived from this run: its
+        inputs with their rest, and its model's response time in seconds."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
@@ -176,7 +183,8 @@ class RunFiles:
 
     @property
     def loop(self) -> Loop:
-        """Closed-loop experiment of the run; without a plant within the limits of the log."""
+        """Closed-loop experiment of the run; without a plant its limits are the input range of the
+        log."""
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts:
             return loop
@@ -184,24 +192,24 @@ class RunFiles:
 
     @property
     def plant(self) -> Plant:
-        """The plant, or identified model, that the loop was closed on."""
+        """Plant, or identified model, on which the loop was closed."""
         return self.specification.plant or IdentifiedPlant.of(self.model)
 
     @property
     def claims_certificate(self) -> bool:
+        """Whether the run's kind of model can be certified, so that the run has a design."""
         return self.specification.model.gives_ssm
 
     @property
     def closes_loop(self) -> bool:
-        """Whether there are controller and observer, certified or not, and something to close
-        on."""
+        """Whether the run has a controller, an observer and something to close the loop on."""
         if not self.claims_certificate or not self.design.feasible:
             return False
         return self.specification.plant is not None or not answers_at_once(self.model)
 
 
 def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Object of a JSON file whose keys stand once each.
+    """Object from the pairs of a JSON file, in which every key must occur once.
 
     Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
     last.
@@ -213,7 +221,7 @@ def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Entries of a stored object that its reader does not write, by their dotted paths.
+    """Dotted paths of entries in a stored object that its reader does not write.
 
     Nobody checks them.
     """

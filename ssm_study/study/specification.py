@@ -1,5 +1,5 @@
-"""Frozen parts of one run, made from a composed configuration; whatever is wrong is refused here,
-before any work."""
+"""Frozen parts of one run, built from a composed configuration; every mistake in it is refused
+here, before any work."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from ssm_study.construction import LARGEST_NUMBER, construct_part
 from ssm_study.data.simulated import SimulatedData
 from ssm_study.durable import sha256_of_file
-from ssm_study.engine.settings import Settings, nodes, plain
+from ssm_study.engine.settings import Settings, plain_settings, walk_nodes
 from ssm_study.refusal import require
 from ssm_study.study.allow_list import PARTS
 
@@ -34,7 +34,7 @@ NONE: Mapping[str, Any] = MappingProxyType({})
 
 @dataclass(frozen=True, kw_only=True)
 class Specification:
-    """Everything that one run depends on.
+    """All parts and settings on which one run depends.
 
     `plant` is None when the data are recorded: the loop then runs on the model.
     """
@@ -55,10 +55,10 @@ class Specification:
 
     @classmethod
     def from_config(cls, config: DictConfig | Settings) -> "Specification":
-        """Build and check every part; raises `BadRequest` for the first that cannot be."""
-        settings = plain(config)
+        """Build and check every part of a run; raises `BadRequest` for the first that is wrong."""
+        settings = plain_settings(config)
         # OmegaConf's own search resolves every name, which takes 15 ms a run.
-        missing = next((path for path, _, value in nodes(settings) if value == "???"), "")
+        missing = next((path for path, _, value in walk_nodes(settings) if value == "???"), "")
         require(not missing, missing, "???", "is missing", "give it a value on the command line")
         for name in ("seed", "loop_seed"):
             value = settings[name]
@@ -84,7 +84,7 @@ class Specification:
         return specification
 
     def refuse_feedthrough(self) -> None:
-        """Raise `BadRequest` for a model with feedthrough, which no loop on a plant can use.
+        """Raise `BadRequest` for a model with direct feedthrough, which no loop on a plant can use.
 
         This is said before the model is trained. Without a plant it is scored and certified, and no
         loop is closed.
@@ -109,7 +109,8 @@ class Specification:
             internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
-        """Raise `BadRequest` for more states than there are, and for more than memory holds."""
+        """Raise `BadRequest` for a reduction to more states than the model has, and for data beyond
+        the memory."""
         order = self.configuration["model"].get("order")
         states = self.reduction.truncate_to
         fits = states is None or not isinstance(order, int) or states <= order
@@ -160,7 +161,8 @@ class Specification:
     def select(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of a stage, made together so that key and argument cannot differ.
+        """Settings and arguments of a stage, built together so that the stage's key and its
+        arguments cannot differ.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
@@ -173,16 +175,19 @@ class Specification:
         return Settings({**settings, **checksums, **computed}), arguments
 
     def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the run's records: without `data.fresh_sets`, which changes
-        none of them."""
+        """Settings and arguments of the stage of the records, without `data.fresh_sets`, which
+        changes none of them."""
         plant = ("plant", "excitation") if self.plant else ()
         return self._select_with_data("seed", *plant)
 
     def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the sines that try a design on the simulated plant."""
+        """Settings and arguments of the stage that tests a design with single sines on the
+        simulated plant."""
         return self._select_with_data("seed", "plant")
 
     def _select_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Settings and arguments of a stage that also uses the data source, without the count of
+        fresh data sets."""
         settings, arguments = self.select("data", *names)
         if isinstance(self.data, SimulatedData):
             own = {name: value for name, value in settings["data"].items() if name != "fresh_sets"}
@@ -192,7 +197,7 @@ class Specification:
 
     @property
     def has_sine_trials(self) -> bool:
-        """Whether a chosen design is tried by single sines: on a simulated plant with trials."""
+        """Whether a chosen design is tested with single sines: on a simulated plant with trials."""
         simulated = isinstance(self.data, SimulatedData) and self.data.trials
         return simulated and self.plant is not None and not self.plant.real
 
@@ -204,14 +209,14 @@ class Specification:
 
 
 def files_of(settings: Mapping[str, Any]) -> list[Path]:
-    """Files that the settings name: their content is part of what results depend on.
+    """Files that the settings name; results depend on their content.
 
     Raises `BadRequest` for data that cannot be described.
     """
     data = settings.get("data", {})
     is_recorded = data and not str(data.get("_target_", "")).endswith(".SimulatedData")
     files = set(construct_part("data", data).files() if is_recorded else ())
-    for _, key, value in nodes(settings):
+    for _, key, value in walk_nodes(settings):
         is_list = isinstance(value, list)
         if key != "path" and not (key == "refine" and is_list):
             continue

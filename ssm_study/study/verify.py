@@ -1,4 +1,5 @@
-"""`verify`: derive every claim of a run again from its files, and judge every column of its record.
+"""The command `verify`: derive every claim of a run again from its files, and judge every column of
+its record.
 
 A column of the record is derived and compared, or listed as not checked with its reason; one that
 nothing gives is a claim that does not hold. What is derived from what: `study.claims`.
@@ -12,7 +13,15 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.columns import ADDED, ADDED_COLUMNS, Column
-from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, OK, RECORD, read_record, storable
+from ssm_study.engine.records import (
+    CORRUPT,
+    FAILED,
+    INFEASIBLE,
+    OK,
+    RECORD,
+    read_record,
+    storable_value,
+)
 from ssm_study.refusal import printable, require
 from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
@@ -26,23 +35,26 @@ UNGIVEN = "nothing in the run's files gives it"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """The verdict on every claim; iterating gives the findings."""
+    """Verdict on every claim of a run; iterating gives the findings."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
 
     def __iter__(self) -> Iterator[Checked]:
+        """Iterate over the findings."""
         return iter(self.findings)
 
     def __len__(self) -> int:
+        """Number of findings."""
         return len(self.findings)
 
     @property
     def holds(self) -> bool:
+        """Whether no claim fails."""
         return all(finding.holds for finding in self.findings)
 
     def demand(self, field: str, value: Any) -> None:
-        """Raise `BadRequest` that names the claims which do not hold."""
+        """Raise `BadRequest` that names the claims that do not hold, if there are any."""
         wrong = [finding for finding in self.findings if not finding.holds]
         causes = "; ".join(finding_lines(wrong))[:300]
         problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {causes}"
@@ -50,7 +62,7 @@ class Verification:
         require(not wrong, field, value, problem, remedy)
 
     def summary(self) -> str:
-        """`54 of 54 claims hold; 3 not checked: ...`."""
+        """Verdict in one line: `54 of 54 claims hold; 3 not checked: ...`."""
         counts = Counter(self.unchecked.values()).most_common()
         reasons = ", ".join(f"{reason} ({count})" for reason, count in counts)
         holding = sum(finding.holds for finding in self.findings)
@@ -60,7 +72,7 @@ class Verification:
         return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
     def lines(self) -> list[str]:
-        """One line per claim, one per cause of a failure, one per reason for not checking.
+        """Text lines: one per claim, one per cause of a failure, one per reason for not checking.
 
         The summary comes last.
         """
@@ -73,7 +85,7 @@ class Verification:
         return [*finding_lines(self.findings), *skipped, self.summary()]
 
     def to_json(self) -> str:
-        """The verdict as a JSON object: `holds`, `claims`, `not_checked`."""
+        """Verdict as a JSON object: `holds`, `claims`, `not_checked`."""
         verdict = {
             "holds": self.holds,
             "claims": [asdict(finding) for finding in self.findings],
@@ -83,7 +95,7 @@ class Verification:
 
 
 def finding_lines(findings: Sequence[Checked]) -> list[str]:
-    """One line per claim that holds, and one per cause for those that do not."""
+    """Text lines: one per claim that holds, and one per cause for those that do not."""
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
@@ -100,12 +112,12 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _cause(finding: Checked) -> str:
-    """Text of a finding, without the stored value where nothing gives the column."""
+    """Text of a finding; the stored value is left out where nothing derives the column."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 
 def verify(run: Path) -> Verification:
-    """Every claim of the run, derived again.
+    """Derive every claim of a run again and return the verdict.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -125,7 +137,7 @@ def verify(run: Path) -> Verification:
 
 
 def verify_files(run: RunFiles) -> Verification:
-    """Every claim of a run that is finished."""
+    """Derive every claim of a finished run again from its opened files."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     unchecked: dict[str, str] = {}
@@ -147,8 +159,8 @@ def verify_files(run: RunFiles) -> Verification:
 
 
 def _results(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """Results of all sections; whatever a damaged file makes a reader raise is a claim that does
-    not hold."""
+    """Findings of all sections; an error that a damaged file causes becomes a claim that does not
+    hold."""
     for section in (form, *_sections(run)):
         try:
             yield from section(run)
@@ -158,8 +170,8 @@ def _results(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
 
 
 def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
-    """Sections for such a run; all of them where its configuration cannot be read: the section that
-    needs it says so."""
+    """Sections that apply to the run; all of them where its configuration cannot be read, so that
+    the section which needs it reports that."""
     try:
         return SECTIONS if run.claims_certificate else OF_A_BASELINE
     except Exception as error:
@@ -171,8 +183,8 @@ def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
 def judge(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """The finding on a column of the record, or why it is not checked; empty where the record
-    claims nothing."""
+    """Finding on one column of the record, or why it is not checked; empty where the record claims
+    nothing."""
     column = declared(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
@@ -191,9 +203,11 @@ def judge(
 
 
 def compared(name: str, stored: Any, value: Any) -> Checked:
-    """The stored column beside the derived one."""
+    """Finding on whether a stored column equals the derived one."""
     column = declared(name) or Column(name, "Float64")
-    value = storable(name, value)  # as a record holds it: an infinite margin is the text `inf`
+    value = storable_value(
+        name, value
+    )  # as a record holds it: an infinite margin is the text `inf`
     if _agrees(stored, value, column):
         return Checked(claim=name, holds=True, found=f"{value}")
     found = f"derived {value}, stored {_short(stored)}"
@@ -201,7 +215,8 @@ def compared(name: str, stored: Any, value: Any) -> Checked:
 
 
 def _agrees(stored: Any, value: Any, column: Column) -> bool:
-    """Equal, or finite numbers as near as two machines' roundings."""
+    """Whether two values are equal, or finite numbers that differ by no more than rounding on two
+    machines."""
     if isinstance(value, float) and type(stored) in (int, float):
         largest_error = column.tolerance * abs(value) + column.resolution
         try:
@@ -212,5 +227,6 @@ def _agrees(stored: Any, value: Any, column: Column) -> bool:
 
 
 def _short(value: Any) -> str:
+    """Value as a short text."""
     text = printable(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

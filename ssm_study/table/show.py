@@ -10,7 +10,7 @@ import pandas as pd
 from rich.console import Console
 from rich.text import Text
 
-from ssm_study.engine.plan import duration
+from ssm_study.engine.plan import format_duration
 from ssm_study.refusal import printable
 from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings, text
 from ssm_study.table.filters import where as filtered
@@ -141,9 +141,11 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
     for name, runs, distinct, spent_s, saved_s in costs.itertuples(name=None):
         counts = f"{name:<14}{runs:>7}{distinct:>10}{runs - distinct:>8}"
         each_s = spent_s / max(distinct, 1)
-        lines.append(f"{counts}{each_s:>8.2f} s{duration(spent_s):>10}{duration(saved_s):>10}")
-    spent = duration(fsum(costs["spent_s"]))
-    saved = duration(fsum(costs["saved_s"]))
+        lines.append(
+            f"{counts}{each_s:>8.2f} s{format_duration(spent_s):>10}{format_duration(saved_s):>10}"
+        )
+    spent = format_duration(fsum(costs["spent_s"]))
+    saved = format_duration(fsum(costs["saved_s"]))
     return [*lines, f"{'together':<14}{'':>35}{spent:>10}{saved:>10}"]
 
 

@@ -29,7 +29,7 @@ TARGETS = {
 @pytest.fixture(autouse=True, scope="module")
 def _each_text_is_scanned_once() -> Iterator[None]:
     """The same file is read a score of times, before and after each edit."""
-    scan = code._scan
+    scan = code._scan_source
     known = dict[tuple[bytes, str, bool], code.Module]()
 
     def scanned(path: Path, module: str) -> code.Module:
@@ -39,7 +39,7 @@ def _each_text_is_scanned_once() -> Iterator[None]:
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(code, "_scan", scanned)
+        patch.setattr(code, "_scan_source", scanned)
         yield
 
 
@@ -139,10 +139,10 @@ def test_what_a_cache_knows_of_a_file_ends_with_its_content(
     """And is not read twice while that stays the same."""
     file = tmp_path / "one.py"
     scans = list[Path]()
-    scan = code._scan
+    scan = code._scan_source
     monkeypatch.setattr(code, "CACHE", tmp_path / "cache")
     monkeypatch.setattr(
-        code, "_scan", lambda path, module: scans.append(path) or scan(path, module)
+        code, "_scan_source", lambda path, module: scans.append(path) or scan(path, module)
     )
 
     def read() -> set[str]:

@@ -284,8 +284,8 @@ def test_shared_compositions_are_hydras_own() -> None:
     from hydra.types import RunMode
     from omegaconf import OmegaConf, open_dict
 
-    from ssm_study.engine.compose import Composer, adopt
-    from ssm_study.engine.settings import plain
+    from ssm_study.engine.compose import Composer, set_hydra_config
+    from ssm_study.engine.settings import plain_settings
 
     jobs = [
         ["seed=3"],
@@ -306,12 +306,15 @@ def test_shared_compositions_are_hydras_own() -> None:
         for overrides in jobs * 2:
             settings = composer.settings(overrides, 0)
             theirs = loader.load_sweep_config(sweep_config, overrides)
-            adopt(theirs)
+            set_hydra_config(theirs)
             with open_dict(theirs):
                 theirs.hydra.job.id = theirs.hydra.job.num = 0
             ours = OmegaConf.to_container(composer.compose(overrides, 0), resolve=False)
             assert ours == OmegaConf.to_container(theirs, resolve=False)
-            assert (list(settings), settings) == (list(plain(theirs)), plain(theirs))
+            assert (list(settings), settings) == (
+                list(plain_settings(theirs)),
+                plain_settings(theirs),
+            )
         assert len(composer.composed) == len(jobs) - 1, (
             "jobs of the same choices and names share one"
         )

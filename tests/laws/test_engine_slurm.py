@@ -22,7 +22,7 @@ submitit = pytest.importorskip("submitit", reason="the extra `slurm` is not inst
 
 from hydra_plugins.ssm_study_slurm import SlurmLauncher  # noqa: E402
 from ssm_study.engine.settings import Settings  # noqa: E402
-from ssm_study.engine.slurm import executor, settled  # noqa: E402
+from ssm_study.engine.slurm import submitit_executor, wait_for_outcome  # noqa: E402
 
 
 def begun(folder: Path, how: str) -> JobReturn:
@@ -79,7 +79,7 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     for how, running in jobs.items():
         job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
         # Submitit's local scheduler has no accounts to ask.
-        outcome = settled(job, running, patience_s=600.0)
+        outcome = wait_for_outcome(job, running, patience_s=600.0)
         assert outcome.status == ("ok" if how == "returns" else "failed")
     rows = gather(tmp_path / "study").set_index("run")
     assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
@@ -103,7 +103,10 @@ def test_what_a_job_raises_on_its_node_is_a_failed_run(
     local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
     local.update_parameters(timeout_min=10)
     job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
-    assert settled(job, local.submit(refusing, job.folder), patience_s=600.0).status == "failed"
+    assert (
+        wait_for_outcome(job, local.submit(refusing, job.folder), patience_s=600.0).status
+        == "failed"
+    )
     record = read_record(job.folder)
     assert record is not None
     assert (record["error_type"], record["failure_transient"]) == ("ValueError", False)
@@ -153,7 +156,7 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
         time.sleep(0.05)
     job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
     os.kill((read_record(job.folder) or {})["pid"], signal.SIGUSR2)
-    assert settled(job, running, patience_s=600.0).status == "ok"
+    assert wait_for_outcome(job, running, patience_s=600.0).status == "ok"
     record = read_record(job.folder)
     assert record is not None
     assert (record["status"], record["attempt"], record["stage_counted_reused"]) == ("ok", 2, True)
@@ -184,7 +187,7 @@ def test_a_job_that_slurm_has_forgotten_is_a_row(
     (tmp_path / "sacct").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
     job = Job(overrides=["seed=3"], settings=Settings(), folder=tmp_path / "study" / "never")
-    settled(job, Unheard(), patience_s=0.0)
+    wait_for_outcome(job, Unheard(), patience_s=0.0)
     record = read_record(job.folder)
     assert record is not None
     assert (record["status"], record["error_type"], record["failure_transient"]) == (
@@ -206,7 +209,9 @@ def test_the_settings_go_where_submitit_wants_them(
         "cpus_per_task": 2,
         "partition": "debug",
     }
-    made = executor(params | {"array_parallelism": 3, "timeout_min": 9, "setup": ["export A=1"]})
+    made = submitit_executor(
+        params | {"array_parallelism": 3, "timeout_min": 9, "setup": ["export A=1"]}
+    )
     assert made._executor.parameters == {
         "cpus_per_task": 2,
         "partition": "debug",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ssm_study.durable import is_locked
 from ssm_study.engine import plan as planning
-from ssm_study.engine.plan import PlannedStages, plan
+from ssm_study.engine.plan import PlannedStages, plan_lines
 from ssm_study.engine.settings import canonical_json, digest
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, Store, intact_manifest
@@ -293,7 +293,9 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
         """Rows of the plan by stage: needed, there, to compute, seconds of each."""
         return [
             said.split()
-            for said in plan(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[3:6]
+            for said in plan_lines(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[
+                3:6
+            ]
         ]
 
     rows = ["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]
@@ -317,15 +319,15 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
     bound."""
     store = Store(tmp_path)
     known = {"model": 14.0}
-    monkeypatch.setattr(planning, "each", lambda _, stage: known.get(stage))
+    monkeypatch.setattr(planning, "mean_stage_seconds", lambda _, stage: known.get(stage))
 
     def walk(name: str, number: int) -> object:
         return lambda stages: stages.keyed(name, digest([name, number]), {}, write_content)
 
     walks = [walk("model", k) for k in range(3)]
-    assert plan(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
+    assert plan_lines(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
     assert (
-        plan(store, [*walks, walk("data", 0)], 3, 0, 2)[-1]
+        plan_lines(store, [*walks, walk("data", 0)], 3, 0, 2)[-1]
         == "estimated time: at least 21 s with 2 at a time"
     )
     for seconds, said in (
@@ -335,7 +337,10 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
         (4000.0, "1.7 h"),
     ):
         known["model"] = seconds
-        assert plan(store, walks, 3, 0, 2)[-1] == f"estimated time: about {said} with 2 at a time"
+        assert (
+            plan_lines(store, walks, 3, 0, 2)[-1]
+            == f"estimated time: about {said} with 2 at a time"
+        )
 
 
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])

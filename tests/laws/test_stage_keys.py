@@ -43,7 +43,7 @@ COLUMNS = " columns"
 @pytest.fixture(autouse=True, scope="module")
 def _each_text_is_scanned_once() -> Iterator[None]:
     """The same file is read a score of times, before and after each edit."""
-    scan = fingerprint._scan
+    scan = fingerprint._scan_source
     scanned: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
 
     def scan_once(path: Path, module: str) -> fingerprint.Module:
@@ -53,7 +53,7 @@ def _each_text_is_scanned_once() -> Iterator[None]:
         return scanned[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fingerprint, "_scan", scan_once)
+        patch.setattr(fingerprint, "_scan_source", scan_once)
         yield
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_tree
 from ssm_study.cli.from_python import composed
-from ssm_study.engine.settings import plain
+from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -30,7 +30,7 @@ def test_the_folder_is_ours() -> None:
 
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
 def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
-    theirs = plain(composed([f"{group}={choice}", "study=any"]))[group]
+    theirs = plain_settings(composed([f"{group}={choice}", "study=any"]))[group]
     assert load_tree(group, choice) == dict(theirs)
 
 
@@ -40,10 +40,10 @@ def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
         "model": "ssm", "training": "default", "synthesis": "auto", "loop": "regulation",
     }  # fmt: skip
     parts = Parts(defaults, words)
-    theirs = plain(composed([*words, "study=any"]))
+    theirs = plain_settings(composed([*words, "study=any"]))
     for name, tree in parts.trees.items():
         assert tree == dict(theirs[name])
-    again = plain(composed([*parts.words_for_command(), "study=any"]))
+    again = plain_settings(composed([*parts.words_for_command(), "study=any"]))
     for name in parts.trees:
         assert again[name] == theirs[name]
 

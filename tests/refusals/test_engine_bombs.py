@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml  # type: ignore[import-untyped]
 
-from ssm_study.engine.settings import stored_yaml, yaml_text
+from ssm_study.engine.settings import read_stored_yaml, yaml_text
 from ssm_study.refusal import BadRequest
 from ssm_study.study.findings import Checked
 from ssm_study.study.verify import UNGIVEN, finding_lines
@@ -37,7 +37,7 @@ def test_a_stored_configuration_that_stands_for_more_than_itself_is_refused(
     file = tmp_path / "config.yaml"
     file.write_text(text)
     with pytest.raises(BadRequest, match=r"config\.yaml"):
-        stored_yaml(file)
+        read_stored_yaml(file)
 
 
 def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(tmp_path: Path) -> None:
@@ -45,9 +45,9 @@ def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(tmp_
     file = tmp_path / "config.yaml"
     file.write_text(yaml_text({"model": shared, "again": shared, "few": [1.0e-5, "1e5"]}))
     assert "&" not in file.read_text()
-    assert yaml.safe_load(stored_yaml(file))["again"] == shared
+    assert yaml.safe_load(read_stored_yaml(file))["again"] == shared
     file.write_text("few: &few [1, 2]\nagain: *few\n")  # the control: a few aliases are no bomb
-    assert yaml.safe_load(stored_yaml(file))["again"] == [1, 2]
+    assert yaml.safe_load(read_stored_yaml(file))["again"] == [1, 2]
 
 
 def test_reproduce_answers_at_once(tmp_path: Path) -> None:
