@@ -1,5 +1,5 @@
-"""The line from data to record, and what is checked of its runs afterwards; called, it is
-`cli.from_python.study`."""
+"""Stages of a study from data to record, and the checks of finished runs; called as a function, the
+module is `cli.from_python.study`."""
 
 import sys
 from importlib import import_module
@@ -8,10 +8,11 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """`import ssm_study as st; st.study(...)` must work although the room that does it has the same
-    name."""
+    """Module that can be called as a function: `import ssm_study as st; st.study(...)` works
+    although a room has the same name."""
 
     def __call__(self, *overrides: str) -> Any:
+        """Run a study with these overrides, as `cli.from_python.study` does."""
         return import_module("ssm_study.cli.from_python").study(*overrides)
 
 

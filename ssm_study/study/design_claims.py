@@ -1,5 +1,5 @@
-"""The claims of `certificate.json`, decided again in exact arithmetic, and the columns that
-follow."""
+"""Checks of the claims in `certificate.json`, decided again in exact arithmetic, and of the columns
+that follow from them."""
 
 import re
 from collections.abc import Iterator
@@ -39,8 +39,8 @@ from ssm_study.systems import Balls, System
 
 
 def certificate(run: RunFiles) -> Claims:
-    """Both theorems in exact rational arithmetic on the stored matrices, and the columns that
-    follow from them."""
+    """Check both theorems in exact rational arithmetic on the stored matrices, and derive the
+    columns that follow from them."""
     design = run.design
     balls = certified_balls(run.model)
     sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
@@ -68,8 +68,8 @@ def certificate(run: RunFiles) -> Claims:
 def verdict_on_part(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Whether one part of the file is what exact arithmetic finds, by the method that was
-    requested."""
+    """Check that exact arithmetic confirms one part of the certificate, found by the requested
+    method."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += information(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -82,7 +82,7 @@ def verdict_on_part(
 
 
 def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
-    """That the internal model of the state feedback is the one that was requested, if any."""
+    """Claim that the internal model in the state feedback is the requested one, if any."""
     words = getattr(run.specification.synthesis, "modes", ())
     feedback = run.design.state_feedback
     if not words or not isinstance(feedback, StateFeedback):
@@ -95,7 +95,7 @@ def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
 
 
 def limits_claim(run: RunFiles) -> Iterator[Checked]:
-    """That the input limits of the certificates are those of the loop, or of the records."""
+    """Claim that the input limits in the certificates are those of the loop, or of the records."""
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.applied))
     limits = run.model.scale.scaled_input(physical).T
@@ -109,8 +109,8 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
 
 
 def starts_claim(run: RunFiles) -> Iterator[Checked]:
-    """That the stored starts are states at rest at the corners of a box of outputs, and that no
-    limit acts from such states as they are derived here."""
+    """Claim that the stored starts are equilibria at the corners of a box of outputs, from which no
+    input limit becomes active."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
@@ -118,7 +118,7 @@ def starts_claim(run: RunFiles) -> Iterator[Checked]:
 
 
 def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
-    """The claim about one part's starts, beside those derived of the model."""
+    """Claim that one part's stored starts are those derived from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         found = "the outputs at rest do not tell the states of this model"
@@ -133,15 +133,14 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
 
 
 def mismatch_again(run: RunFiles) -> Any:
-    """The mismatch that the run's own recordings show to its design."""
+    """Mismatch measured again from the run's own recordings."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
 def coverage_again(run: RunFiles) -> dict[str, Any]:
-    """The columns of the coverage, from the run's own recordings: what they need is measured
-    again."""
+    """Columns of the coverage, derived again from the run's own recordings."""
     columns = ("coverage", "coverage_reason")
     is_claimed = any(run.record.get(name) is not None for name in columns)
     if not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates:
@@ -159,7 +158,7 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
 
 
 def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
-    """The column of the fresh data sets, which are simulated again."""
+    """Column of the fresh data sets, which are simulated again."""
     specification = run.specification
     if not specification.has_fresh_sets:
         return {}
@@ -171,7 +170,8 @@ def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dic
 
 
 def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
-    """The columns of the single sines, which are simulated again; none for a run of before."""
+    """Columns of the single sines, which are simulated again; none for a run made before they
+    existed."""
     specification = run.specification
     if "sine_margin" not in run.record or not specification.has_sine_trials:
         return {}
@@ -188,7 +188,7 @@ def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, An
 
 
 def requested_system(run: RunFiles) -> System:
-    """The system that the state feedback is certified for, or would be: the model, and the internal
+    """System for which the state feedback is certified, or would be: the model with its internal
     model.
 
     A design without a state feedback states none, so the one that was requested counts.
@@ -204,8 +204,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def information(part: Theorem | Infeasible) -> list[str]:
-    """Errors in the numbers beside the matrices that decide nothing: the margin and the condition
-    number, derived again."""
+    """Relative errors of the stored numbers that decide nothing (margin and condition number),
+    derived again."""
     if isinstance(part, Infeasible):
         return []
     again = margin(next(iter(part.as_floats(**part.variables).values())))

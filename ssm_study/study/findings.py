@@ -1,5 +1,5 @@
-"""Findings of a section of `verify`: a claim that holds or does not, columns derived, claims not
-checked."""
+"""Kinds of findings of `verify`: a claim that holds or does not, columns derived again, claims that
+are not checked."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,26 +11,27 @@ from ssm_study.study.run_files import RunFiles, unknown
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """One claim, whether it holds, and what was found."""
+    """Claim that was checked, with the verdict and what was found."""
 
     claim: str
     holds: bool
     found: str
 
     def __str__(self) -> str:
+        """The verdict, the claim and what was found, in one line."""
         return f"{'holds' if self.holds else 'FAILS'}  {self.claim}: {self.found}"
 
 
 @dataclass(frozen=True)
 class Derived:
-    """Columns as the run's files give them."""
+    """Columns of the record, derived again from the run's files."""
 
     columns: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class NotChecked:
-    """Columns or files by name, each with the reason why it cannot be checked."""
+    """Columns or files that cannot be checked, each with the reason."""
 
     reasons: Mapping[str, str]
 
@@ -41,7 +42,8 @@ Claims = Iterator[Checked | Derived | NotChecked]
 def agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
-    """Whether each stored value is the one made again, to `tolerance` of its largest entry.
+    """Finding on whether each stored value equals the one made again, to `tolerance` of its largest
+    entry.
 
     `source` says in words what gives the value.
     """
@@ -57,7 +59,7 @@ def agreement(
 
 
 def entries(run: RunFiles, file: str, read: Any) -> Checked:
-    """Whether the file says only what its reader reads."""
+    """Finding on whether a file contains only entries that its reader uses."""
     extra = unknown(run.stored(file), read.to_json())
     found = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=found)

@@ -1,4 +1,4 @@
-"""Claims about the form of a run's files, whatever numbers they hold."""
+"""Checks of the form of a run's files, independent of the numbers in them."""
 
 import codecs
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ TYPES: dict[str, tuple[type, ...]] = {
 
 
 def form(run: RunFiles) -> Claims:
-    """Files of the run itself, and a record whose values are of their declared kinds."""
+    """Check the run's own files, and that the values of its record are of their declared kinds."""
     yield from _links(run.path)
     yield from _byte_order_marks(run.path)
     for name in ERRORS:
@@ -51,7 +51,7 @@ def form(run: RunFiles) -> Claims:
 
 
 def has_declared_kind(column: Column, value: Any) -> bool:
-    """Whether a value of a record is of the kind that its column declares, or null."""
+    """Whether a value of a record is null or of the kind that its column declares."""
     if value is None or column.kind is None:
         return True
     if column.kind == "Float64" and value in INFINITIES:
@@ -61,6 +61,7 @@ def has_declared_kind(column: Column, value: Any) -> bool:
 
 
 def _links(folder: Path) -> Iterator[Checked]:
+    """Report every symbolic link in the run folder as a claim that does not hold."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
@@ -68,6 +69,8 @@ def _links(folder: Path) -> Iterator[Checked]:
 
 
 def _byte_order_marks(folder: Path) -> Iterator[Checked]:
+    """Report every text file of the run that begins with a byte order mark as a claim that does not
+    hold."""
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
             continue
@@ -79,7 +82,7 @@ def _byte_order_marks(folder: Path) -> Iterator[Checked]:
 
 
 def _unreduced(run: RunFiles) -> Iterator[Checked]:
-    """Where no state was dropped, the fit before the reduction is the fit."""
+    """Check that, where no state was dropped, the fit before the reduction equals the fit."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
     if not run.claims_certificate or run.model.order != requested or before is None:
@@ -92,7 +95,7 @@ def _unreduced(run: RunFiles) -> Iterator[Checked]:
 
 
 def _reasons(run: RunFiles) -> Claims:
-    """The sentence of a missing certificate decides nothing; it is short and of one line."""
+    """Check that the reason for a missing certificate is one short line; it decides nothing."""
     for label, part in run.design.content.items():
         if not isinstance(part, Infeasible):
             continue
@@ -105,7 +108,7 @@ def _reasons(run: RunFiles) -> Claims:
 
 
 def _bands(run: RunFiles) -> Iterator[Checked]:
-    """The band that counts as settled, in the recordings of the loops on the model, too."""
+    """Check that the settling band in each recording of a loop is that of its plant."""
     twin = IdentifiedPlant.of(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
         path = run.path / name

@@ -32,7 +32,7 @@ TOPICS = {
 def write_rollouts(
     path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]
 ) -> None:
-    """Write the closed loops `run` into a recording, beside the outputs without control.
+    """Write closed loops into a recording, together with the outputs without control.
 
     Topics `/case_<i>/` reference, input, output (true), measured, estimate (scaled), states and
     uncontrolled.
@@ -82,7 +82,8 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
 
 
 def closed_on(plant: Plant | None) -> str:
-    """Word of a recording for what its loop was closed on; without a plant the identified model."""
+    """Text in a recording that says what the loop was closed on: a plant, or the identified
+    model."""
     if plant is None:
         return "identified model"
     return "device" if plant.real else "plant"
@@ -129,7 +130,7 @@ def _read_if_there(path: Path) -> Rollouts | None:
 
 
 def of_rollouts(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """Signals of two sets of closed loops side by side, by name.
+    """Signals of stored closed loops, each with those made again, by name.
 
     Those that left their bound count up to there.
     """

@@ -1,5 +1,5 @@
-"""Preloading of what every job of a sweep needs: imported once by the server its processes are
-forked from.
+"""Imports that every job of a sweep needs, done once by the server from which its processes are
+forked.
 
 The code versions are those of the modules as they are in memory now: a file edited while a sweep
 runs changes neither what its jobs compute nor the keys under which they keep it.
@@ -32,8 +32,8 @@ HEAVY = {
 
 
 def modules_for(again: Set[str]) -> Iterator[str]:
-    """The modules of our rooms that jobs import, without what only stages other than `again`
-    take."""
+    """Modules of this package that jobs import, without those that only stages other than `again`
+    use."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
@@ -43,7 +43,7 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def preload(again: Set[str]) -> None:
-    """Import for all jobs, in the process that they are forked from; `again` as in
+    """Import what all jobs use, in the process from which they are forked; `again` as in
     `Task.preload`."""
     for name in modules_for(again):
         with suppress(

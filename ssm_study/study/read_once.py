@@ -1,4 +1,4 @@
-"""Data sets of logs, read once in a process.
+"""Cache of data sets read from logs, one reading in a process.
 
 A run asks for its log when it is checked, and again when its first stage is computed; to verify it
 in the same process asks once more. A long log takes seconds to read, so the last data sets are

@@ -1,4 +1,5 @@
-"""Labels beside the numbers of a recording: times, names, units and words."""
+"""Labels that accompany the numbers of a recording: names of channels, units, times and
+descriptions."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ Channels = Mapping[str, tuple[Channel, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class Labels:
-    """Labels that a recording of a run should have: channels by signal, and words."""
+    """Labels that a recording of a run should have: channels by signal, and texts."""
 
     file: str
     channels: Channels
@@ -49,7 +50,7 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
 
 
 def record_labels(data: DataSet) -> list[Labels]:
-    """Labels of the recordings of the data set, and of the simulations beside them."""
+    """Labels of the recordings of the data set and of the simulations."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances
@@ -73,7 +74,8 @@ def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
 
 
 def loop_channels(plant: Plant) -> Channels:
-    """Channels of a loop's signals; those of the estimate are numbered and stand nowhere."""
+    """Channels of a loop's signals; those of the state estimate are numbered, since the model names
+    no states."""
     channels = {"input": plant.inputs, "states": plant.states}
     for signal in ("reference", "output", "measured", "uncontrolled"):
         channels[signal] = plant.outputs
@@ -81,7 +83,7 @@ def loop_channels(plant: Plant) -> Channels:
 
 
 def mislabelled(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
-    """Each recording with those of its labels that the run's data and plants contradict."""
+    """Recordings with labels that the run's data and plants contradict."""
     for labels in expected_labels(run, data):
         recording = RecordedCases.of(run.path / labels.file)
         about = recording.about

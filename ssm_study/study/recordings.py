@@ -1,5 +1,4 @@
-"""Recordings of a run folder, written and read back: simulations beside measured outputs,
-trials."""
+"""Recordings in a run folder, written and read: simulations with measured outputs, and trials."""
 
 import json
 import re
@@ -61,6 +60,7 @@ class RecordedCases:
         return [case[name] for case in self.cases.values()]
 
     def __getitem__(self, name: str) -> Float[np.ndarray, "N T c"]:
+        """One signal of all cases as an array; the cases must have the same length."""
         return np.stack([signal.values for signal in self.signals(name)])
 
     def time_s(self, name: str) -> Float[np.ndarray, "T"]:
@@ -73,11 +73,12 @@ class RecordedCases:
         return float(times[1] - times[0])
 
     def label(self, name: str) -> str:
-        """First channel with its unit: `load_speed`, `rad/s` -> `Load speed (rad/s)`."""
+        """Label of a signal's first channel with its unit: `load_speed`, `rad/s` -> `Load speed
+        (rad/s)`."""
         return self.labels(name)[0]
 
     def labels(self, name: str) -> list[str]:
-        """Every channel with its unit."""
+        """Labels of all channels of a signal, with units."""
         labels = []
         for channel in self.signals(name)[0].channels:
             words = channel.name.replace("_", " ").capitalize()
@@ -85,7 +86,7 @@ class RecordedCases:
         return labels
 
     def unit(self, name: str) -> str:
-        """Unit of the first channel."""
+        """Unit of a signal's first channel."""
         return self.signals(name)[0].channels[0].unit
 
     @property
@@ -95,7 +96,7 @@ class RecordedCases:
 
     @property
     def rest_s(self) -> float:
-        """Time a little after the last response of a closed loop has come to rest in the band.
+        """Time shortly after the last response of a closed loop has settled in the band.
 
         The whole horizon where one does not.
         """
@@ -129,7 +130,8 @@ def _case_number(prefix: str) -> int:
 
 
 def groups(prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals) -> list[SignalGroup]:
-    """Signals sampled together, each under a topic of its own."""
+    """Groups of signals with the same times, each under a topic of its own, as the writer of
+    recordings takes them."""
     made = []
     for name, (channels, values) in signals.items():
         topic = f"{prefix}/{name}"
@@ -166,8 +168,7 @@ def write_records(
 
 
 def read_trials(folder: Path) -> Trajectories:
-    """Records that serve the mismatch alone, open loop first; none where the run has no such
-    file."""
+    """Records used only for the mismatch, open loop first; none where the run has no such file."""
     records: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
         if path.is_file():
@@ -178,7 +179,7 @@ def read_trials(folder: Path) -> Trajectories:
 
 
 def read_simulation(path: Path) -> Simulation:
-    """Read a model's free runs and the records beside them.
+    """Read a model's free runs and the measured records.
 
     Raises `BadRequest` if the file lacks a topic.
     """
@@ -200,7 +201,7 @@ def states_to_text(states: Sequence[Any]) -> str:
 
 
 def states_from_text(text: str, records: int) -> tuple[Any, ...]:
-    """Start states of so many records; none where the file has none.
+    """Start states of the given number of records from JSON; None for each where the text is empty.
 
     Raises `BadRequest` for what is no list of them.
     """
@@ -218,7 +219,7 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
 
 
 def of_records(stored: Trajectories, made: Trajectories) -> Pairs:
-    """Signals of two sets of records, and their sampling times, side by side."""
+    """Signals and sampling times of stored records, each with those made again."""
     pairs: Pairs = {"records": (len(stored), len(made))}
     for i, (before, now) in enumerate(zip(stored, made, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):

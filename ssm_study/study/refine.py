@@ -1,5 +1,5 @@
-"""Refinement of a run: measure the mismatch again in the loop itself and choose again, until the
-proof covers what the records and the loop show, or the loop comes to rest.
+"""Refinement of a run: close the loop as a trial, measure the mismatch from it, and design again,
+until the proof covers records and trial or the loop comes to rest.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).
@@ -32,14 +32,15 @@ TIMES = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One iteration, or the end: a sentence, and the configuration of the run if it is new."""
+    """One iteration of the refinement, or its end: a sentence, and the configuration of the run if
+    it is a new one."""
 
     said: str
     config: DictConfig | None = None
 
 
 def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[Step]:
-    """Run one refinement of `run` after the other, and say last why there are no more.
+    """Refine a run repeatedly, and yield a sentence for each new run and for the end.
 
     `log` is the record of a trial of the run's controller: one iteration. Without it the trials are
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
@@ -79,7 +80,7 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
 
 
 def _refinable_run(run: Path, log: Path | None) -> RunFiles:
-    """Files of the run; raises `BadRequest` for what cannot be refined."""
+    """Files of the run to refine; raises `BadRequest` for one that cannot be refined."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"
@@ -106,15 +107,15 @@ def _refinable_run(run: Path, log: Path | None) -> RunFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialMismatch:
-    """The largest mismatch gain that a trial of the loop shows, zero where it comes to rest; and
-    the coverage of records and trial together by the run's own proof, None without any."""
+    """Largest mismatch gain in a trial of the loop, zero where it comes to rest, and the coverage
+    of records and trial together by the run's own proof (None without one)."""
 
     gain: float
     coverage: float | None
 
     @property
     def ends_refinement(self) -> bool:
-        """Whether the loop comes to rest, or is covered by the proof."""
+        """Whether the refinement ends here: the loop comes to rest, or the proof covers it."""
         return self.gain == 0 or (self.coverage is not None and self.coverage >= 1)
 
     @property
@@ -131,7 +132,7 @@ class TrialMismatch:
 
 
 def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
-    """Measure the trial, given the noise that the run's records show."""
+    """Measure the mismatch in the trial, given the noise that the run's records show."""
     if log is None:
         closed, _ = read_experiment(files.path)
         trial = of_loops(closed.controlled)
@@ -151,7 +152,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
 
 
 def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
-    """Configuration with one trial more, in the study where the run lies."""
+    """Configuration of the next run, with one more trial, in the same study."""
     config = files.config.copy()
     before = files.specification.refine
     logs = before if isinstance(before, list) else []
@@ -165,7 +166,7 @@ def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
 
 
 def _outcome_sentence(child: RunFiles, trial: TrialMismatch, outcome: Outcome) -> str:
-    """Sentence on one iteration: why it was made, and what came of it."""
+    """Sentence on one iteration: why it was made, and its result."""
     name = child.path.name
     if outcome.status == FAILED:
         return f"{name}: failed: {outcome.message}"

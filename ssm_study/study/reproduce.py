@@ -1,4 +1,5 @@
-"""Repetition of a run: same configuration, empty store, every number of the record compared."""
+"""Reproduction of a run: the same configuration with an empty store, and every number of the two
+records compared."""
 
 import math
 import tempfile
@@ -21,7 +22,8 @@ AROUND = ("version_", "git_", "machine", "threads")  # columns that could explai
 
 
 def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str], bool]:
-    """Run the configuration of a finished run again with `job`, nothing reused.
+    """Run the configuration of a finished run again with `job` and compare the records; nothing is
+    reused.
 
     Returns what `compared` says. Raises `BadRequest` for a folder that holds no finished run or no
     configuration.
@@ -41,7 +43,7 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
 
 
 def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
-    """Compare two records of one configuration.
+    """Findings on the differences between two records of one configuration.
 
     Returns lines with every column of the line that differs and what was different around them,
     and whether all columns agree.
@@ -68,7 +70,8 @@ def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str]
 
 
 def _agree(then: Any, now: Any) -> bool:
-    """Whether two values are equal, or numbers as near as two machines' roundings."""
+    """Whether two values are equal, or numbers that differ by no more than rounding on two
+    machines."""
     if then == now:
         return True
     are_numbers = {type(then), type(now)} <= {int, float}

@@ -1,4 +1,4 @@
-"""Trials in closed loop, whose records let the mismatch be measured again.
+"""Trials in closed loop, from whose records the mismatch is measured again.
 
 With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
 made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
@@ -36,7 +36,7 @@ FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
 def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | None") -> None:
-    """Write the records with those of every loop that was tried.
+    """Write the data set with the records of all loops that were tried.
 
     `tried` is a design, its loops, the next design, its loops, ...
     """
@@ -53,7 +53,7 @@ def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | No
 def compute_logged(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """Write the records with the user's logs of trials."""
+    """Write the data set with the user's logs of trials."""
     trials = read_logs(refine, data, records.step_s)
     _write_with_trials(folder, records, trials)
 
@@ -66,7 +66,8 @@ def _write_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> Non
 
 
 def of_loops(run: Rollouts) -> Trajectories:
-    """Input and measured output of every case, up to where it left its bound.
+    """Records of closed loops: input and measured output of every case, up to where it left its
+    bound.
 
     Cases with fewer than `FEWEST` samples are left out.
     """
@@ -82,7 +83,7 @@ def of_loops(run: Rollouts) -> Trajectories:
 
 
 def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Trajectories:
-    """Read logs of trials as the run's data are read.
+    """Read the user's logs of trials in the form of the run's data.
 
     Raises `BadRequest` as they do, and for another sampling time.
     """
@@ -101,7 +102,8 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
 
 
 def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
-    """Refuse a trial at another sampling time, a short one, and one whose input never moves."""
+    """Raise `BadRequest` for a trial at another sampling time, a short one, and one whose input
+    never moves."""
     is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s
     problem = f"the model's sampling time is {step_s:g} s"
     remedy = "log the trial at that sampling time"
@@ -114,7 +116,8 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
 
 
 def repeated(request: "Specification", run: Path) -> Trajectories:
-    """Make the trials of a finished run again: read its logs, or simulate the designs it tried."""
+    """Make the trials of a finished run again, from its logs or by simulating the designs that it
+    tried."""
     if request.refine is None:
         return ()
     model = read_model(run)
@@ -133,7 +136,7 @@ def repeated(request: "Specification", run: Path) -> Trajectories:
 
 
 def lineage(settings: Any) -> Facts:
-    """Number of refinements of a run, and the run that it refines.
+    """Number of refinements that led to a run, and the run that it refines.
 
     That is the same run with one iteration, or one log, less.
     """
@@ -150,7 +153,8 @@ def lineage(settings: Any) -> Facts:
 
 
 def named(settings: Any, refine: int | list[str] | None) -> str:
-    """Name of the run of these settings with another `refine`; what precedes its hash stays."""
+    """Name of the run of these settings with another value of `refine`; the part before the hash
+    stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})
     return prefix + run_name(changed)

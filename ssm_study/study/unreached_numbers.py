@@ -13,7 +13,8 @@ UNREACHED = "no record reaches this part of the map, and training is not repeate
 
 
 def unreached_numbers(run: RunFiles) -> dict[str, str]:
-    """Places in `model.json`, each with the reason why it is not checked.
+    """Entries of `model.json` that no record of the run reaches, each with the reason why it is not
+    checked.
 
     A monotone map is written by break points and slopes. Beyond the inputs (or outputs) of all
     records they change no signal; what is proved holds for every break point, and the smallest and

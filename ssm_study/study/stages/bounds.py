@@ -1,4 +1,5 @@
-"""The model in the coordinates in which it is certified, and what is proved of it alone."""
+"""Stage of the model in the coordinates in which it is certified, with what is proved of the model
+alone."""
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.engine.stages import Facts, Stage

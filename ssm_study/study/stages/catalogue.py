@@ -1,4 +1,4 @@
-"""All stages in the order of the line."""
+"""All stages of a run, in their order."""
 
 from ssm_study.study.stages.bounds import BOUNDS
 from ssm_study.study.stages.dataset import DATASET

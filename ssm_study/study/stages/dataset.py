@@ -1,4 +1,4 @@
-"""The records of a run: simulated, or read from the user's logs."""
+"""Stage of the records of a run: simulated, or read from the user's logs."""
 
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from ssm_study.study.stages.files import read_json, write_json
 def compute_dataset(
     folder: Path, *, data: Any, seed: int, plant: Plant | None = None, excitation: Any = None
 ) -> None:
-    """Simulate the records, or read them unless this process has; they are stored as tensors."""
+    """Simulate the records, or read them from logs, and store them as tensors."""
     is_recorded = plant is None
     records = read_data_set(data, seed) if is_recorded else data.build(plant, excitation, seed)
     write_dataset(folder, records)

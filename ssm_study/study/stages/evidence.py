@@ -1,4 +1,4 @@
-"""The evidence: what data and model allow to be said of the plant."""
+"""Stage of the evidence: which statements about the plant the data and the model support."""
 
 from pathlib import Path
 
@@ -11,7 +11,8 @@ from ssm_study.study.stages.free_run import ModelRun
 
 
 def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
-    """Judge what data and model allow to be said of the plant, and write it to `evidence.json`."""
+    """Judge which statements about the plant the data and the model support, and write
+    `evidence.json`."""
     judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 

@@ -1,4 +1,4 @@
-"""The JSON files of a stage."""
+"""Reading and writing of a stage's JSON files."""
 
 import json
 from pathlib import Path
@@ -8,10 +8,10 @@ from ssm_study.durable import contents
 
 
 def read_json(path: Path) -> Any:
-    """The content of a file of the stage."""
+    """Content of a JSON file."""
     return json.loads(contents(path))
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Readable JSON; refuses numbers that JSON does not have (`ValueError`)."""
+    """Write readable JSON; raises `ValueError` for NaN and infinity."""
     path.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Free run of the model beside the validation and test records, and its score."""
+"""Stage of the model's free run on the validation and test records, and its score."""
 
 from functools import cached_property
 from pathlib import Path
@@ -28,21 +28,24 @@ class ModelRun:
 
     @cached_property
     def model(self) -> Any:
+        """The model, read from its file."""
         return read_model(self.folder)
 
     @cached_property
     def validation(self) -> Simulation:
+        """Free run on the validation records, with the measured outputs."""
         return read_simulation(self.folder / "validation.mcap")
 
     @cached_property
     def test(self) -> Simulation:
+        """Free run on the test records, with the measured outputs."""
         return read_simulation(self.folder / "test.mcap")
 
 
 def compute_simulated(
     folder: Path, data: DataSet, trained: Trained, *, reduction: "Reduction | None" = None
 ) -> None:
-    """Simulate the model beside the validation and test records, and write both.
+    """Simulate the model on the validation and test records, and write both free runs.
 
     In balanced coordinates it is what is certified; a baseline has no `reduction`, and nothing is
     claimed of it.

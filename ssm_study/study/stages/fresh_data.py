@@ -1,4 +1,4 @@
-"""Fresh data sets of a simulated plant: what each needs of the disc that is proved."""
+"""Stage of fresh data sets of a simulated plant: how much of the proved disc each needs."""
 
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ def compute_fresh_data(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate the fresh data sets and measure the kappa that each needs, over the need of the
+    """Simulate fresh data sets and measure the kappa that each needs, relative to the need of the
     run's own records; nothing where the design has no coverage certificate."""
     model = bounded.model
     premise = measured_premise(model, records, mismatch)
@@ -36,12 +36,12 @@ def compute_fresh_data(
 
 
 def read_fresh_data(folder: Path) -> list[float]:
-    """The need of each fresh data set, over that of the run's own records."""
+    """Need of each fresh data set, relative to that of the run's own records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 
 def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
-    """The largest need."""
+    """Column with the largest need of a fresh data set."""
     return fresh_facts(needs)
 
 

@@ -1,4 +1,4 @@
-"""Closed loop of the certified gains on the plant, or on the identified model."""
+"""Stage of the closed loop of the certified gains, on the plant or on the identified model."""
 
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,8 @@ def compute_loop(
     loop_seed: int,
     plant: Any = None,
 ) -> Experiment | None:
-    """Run the certified gains on the true plant, or on the identified model where there is none.
+    """Run the certified gains on the true plant, or on the identified model where there is no
+    plant.
 
     None without gains, and where the model, in the place of a plant, answers its input at once: it
     is scored and certified.
@@ -63,7 +64,7 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Read the closed-loop experiment; None where there were no gains to close the loop with."""
+    """Closed-loop experiment of the stage; None where there were no gains."""
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 

@@ -1,4 +1,4 @@
-"""Mismatch between plant and model, as the records show it."""
+"""Stage of the mismatch between plant and model, measured from the records."""
 
 import json
 from dataclasses import asdict
@@ -17,7 +17,7 @@ FILE = "mismatch.json"
 
 
 def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch:
-    """Measure how far the plant is from the model: once for all designs on this model."""
+    """Measure the mismatch between plant and model, which all designs for this model share."""
     records = data.mismatch_records
     mismatch = measure_mismatch(bounded.model, data.validation, data.start_up_samples, records)
     write_mismatch(folder, mismatch)
@@ -25,7 +25,8 @@ def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch
 
 
 def write_mismatch(folder: Path, mismatch: Mismatch) -> None:
-    """Write every number as the text that reads back to the same float; a complex one as two."""
+    """Write the mismatch as JSON, every number as the text that reads back to the same float, a
+    complex one as two."""
     text = json.dumps(asdict(mismatch), default=_as_floats)
     (folder / FILE).write_text(text, encoding="utf-8")
 
@@ -36,7 +37,7 @@ def _as_floats(array: Any) -> list[float]:
 
 
 def read_mismatch(folder: Path) -> Mismatch:
-    """Read the mismatch with its views at each amplitude, as they were computed."""
+    """Mismatch of the stage, with its views at each amplitude."""
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     views = tuple(_read_view(view) for view in content.pop("views"))
     loop = content.pop("loop")
@@ -47,7 +48,7 @@ def read_mismatch(folder: Path) -> Mismatch:
 
 
 def _read_view(content: dict[str, Any]) -> View:
-    """View at one amplitude, from the lists of a file."""
+    """Mismatch at one amplitude, from the lists of a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():
         parts[name] = np.array(value) if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""The identified model: trained on the records, kept as explicit numbers."""
+"""Stage of the identified model: trained on the records, stored as explicit numbers."""
 
 import math
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ def compute_model(
     seed: int,
     progress: bool,
 ) -> None:
-    """Train the model and write it as explicit numbers.
+    """Train the model on the records and write it as explicit numbers.
 
     A fit that left the finite is a gap in the curve: JSON has no infinity.
     """
@@ -71,7 +71,7 @@ def read_trained(folder: Path) -> Trained:
 
 
 def measure_model(trained: Trained, data: DataSet) -> Facts:
-    """The columns of the training: its time, its end, the model's size, what the log chose, and a
+    """Columns of the training: its time, why it ended, the model's size, what the log chose, and a
     baseline's fit."""
     facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
     if trained.chosen:
@@ -85,13 +85,13 @@ def read_model(folder: Path) -> Any:
 
 
 def read_members(folder: Path) -> tuple[Any, ...]:
-    """Read the models whose mean predicts; none where one model does."""
+    """Models whose mean is the prediction; none where one model predicts."""
     path = folder / MEMBERS
     return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
 
 
 def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """Training curve with null for what is not finite."""
+    """Training curve with null for values that are not finite."""
     rows: list[dict[str, float | None]] = []
     for row in curve:
         rows.append({name: finite_or_none(value) for name, value in row.items()})
@@ -99,7 +99,7 @@ def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
 
 
 def finite_or_none(value: float) -> float | None:
-    """A number, or None for infinity and for what is no number."""
+    """The number, or None for infinity and NaN."""
     return value if math.isfinite(value) else None
 
 

@@ -1,5 +1,5 @@
-"""Single sines on a simulated plant after the choice, where the loop is most sensitive; the design
-is then judged again."""
+"""Stage of single sines on a simulated plant, at frequencies where the chosen loop is most
+sensitive; the design is then judged again."""
 
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ def compute_sine_trials(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate the sines and measure the mismatch at each."""
+    """Simulate single sines and measure the mismatch at each."""
     del judged
     model = bounded.model
     balls = certified_balls(model)
@@ -39,7 +39,7 @@ def compute_sine_trials(
 
 
 def read_sine_trials(folder: Path) -> list[SineMismatch]:
-    """Read what the sines show."""
+    """Mismatch at the single sines."""
     rows = read_json(folder / FILE)["sines"]
     return [SineMismatch(**{name: float(row[name]) for name in FIELDS}) for row in rows]
 
@@ -51,7 +51,7 @@ def measure_sine_trials(
     judged: Judgement,
     design: Design,
 ) -> Facts:
-    """The margin with the sines, and the prediction, which they may refute."""
+    """Columns of the margin with the sines, and of the prediction, which the sines may refute."""
     model = bounded.model
     facts = sine_facts(design, model, certified_balls(model), mismatch, sines)
     return withheld(facts, judged.level)

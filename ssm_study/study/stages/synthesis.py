@@ -1,4 +1,4 @@
-"""Design of controller and observer with their certificates."""
+"""Stage of the design of controller and observer with their certificates."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,7 +60,8 @@ def compute_synthesis(
 
 
 def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise":
-    """Mismatch by frequency that the records for it show."""
+    """Mismatch by frequency, measured from the records meant for it, on which the proof of coverage
+    rests."""
     from ssm_study.robustness.coverage import measure_premise
 
     records = data.mismatch_records
@@ -68,7 +69,7 @@ def measured_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise"
 
 
 def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | None":
-    """Mismatch that the test record of a log shows, which neither fit nor design has seen.
+    """Mismatch by frequency in the test record of a log, which neither fit nor design has used.
 
     None for a simulated plant.
     """
@@ -80,7 +81,7 @@ def fresh_premise(model: Any, data: DataSet, mismatch: Mismatch) -> "Premise | N
 
 
 def read_design(folder: Path) -> Design:
-    """Read controller and observer, or why there is none."""
+    """Stored controller and observer, or the reason why there is none."""
     return Design.load(folder / "certificate.json")
 
 

@@ -1,4 +1,4 @@
-"""A PI controller tuned by a textbook rule from the model, on the simulated plant."""
+"""Stage of a PI controller tuned by a textbook rule from the model, run on the simulated plant."""
 
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,18 @@ FILE = "textbook_pi.json"
 def compute_textbook_pi(
     folder: Path, bounded: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
 ) -> None:
-    """Run the PI from the starts of the certified design, and write its columns."""
+    """Run the PI controller from the same starts as the certified design, and write its columns."""
     facts = pi_facts(plant, bounded.model, loop.fitted(bounded.model), loop_seed)
     write_json(folder / FILE, facts)
 
 
 def read_textbook_pi(folder: Path) -> Facts:
-    """The columns, as they were measured."""
+    """Stored columns of the PI controller."""
     return dict(read_json(folder / FILE))
 
 
 def measure_textbook_pi(facts: Facts, *_: Any) -> Facts:
-    """The columns themselves: they have no other source."""
+    """Columns of the PI controller, as they are stored."""
     return facts
 
 
