@@ -4,13 +4,15 @@ import io
 import sys
 import webbrowser
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
-from report_runs import random_run
+from report_runs import random_run, write_recordings
 
+from ssm_study import style
 from ssm_study.cli import commands
-from ssm_study.cli.browser import open_page
-from ssm_study.cli.commands import may_overwrite
+from ssm_study.cli.browser import open_page, page_link
+from ssm_study.cli.commands import figures_line, may_overwrite
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate
 from ssm_study.cli.run import say
@@ -18,6 +20,8 @@ from ssm_study.engine.records import write_record
 from ssm_study.engine.runs import Run
 from ssm_study.engine.task import RunStages
 from ssm_study.refusal import BadRequest
+from ssm_study.report.figures import closed_loop_responses
+from ssm_study.report.study_folder import RunFolder
 from ssm_study.table.folders import run_folder
 
 
@@ -109,3 +113,45 @@ def test_a_group_takes_the_name_of_a_choice(
     answer = capsys.readouterr().err
     assert answer.count("\n") == 1
     assert "Unexpected" not in answer
+
+
+def test_a_page_is_a_link_on_a_terminal_and_a_path_in_a_pipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = tmp_path / "report.html"
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    assert page_link(page) == str(page)
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    assert page.as_uri() in page_link(page)
+    assert page_link(page).count(str(page)) == 2, "as the address, and to be read"
+
+
+def test_figures_are_counted_unless_they_are_asked_for(tmp_path: Path) -> None:
+    paths = [tmp_path / "figures" / f"nyquist.{kind}" for kind in ("png", "pdf")]
+    line = figures_line(paths, left_out=2)
+    assert line == f"1 figures in {tmp_path / 'figures'}, 2 not drawn; -v lists them"
+    assert figures_line([], left_out=3) == "no figure drawn; -v says why"
+
+
+def test_a_run_without_a_setting_says_what_it_does(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ssm_study.cli.run.check_request", refuse_anything)
+    for words, is_told in (([], True), (["seed=3"], False)):
+        assert main(["run", *words]) == WRONG_REQUEST
+        assert ("this is the paper's motor" in capsys.readouterr().err) is is_told
+
+
+def refuse_anything(*_: object) -> None:
+    raise BadRequest("request", "none", "is not run in this test", "ask for nothing")
+
+
+def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
+    run = write_recordings(random_run(tmp_path / "study" / "a", kind="mlp", channels=1, seed=1))
+    loop = RunFolder(path=run).closed_loop
+    study = SimpleNamespace(of_best=lambda *_, **__: (loop,))
+    widths = {}
+    for width in ("page", "column"):
+        with style.paper(width):
+            widths[width] = closed_loop_responses.draw(study).get_size_inches()[0]
+    assert widths == {"page": style.PAGE_IN, "column": style.COLUMN_IN}
