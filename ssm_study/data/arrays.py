@@ -12,7 +12,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.data.clock import AGREEMENT, HOLE
-from ssm_study.data.recording import plain_name
+from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest, require
 
 INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
@@ -49,7 +49,8 @@ def logged(
     paths = []
     for parts in zip(*experiments.values(), strict=True):
         columns, table = _table(dict(zip(experiments, parts, strict=True)), step_s)
-        digest = hashlib.sha256(repr(list(table)).encode() + table.to_numpy().tobytes()).hexdigest()
+        content = repr(list(table)).encode() + table.to_numpy().tobytes()
+        digest = hashlib.sha256(content).hexdigest()
         path = folder / "logs" / f"{digest[:16]}.parquet"
         table.to_parquet(path)
         paths.append(str(path))
@@ -173,10 +174,10 @@ def check_index(u: Any, y: Any, step_s: float | None) -> None:
     """Refuse series or frames whose indexes differ, or show another sampling time than is given, or
     no even one."""
     sides = (("u", u), ("y", y))
-    indexed = [
-        (name, one.index) for name, one in sides if isinstance(one, pd.Series | pd.DataFrame)
-    ]
-    if len(indexed) == 2 and len(indexed[0][1]) == len(indexed[1][1]):
+    tables = pd.Series | pd.DataFrame
+    indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
+    lengths = {len(index) for _, index in indexed}
+    if len(indexed) == 2 and len(lengths) == 1:
         (_, first), (_, second) = indexed
         problem = "their indexes differ: the samples are not of the same times"
         same = first.equals(second)
@@ -205,7 +206,8 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
     row = int(holes[0]) if len(holes) else 0
     problem = f"the times have a hole behind it, of {steps[row]:.4g} s among {median_s:.4g} s"
     require(not len(holes), where, f"row {row}", problem, INTERPOLATE_OR_CUT)
-    late = np.abs(times_s - np.linspace(times_s[0], times_s[-1], len(times_s))) / median_s
+    even_s = np.linspace(times_s[0], times_s[-1], len(times_s))
+    late = np.abs(times_s - even_s) / median_s
     row = int(late.argmax())
     problem = f"is {late[row]:.2g} periods off an even clock"
     remedy = f"put it on one: {name}.resample(...).interpolate()"
@@ -226,5 +228,6 @@ def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
     if index.dtype.kind != "f":
         return None
     times_s = index.to_numpy().astype(np.float64)
-    forwards = bool(np.isfinite(times_s).all() and (np.diff(times_s) > 0).all())
+    is_known = bool(np.isfinite(times_s).all())
+    forwards = is_known and bool((np.diff(times_s) > 0).all())
     return times_s if forwards else None

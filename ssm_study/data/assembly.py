@@ -78,17 +78,11 @@ def assemble(
         values = np.concatenate([getattr(record, side) for record in training])
         problem = "constant over the training records, so nothing can be identified from it"
         for column, channel in zip(values.T, own, strict=True):
-            require(
-                np.ptp(column) > 0,
-                channel.name,
-                column[0],
-                problem,
-                "excite it, or leave the channel out",
-            )
-        scales |= {
-            f"{name}_scale": np.sqrt(np.mean((values - at) ** 2, axis=0)),
-            f"{name}_equilibrium": at,
-        }
+            moves = np.ptp(column) > 0
+            remedy = "excite it, or leave the channel out"
+            require(moves, channel.name, column[0], problem, remedy)
+        scales[f"{name}_scale"] = np.sqrt(np.mean((values - at) ** 2, axis=0))
+        scales[f"{name}_equilibrium"] = at
     told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
     told |= {"disturbances": channels[2]} if len(channels) > 2 else {}
     return DataSet(**named, **told, scale=Scale(**scales))
@@ -102,11 +96,9 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
         "start_up_samples": data.start_up_samples,
         "metadata": dict(data.metadata),
     }
-    about |= {
-        name: [asdict(channel) for channel in getattr(data, name)]
-        for name in ("inputs", "outputs", "disturbances")
-        if getattr(data, name)
-    }
+    for name in ("inputs", "outputs", "disturbances"):
+        channels = [asdict(channel) for channel in getattr(data, name)]
+        about |= {name: channels} if channels else {}
     for part, stored in PARTS.items():
         records: tuple[Trajectory, ...] = getattr(data, part)
         about[stored] = [{k: getattr(record, k) for k in TOLD} for record in records]
@@ -122,18 +114,14 @@ def dataset_from_tensors(
     """The inverse of `dataset_to_tensors`."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
     for part, stored in PARTS.items():
-        told = enumerate(about[stored])
-        parts[part] = tuple(
-            Trajectory(
-                u=arrays[f"{stored}/{i}/u"],
-                y=arrays[f"{stored}/{i}/y"],
-                d=arrays.get(f"{stored}/{i}/d"),
-                **one,
-            )
-            for i, one in told
-        )
+        records = []
+        for i, facts in enumerate(about[stored]):
+            u = arrays[f"{stored}/{i}/u"]
+            y = arrays[f"{stored}/{i}/y"]
+            d = arrays.get(f"{stored}/{i}/d")
+            records.append(Trajectory(u=u, y=y, d=d, **facts))
+        parts[part] = tuple(records)
     for name in ("inputs", "outputs", "disturbances"):
         parts[name] = tuple(Channel(**channel) for channel in about.get(name, ()))
-    return DataSet(
-        **parts, scale=Scale(**{name: values for name, values in arrays.items() if "/" not in name})
-    )
+    scales = {name: values for name, values in arrays.items() if "/" not in name}
+    return DataSet(**parts, scale=Scale(**scales))

@@ -174,13 +174,11 @@ def cut_at_holes(
     bounds = [0, *(holes + 1).tolist(), len(time_s)]
     stretches = [(a, b) for a, b in pairwise(bounds) if b - a > 2]
     remarks = hole_remarks(steps, holes, median_s)
-    if (
-        stretches
-        and not resample
-        and all(lateness(time_s[a:b])[1].max() <= tolerance for a, b in stretches)
-    ):
+    late = [lateness(time_s[a:b])[1].max() for a, b in stretches]
+    if stretches and not resample and max(late) <= tolerance:
         elapsed_s = sum(time_s[b - 1] - time_s[a] for a, b in stretches)
-        period_s = float(elapsed_s / sum(b - a - 1 for a, b in stretches))
+        periods = sum(b - a - 1 for a, b in stretches)
+        period_s = float(elapsed_s / periods)
         require_agreement(step_s, period_s, where)
         period_s = period_s if step_s is None else step_s
         starts = [round((time_s[a] - time_s[0]) / period_s) for a, _ in stretches]
@@ -232,16 +230,16 @@ def interpolated(
     """Stretches on a clock of that period: outputs on lines between rows, held inputs held."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
-    between = samples = 0
+    between = 0
+    samples = 0
     for a, b in stretches:
         times = time_s[a:b]
         # Half a rounding error more than the last period: a whole number gives all its samples.
         count = int((times[-1] - times[0]) / period_s + 1e-9) + 1
         clock = times[0] + period_s * np.arange(count)
-        columns = [
-            held_or_linear(clock, times, column, j < inputs)
-            for j, column in enumerate(values[a:b].T)
-        ]
+        columns = []
+        for j, column in enumerate(values[a:b].T):
+            columns.append(held_or_linear(clock, times, column, j < inputs))
         nearest = np.abs(clock - times[nearest_row(clock, times)])
         between += int((nearest > 1e-3 * period_s).sum())
         samples += count
@@ -258,7 +256,9 @@ def nearest_row(
 ) -> Int[np.ndarray, "K"]:
     """Index of the recorded time that is nearest to each instant of the clock."""
     after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
-    return np.where(clock - times[after - 1] < times[after] - clock, after - 1, after)
+    before = after - 1
+    is_before = clock - times[before] < times[after] - clock
+    return np.where(is_before, before, after)
 
 
 def held_or_linear(
@@ -278,11 +278,13 @@ def without_missing(pieces: EvenRows) -> EvenRows:
     """The pieces cut where a value is missing; stretches of one or two rows are left out."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
-    missing = gaps = 0
+    missing = 0
+    gaps = 0
     for values, start in zip(pieces.values, pieces.starts, strict=True):
         whole = np.isfinite(values).all(axis=1)
         edges = np.flatnonzero(np.diff(whole.astype(int), prepend=0, append=0))
-        stretches = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        bounds = edges.reshape(-1, 2).tolist()
+        stretches = [(a, b) for a, b in bounds]
         inner = stretches[-1][1] - stretches[0][0] if stretches else 0
         missing += inner - sum(b - a for a, b in stretches)
         gaps += max(len(stretches) - 1, 0)

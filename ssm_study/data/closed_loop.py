@@ -41,15 +41,14 @@ def from_set_points(
     x = np.concatenate(past)
     u = np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]
-    share = float(
-        ((x @ filtered - u.mean(axis=0)) ** 2).sum()
-        / max(((u - u.mean(axis=0)) ** 2).sum(), 1e-300)
-    )
-    seen = u.min(axis=0), u.max(axis=0)  # beyond what was applied nothing is known
-    return [
-        replace(log, u=np.clip(rows @ filtered, *seen))
-        for log, rows in zip(logs, past, strict=True)
-    ], share
+    mean = u.mean(axis=0)
+    by_set_point = ((x @ filtered - mean) ** 2).sum()
+    applied = ((u - mean) ** 2).sum()
+    share = float(by_set_point / max(applied, 1e-300))
+    lowest = u.min(axis=0)  # beyond what was applied nothing is known
+    highest = u.max(axis=0)
+    inputs = [np.clip(rows @ filtered, lowest, highest) for rows in past]
+    return [replace(log, u=own) for log, own in zip(logs, inputs, strict=True)], share
 
 
 def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
@@ -70,7 +69,8 @@ def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
         "name the set point",
     )
     problem = "of the samples are at a limit of the input, where a PI does not do what it asks"
-    share = max(float((u == end).mean()) for end in (u.min(), u.max()))
+    at_ends = [float((u == end).mean()) for end in (u.min(), u.max())]
+    share = max(at_ends)
     require(
         share < AT_LIMIT,
         field,

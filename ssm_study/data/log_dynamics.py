@@ -149,7 +149,8 @@ def first_answer(u: Signal, y: Signal) -> int | None:
     gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
     residual = target - x @ gains
     variance = float(residual @ residual) / max(len(target) - int(rank), 1)
-    errors = np.sqrt(np.maximum(variance * np.diag(np.linalg.pinv(x.T @ x)), 1e-300))
+    spreads = np.diag(np.linalg.pinv(x.T @ x))
+    errors = np.sqrt(np.maximum(variance * spreads, 1e-300))
     answers = np.abs(gains[: LAGS + 1])
     is_sure = answers > SURE * errors[: LAGS + 1]
     counts = is_sure & (answers > OF_THE_LARGEST * answers.max())
@@ -216,7 +217,8 @@ def explained_level(u: Signal, y: Signal) -> float:
 
 def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
     """Shares that the input's mean explains over windows of one length."""
-    mean = np.convolve(u, np.full(window, 1 / window), mode="valid")[:-1:window]
+    weights = np.full(window, 1 / window)
+    mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
     begins = y[:-window:window][: len(ends)]
     mean = mean[: len(ends)]
@@ -246,7 +248,8 @@ def noise_sentence(y: Signal) -> str:
     moving = steps[steps > 0]
     resolution = float(moving.min()) if len(moving) else 0.0
     is_coarse = len(np.unique(y)) < COARSE * len(y)
-    noise = float(1.4826 * np.median(np.abs(np.diff(y, n=2))) / np.sqrt(6.0))
+    bends = np.abs(np.diff(y, n=2))
+    noise = float(1.4826 * np.median(bends) / np.sqrt(6.0))
     if noise < 0.5 * resolution:
         coarse = "a coarse sensor: " if is_coarse else ""
         return f"{coarse}no noise beyond the sensor's steps of {resolution:.3g}"

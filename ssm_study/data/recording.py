@@ -1,7 +1,5 @@
 """One recorded experiment: which file, which columns, which clock, which samples."""
 
-import re
-import unicodedata
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +15,7 @@ from ssm_study.data.clock_column import (
     refuse_clock_as_signal,
 )
 from ssm_study.data.clock_restarts import on_even_clocks
+from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import FOREIGN, Reader, Table, read_table, reader_for
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
@@ -25,8 +24,6 @@ from ssm_study.signals import Channel, Trajectory
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
-# Letters that have no plain form of their own in Unicode.
-LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "o", "Ø": "O", "ł": "l"}
 LOOK = "`ssm-study look {}` shows what is in the file"
 
 
@@ -212,18 +209,20 @@ class Columns:
             units = dict(zip(names, (c.unit for c in channels), strict=True))
             wanted.setdefault(file, {}).update(units)
         logs = {file: self._read_one(file, units) for file, units in wanted.items()}
-        u, y = (
-            np.stack([logs[file].table.columns[name] for name in names], axis=1)
-            for file, names, _ in sides
-        )
+        columns = []
+        for file, names, _ in sides:
+            table = logs[file].table
+            columns.append(np.stack([table.columns[name] for name in names], axis=1))
+        u, y = columns
         problem = f"has {len(y)} rows, {path.name} {len(u)}"
         remedy = "cut them alike"
         require(len(u) == len(y), "data.output_path", output_path, problem, remedy)
         times = [log.time_s for log in logs.values() if log.time_s is not None]
+        tables = [log.table for log in logs.values()]
         if len(logs) > 1 and times:
-            self._refuse_apart(times, [log.table for log in logs.values()], output_path, len(u))
+            self._refuse_apart(times, tables, output_path, len(u))
         remarks = [remark for log in logs.values() for remark in log.remarks]
-        stated_s = next((log.table.step_s for log in logs.values() if log.table.step_s), None)
+        stated_s = next((table.step_s for table in tables if table.step_s), None)
         return times[0] if times else None, stated_s, np.hstack([u, y]), remarks
 
     def _refuse_apart(
@@ -269,11 +268,8 @@ class Columns:
         except BadRequest:
             return None, []  # a format that lists no columns
         length = len(table.columns[signals[0]])
-        taken = [
-            title
-            for title, values in contents.columns.items()
-            if any(np.array_equal(values, table.columns[name], equal_nan=True) for name in signals)
-        ]
+        own = [table.columns[name] for name in signals]
+        taken = [title for title, values in contents.columns.items() if is_among(values, own)]
         refuse_clock_as_signal(contents, taken, file)
         title = find_clock(contents, taken)
         if title is None or len(contents.columns[title]) != length:
@@ -354,6 +350,11 @@ class Recording(Columns):
         return self.read_from(Path(self.path), first=self.first, last=self.last)
 
 
+def is_among(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
+    """Whether a column holds the numbers of one of these."""
+    return any(np.array_equal(values, column, equal_nan=True) for column in columns)
+
+
 def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
@@ -362,24 +363,6 @@ def decimated(
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]
-
-
-def plain_name(column: str) -> str:
-    """`Motor voltage (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`."""
-    letters = unicodedata.normalize("NFKD", column)
-    spelled = "".join(_spelled(letter) for letter in letters)
-    return re.sub(r"[^0-9A-Za-z]+", "_", spelled).strip("_") or "signal"
-
-
-def _spelled(letter: str) -> str:
-    """`ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`, `ß` -> `ss`; another letter stays."""
-    if letter in LETTERS:
-        return LETTERS[letter]
-    name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))
-    if name is None:
-        return letter
-    word = name[3].lower()
-    return word if name[1] == "SMALL" else word.title()
 
 
 def read_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:

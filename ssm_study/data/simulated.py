@@ -180,27 +180,38 @@ def mismatch_records(
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)
     period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * amplitude
-    whole = np.concatenate([period[-LEAD_IN:], period, period, np.zeros((REST, len(rest.u)))])
+    at_rest = np.zeros((REST, len(rest.u)))
+    whole = np.concatenate([period[-LEAD_IN:], period, period, at_rest])
     driven = rest.u + np.array(SHARES)[:, None, None] * whole
     low, high = plant.initial_range
     share = np.array(DECAYS)[:, None] * np.ones(len(rest.y))
     starts = rest.y + np.where(share < 0, -low, high) * share
     still = np.tile(rest.u, (len(DECAYS), PERIOD, 1))
-    line = np.interp(np.arange(PERIOD), [PERIOD // 4, PERIOD // 2], [1.0, 0.0])[:, None] * amplitude
-    found: list[Trajectory] = []
-    for word, shares, u, x0 in (
+    ends = [PERIOD // 4, PERIOD // 2]
+    line = np.interp(np.arange(PERIOD), ends, [1.0, 0.0])[:, None] * amplitude
+    returning = rest.u + np.array(RETURNS)[:, None, None] * line
+    experiments: list[tuple[str, Sequence[float], np.ndarray, np.ndarray | None]] = [
         ("trial_at", SHARES, driven, None),
         ("decay_from", DECAYS, still, plant.states_at(starts)),
-        ("return_from", RETURNS, rest.u + np.array(RETURNS)[:, None, None] * line, None),
-    ):
+        ("return_from", RETURNS, returning, None),
+    ]
+    records: list[Trajectory] = []
+    for word, shares, u, x0 in experiments:
         y = plant.simulate(u, x0)[1]
         noisy = y + deviation * rng.standard_normal(y.shape)
         names = [f"{word}_{share:g}" for share in shares]
-        found += [
-            Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name)
-            for i, name in enumerate(names)
-        ]
-    return tuple(found)
+        records += _named_records(plant, names, u, noisy)
+    return tuple(records)
+
+
+def _named_records(
+    plant: Plant, names: Sequence[str], u: np.ndarray, y: np.ndarray
+) -> list[Trajectory]:
+    """One record for each name, of stacked inputs and outputs."""
+    records = []
+    for name, inputs, outputs in zip(names, u, y, strict=True):
+        records.append(Trajectory(u=inputs, y=outputs, step_s=plant.step_s, name=name))
+    return records
 
 
 def sine_records(
@@ -221,10 +232,7 @@ def sine_records(
     y = plant.simulate(u)[1]
     noisy = y + deviation * rng.standard_normal(y.shape)
     names = [f"sine_{line}_at_{share:g}" for line in lines for share in SINE_SHARES]
-    return tuple(
-        Trajectory(u=u[i], y=noisy[i], step_s=plant.step_s, name=name)
-        for i, name in enumerate(names)
-    )
+    return tuple(_named_records(plant, names, u, noisy))
 
 
 def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:

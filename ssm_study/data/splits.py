@@ -54,11 +54,10 @@ def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
 
 def in_blocks(record: Trajectory) -> Pieces:
     """`BLOCKS` equal pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
-    blocks = [
-        record[a:b]
-        for a, b in pairwise(np.linspace(0, len(record), BLOCKS + 1).round().astype(int))
-    ]
-    return [b for k, b in enumerate(blocks) if k % 5 < 3], blocks[3::5], blocks[4::5]
+    edges = np.linspace(0, len(record), BLOCKS + 1).round().astype(int)
+    blocks = [record[a:b] for a, b in pairwise(edges)]
+    training = [block for k, block in enumerate(blocks) if k % 5 < 3]
+    return training, blocks[3::5], blocks[4::5]
 
 
 def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
@@ -75,18 +74,13 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
             remedy = "give a list of pairs [from, to] in seconds, within it: [[0,20]]"
             length = f"the log lasts {len(record) * record.step_s:g} s"
             ends = np.rint(pair / record.step_s) if is_pair else np.zeros(2)
-            require(
-                0 <= ends[0] < ends[1] <= len(record), f"data.{name}", pair.tolist(), length, remedy
-            )
+            inside = 0 <= ends[0] < ends[1] <= len(record)
+            require(inside, f"data.{name}", pair.tolist(), length, remedy)
             start, end = ends.astype(int)
-            free = not part[start:end].any()
-            require(
-                free,
-                f"data.{name}",
-                pair.tolist(),
-                "overlaps another interval",
-                "give each sample to one part",
-            )
+            is_free = not part[start:end].any()
+            problem = "overlaps another interval"
+            remedy = "give each sample to one part"
+            require(is_free, f"data.{name}", pair.tolist(), problem, remedy)
             part[start:end] = number
     return _cut(record, part)
 
@@ -95,14 +89,18 @@ def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
     """Cut a record into `folds` equal pieces: number `fold` tests, the one before it validates
     (before the first: the last), the others train."""
     piece = folds * np.arange(len(record)) // len(record)
-    return _cut(record, np.select([piece == fold, piece == (fold - 1) % folds], [2, 1], 0))
+    is_tested = piece == fold
+    validates = piece == (fold - 1) % folds
+    return _cut(record, np.select([is_tested, validates], [2, 1], 0))
 
 
 def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
     """Cut one of `folds` equal pieces out of a record; return the remaining pieces, and that
     piece."""
-    start, end = (round(len(record) * k / folds) for k in (fold, fold + 1))
-    return [piece for piece in (record[:start], record[end:]) if len(piece)], record[start:end]
+    start = round(len(record) * fold / folds)
+    end = round(len(record) * (fold + 1) / folds)
+    sides = (record[:start], record[end:])
+    return [piece for piece in sides if len(piece)], record[start:end]
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
@@ -124,13 +122,13 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     it shows.
     """
     rests = _rests(record, first=True)
-    between = [record[(a + b) // 2 : end] for (a, b), (_, end) in pairwise(rests)]
-    whole = (
-        bool(rests)
-        and rests[0][0] == 0
-        and all(repetition(piece.driven_by[start_up_samples:]) for piece in between)
-    )
-    return between if whole else []
+    if not rests or rests[0][0] != 0:
+        return []
+    between = []
+    for (a, b), (_, end) in pairwise(rests):
+        between.append(record[(a + b) // 2 : end])
+    inputs = [piece.driven_by[start_up_samples:] for piece in between]
+    return between if all(repetition(u) for u in inputs) else []
 
 
 def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
@@ -148,7 +146,8 @@ def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     """Samples of one part that follow each other are one record; 0 trains, 1 validates, 2 tests."""
     pieces: Pieces = ([], [], [])
-    for a, b in pairwise(np.flatnonzero(np.diff(part, prepend=-1, append=-1))):
+    edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
+    for a, b in pairwise(edges):
         pieces[part[a]].append(record[a:b])
     return pieces
 

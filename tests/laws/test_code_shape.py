@@ -22,7 +22,7 @@ DENSITY = {
     "ssm_study/bounds": (14.2, 7.0),
     "ssm_study/certificates": (13.1, 7.0),
     "ssm_study/conformance": (14.2, 7.6),
-    "ssm_study/data": (12.9, 5.0),
+    "ssm_study/data": (12.3, 3.4),
     "ssm_study/engine": (11.3, 2.8),
     "ssm_study/evidence": (11.3, 1.0),
     "ssm_study/export": (12.1, 4.4),

@@ -13,7 +13,7 @@ from ssm_study.api.fitting import read_sampling_time
 from ssm_study.api.model import import_python_control
 from ssm_study.api.parts import write_value
 from ssm_study.cli.main import WRONG_REQUEST, main
-from ssm_study.data.recording import plain_name
+from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest
 
 WRONG = {

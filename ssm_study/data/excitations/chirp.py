@@ -44,8 +44,11 @@ class Chirp(Excitation):
             "sweep inside",
         )
         turns = low * t + (high - low) * t**2 / (2 * length)
-        columns = [np.sin(2 * np.pi * (rng.random() + turns)) for _ in range(request.inputs)]
-        return np.stack([column[:: 1 - 2 * (j % 2)] for j, column in enumerate(columns)], axis=1)
+        columns = []
+        for j in range(request.inputs):
+            column = np.sin(2 * np.pi * (rng.random() + turns))
+            columns.append(column[::-1] if j % 2 else column)
+        return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,10 +74,8 @@ class Staircase(Excitation):
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
         up = np.linspace(-1.0, 1.0, self.levels)
-        cycle = np.repeat(
-            np.concatenate([up, up[-2:0:-1]]), self.hold_clocks * request.clock_samples
-        )
+        levels = np.concatenate([up, up[-2:0:-1]])
+        cycle = np.repeat(levels, self.hold_clocks * request.clock_samples)
         starts = [rng.integers(len(cycle)) for _ in range(request.inputs)]
-        return np.stack(
-            [np.resize(np.roll(cycle, -start), request.samples) for start in starts], axis=1
-        )
+        cycles = [np.roll(cycle, -start) for start in starts]
+        return np.stack([np.resize(rolled, request.samples) for rolled in cycles], axis=1)

@@ -43,41 +43,32 @@ class Multisine(Excitation):
         frequencies = np.fft.rfftfreq(request.samples, request.step_s)
         low = 0.0 if self.band_low_hz is None else self.band_low_hz
         high = 0.5 / request.clock_s if self.band_high_hz is None else self.band_high_hz
-        band = (
-            (frequencies > 0)
-            & (frequencies >= low * (1 - 1e-9))
-            & (frequencies <= high * (1 + 1e-9))
-        )
-        band &= frequencies < 0.5 / request.step_s * (
-            1 - 1e-9
-        )  # the Nyquist line has no phase to choose
+        nyquist = 0.5 / request.step_s
+        band = frequencies > 0
+        band &= frequencies >= low * (1 - 1e-9)
+        band &= frequencies <= high * (1 + 1e-9)
+        band &= frequencies < nyquist * (1 - 1e-9)  # the Nyquist line has no phase to choose
         field = "excitation.band_low_hz, excitation.band_high_hz"
         lines = int(band.sum())
         problem = (
             f"holds {lines} lines of a record of {request.samples} samples every "
             f"{request.step_s:g} s"
         )
-        require(
-            lines >= FEWEST_LINES,
-            field,
-            (low, high),
-            problem,
-            "widen the band or lengthen the record",
-        )
-        return np.stack(
-            [self._channel(band, request.samples, rng) for _ in range(request.inputs)], axis=1
-        )
+        remedy = "widen the band or lengthen the record"
+        require(lines >= FEWEST_LINES, field, (low, high), problem, remedy)
+        channels = [self._channel(band, request.samples, rng) for _ in range(request.inputs)]
+        return np.stack(channels, axis=1)
 
     def _channel(
         self, band: np.ndarray, samples: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
-        best = np.fft.irfft(
-            np.where(band, np.exp(2j * np.pi * rng.random(len(band))), 0.0), samples
-        )
+        phases = np.exp(2j * np.pi * rng.random(len(band)))
+        best = np.fft.irfft(np.where(band, phases, 0.0), samples)
         for _ in range(self.crest_iterations):
             level = CLIP_AT * np.abs(best).max()
             clipped = np.fft.rfft(np.clip(best, -level, level))
-            candidate = np.fft.irfft(np.where(band, np.exp(1j * np.angle(clipped)), 0.0), samples)
+            phases = np.exp(1j * np.angle(clipped))
+            candidate = np.fft.irfft(np.where(band, phases, 0.0), samples)
             if np.abs(candidate).max() >= np.abs(best).max():
                 break
             best = candidate
