@@ -27,8 +27,10 @@ INDENTED = re.compile(rf"^    ({OURS})$", re.M)
 
 # The rule. The same command with these settings appended (or in place of its own), where its
 # configuration has them;
-# of every swept list the first value; `experiment=smoke` is small as it is and stays whole, but for
-# its sweeps.
+# of every swept list the first value, so that a sweep is one run and is done as one: what starts
+# the processes of a sweep takes ten seconds each time, and is the same for all. Those of SWEEPS
+# stay sweeps. `experiment=smoke` is small as it is and stays whole, but for long sweeps.
+SWEEPS = ("experiment=smoke", "experiment=order_by_rate")
 SMALL = {
     "model.starts": "1",
     "model.draws": "1",
@@ -185,8 +187,11 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
     if {"--help", "--cfg"} & set(arguments):
         return arguments
     words = [word if word.startswith("-") else first_value(word) for word in arguments]
+    if not set(SWEEPS) & set(arguments):
+        words = [word for word in words if word != "-m"]
     if "experiment=smoke" in arguments:
-        return words
+        is_long = sum(word.count(",") for word in arguments) > 2
+        return words if is_long else arguments
     if not any(word.startswith(("study=", "experiment=")) for word in words):
         words.append("study=unnamed")  # not into the paper's, of which other pages speak
     config = composed(

@@ -66,8 +66,12 @@ def guides() -> dict[str, dict[str, str]]:
 
 
 @pytest.fixture(scope="module")
-def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The project with the examples in it; no file that was there before is touched."""
+def copy(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
+    """The project with the examples in it; no file that was there before is touched.
+
+    After a run, which has compiled what is copied with it.
+    """
+    del smoke_study
     folder = tmp_path_factory.mktemp("copy")
     for name in ("ssm_study", "hydra_plugins", "conf", "tests"):
         shutil.copytree(
@@ -86,7 +90,9 @@ def judged(copy: Path) -> list[str]:
     """The checks that passed in the copy: one line each."""
     (copy / "tests" / "laws" / "test_here.py").write_text(HERE)
     paths = sorted({path for laws in LAWS.values() for path in laws.split()})
-    words = ["-n", "0", "-rp", "-p", "no:randomly", "-k", " or ".join([*LAWS, FOUND])]
+    # Without the check of shapes: it is put on every function of the package when that is imported.
+    words = ["-o", "addopts=--timeout=300 --strict-markers", "-n", "0", "-p", "no:randomly"]
+    words += ["-q", "-rp", "-k", " or ".join([*LAWS, FOUND])]
     environment = {
         "PATH": "/usr/bin:/bin",
         "PYTHONPATH": f"{copy}:{copy / 'tests'}",

@@ -71,7 +71,8 @@ def scratch_copy(folder: Path) -> Path:
     return folder
 
 
-def test_a_new_column_is_one_file(tmp_path: Path) -> None:
+def test_a_new_column_is_one_file(tmp_path: Path, smoke_study: Path) -> None:
+    assert smoke_study.is_dir()  # made before: what it has compiled is copied
     scratch = scratch_copy(tmp_path / "scratch")
     environment = os.environ | {"PYTHONPATH": str(scratch)}
     command = [sys.executable, "-c", PROGRAM]
