@@ -21,8 +21,12 @@ def folders() -> list[Path]:
 def choices(group: str) -> list[str]:
     """Every yaml of the group that is complete: one that asks for a file (`???`) is its owner's to
     test."""
-    every = (path for folder in folders() for path in (folder / group).glob("*.yaml"))
-    return sorted({path.stem for path in every if ": ???" not in path.read_text(encoding="utf-8")})
+    names = set()
+    for folder in folders():
+        for path in (folder / group).glob("*.yaml"):
+            if ": ???" not in path.read_text(encoding="utf-8"):
+                names.add(path.stem)
+    return sorted(names)
 
 
 @cache
@@ -32,4 +36,5 @@ def part(group: str, choice: str) -> Any:
     from ssm_study.construction import construct_part
     from ssm_study.engine.settings import plain_settings
 
-    return construct_part(group, plain_settings(composed([f"{group}={choice}"]))[group])
+    config = composed([f"{group}={choice}"])
+    return construct_part(group, plain_settings(config)[group])

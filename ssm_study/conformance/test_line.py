@@ -26,15 +26,17 @@ QUICK = ("synthesis=riccati", "+data.trials=false")
 
 
 OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reduction": "reduction"}
-EVERY = [
-    *[(*QUICK, f"{option}={name}") for group, option in OPTIONS.items() for name in choices(group)],
-    *[(f"synthesis={name}",) for name in choices("synthesis")],
-    *[
-        (f"experiment={path.stem}",)
-        for folder in configurations()
-        for path in folder.glob("experiment/*.yaml")
-    ],
-]
+
+
+def every_choice() -> list[tuple[str, ...]]:
+    """The words of a run for every yaml of these groups, and for the experiments of others."""
+    words: list[tuple[str, ...]] = []
+    for group, option in OPTIONS.items():
+        words += [(*QUICK, f"{option}={name}") for name in choices(group)]
+    words += [(f"synthesis={name}",) for name in choices("synthesis")]
+    for folder in configurations():
+        words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
+    return words
 
 
 @pytest.fixture(autouse=True)
@@ -46,23 +48,24 @@ def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
     returns.
     """
     monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)
-    monkeypatch.setattr(
-        "ssm_study.cli.summary.RUN_FIGURES", ()
-    )  # each draws the same two, for a third of its time
+    # Each draws the same two figures, for a third of its time.
+    monkeypatch.setattr("ssm_study.cli.summary.RUN_FIGURES", ())
 
 
 @pytest.fixture(scope="session")
 def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One store for all cases and workers: what two of them share is computed once."""
     base = tmp_path_factory.getbasetemp()
-    return (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "every"
+    is_worker = "PYTEST_XDIST_WORKER" in os.environ
+    return (base.parent if is_worker else base) / "every"
 
 
-@pytest.mark.parametrize("choice", EVERY, ids=lambda choice: choice[-1])
+@pytest.mark.parametrize("choice", every_choice(), ids=lambda choice: choice[-1])
 def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
     tiny = TINY[choice[-1].startswith("experiment=") :]
-    assert main(["run", *tiny, *choice, f"results_dir={shared_results}", f"study={study}"]) == 0
+    place = [f"results_dir={shared_results}", f"study={study}"]
+    assert main(["run", *tiny, *choice, *place]) == 0
     (path,) = (shared_results / study).glob("*/record.json")
     record = json.loads(path.read_text())
     assert record["status"] in ("ok", "infeasible")
@@ -71,17 +74,20 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
     assert [finding for finding in verify(path.parent) if not finding.holds] == []
     for name in modules("figures"):
         assert figures.caption(name)
-        assert all(
-            drawn.stat().st_size > 0 for drawn in figures.draw([name], shared_results / study)
-        )
+        for picture in figures.draw([name], shared_results / study):
+            assert picture.stat().st_size > 0
 
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
     """Ours are found first: a yaml or figure of the same name would never be used."""
-    ours, *others = (
-        [path.relative_to(folder) for path in folder.glob("*/*.yaml")] for folder in folders()
-    )
-    assert not {path for theirs in others for path in theirs} & set(ours)
-    assert not set(modules("figures")) & {
-        path.stem for path in Path(figures.__file__).parent.glob("*.py")
-    }
+    ours, *others = folders()
+    our_files = yaml_files(ours)
+    for theirs in others:
+        assert not yaml_files(theirs) & our_files
+    our_figures = {path.stem for path in Path(figures.__file__).parent.glob("*.py")}
+    assert not set(modules("figures")) & our_figures
+
+
+def yaml_files(folder: Path) -> set[Path]:
+    """Every choice in a folder of configuration, by its group and name."""
+    return {path.relative_to(folder) for path in folder.glob("*/*.yaml")}

@@ -17,15 +17,20 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 
 def inputs(plant: Plant, cases: int) -> np.ndarray:
-    levels = np.random.default_rng(0).uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
+    """Random levels within the amplitude, about the equilibrium."""
+    rng = np.random.default_rng(0)
+    levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
     return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
 
 
 def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
     rest = plant.equilibrium()
-    x, y = plant.simulate(np.tile(rest.u, (1, SAMPLES, 1)))
-    np.testing.assert_allclose(x[0], np.tile(rest.x, (SAMPLES, 1)), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(y[0], np.tile(rest.y, (SAMPLES, 1)), rtol=1e-9, atol=1e-12)
+    held = np.tile(rest.u, (1, SAMPLES, 1))
+    x, y = plant.simulate(held)
+    resting_states = np.tile(rest.x, (SAMPLES, 1))
+    resting_outputs = np.tile(rest.y, (SAMPLES, 1))
+    np.testing.assert_allclose(x[0], resting_states, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(y[0], resting_outputs, rtol=1e-9, atol=1e-12)
 
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
@@ -34,14 +39,16 @@ def test_shapes_and_names_agree(plant: Plant) -> None:
     assert y.shape == (3, SAMPLES, len(plant.outputs))
     assert len(plant.input_amplitude) == len(plant.inputs)
     assert len(plant.noise_variance) == len(plant.outputs)
-    channels = (*plant.inputs, *plant.outputs, *plant.states, *plant.disturbances)
-    assert all(channel.name.isidentifier() and channel.unit for channel in channels)
+    for channel in (*plant.inputs, *plant.outputs, *plant.states, *plant.disturbances):
+        assert channel.name.isidentifier()
+        assert channel.unit
 
 
 def test_a_batch_equals_its_rows(plant: Plant) -> None:
     u = inputs(plant, 3)
+    _, together = plant.simulate(u)
     alone = [plant.simulate(u[i : i + 1])[1] for i in range(3)]
-    np.testing.assert_array_equal(plant.simulate(u)[1], np.concatenate(alone))
+    np.testing.assert_array_equal(together, np.concatenate(alone))
 
 
 def test_two_halves_equal_the_whole(plant: Plant) -> None:
@@ -52,21 +59,27 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
 
 
 def test_states_at_reads_back(plant: Plant) -> None:
-    offsets = np.linspace(*plant.initial_range, 5)[:, None] * np.ones(len(plant.outputs))
-    wanted = plant.equilibrium().y + offsets
-    np.testing.assert_allclose(plant.output(plant.states_at(wanted)), wanted, rtol=1e-12)
+    offsets = np.linspace(*plant.initial_range, 5)
+    of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
+    wanted = plant.equilibrium().y + of_each_output
+    states = plant.states_at(wanted)
+    np.testing.assert_allclose(plant.output(states), wanted, rtol=1e-12)
 
 
 def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:
-    changed = (u := inputs(plant, 1)).copy()
+    u = inputs(plant, 1)
+    changed = u.copy()
     changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
-    y = plant.simulate(u)[1]
-    y_changed = plant.simulate(changed)[1]
-    np.testing.assert_array_equal(y[:, : HALF + 1], y_changed[:, : HALF + 1])
-    assert not np.array_equal(y[:, HALF + 1 :], y_changed[:, HALF + 1 :])
+    _, y = plant.simulate(u)
+    _, y_changed = plant.simulate(changed)
+    after = HALF + 1
+    np.testing.assert_array_equal(y[:, :after], y_changed[:, :after])
+    assert not np.array_equal(y[:, after:], y_changed[:, after:])
 
 
 def test_disturbances_act(plant: Plant) -> None:
-    still = plant.simulate(u := inputs(plant, 1))[0]
-    for pushed in 1e-3 * np.eye(len(plant.disturbances)):
-        assert not np.array_equal(plant.simulate(u, d=np.tile(pushed, (1, SAMPLES, 1)))[0], still)
+    u = inputs(plant, 1)
+    undisturbed, _ = plant.simulate(u)
+    for push in 1e-3 * np.eye(len(plant.disturbances)):
+        disturbed, _ = plant.simulate(u, d=np.tile(push, (1, SAMPLES, 1)))
+        assert not np.array_equal(disturbed, undisturbed)

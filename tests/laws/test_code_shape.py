@@ -21,7 +21,7 @@ DENSITY = {
     "ssm_study/api": (12.1, 4.6),
     "ssm_study/bounds": (14.2, 7.0),
     "ssm_study/certificates": (13.1, 7.0),
-    "ssm_study/conformance": (14.2, 7.6),
+    "ssm_study/conformance": (11.4, 0.0),
     "ssm_study/data": (12.3, 3.4),
     "ssm_study/engine": (11.3, 2.8),
     "ssm_study/evidence": (11.3, 1.0),
