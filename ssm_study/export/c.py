@@ -18,10 +18,15 @@ from ssm_study.export.device import REALS, Device
 from ssm_study.export.rest_points import Joined
 from ssm_study.refusal import require
 
-_HEADER, _SET_POINTS, _REPLAY = (
-    Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
-    for name in ("controller.h.txt", "set_points.h.txt", "replay.c.txt")
-)
+
+def read_template(name: str) -> Template:
+    """A template that lies beside this module."""
+    return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
+
+
+_HEADER = read_template("controller.h.txt")
+_SET_POINTS = read_template("set_points.h.txt")
+_REPLAY = read_template("replay.c.txt")
 # The header's comment on use within limits, with set points and without them; `#` is the prefix.
 WITHIN = {
     True: """ * Within limits, to set points r:
@@ -96,9 +101,9 @@ def _source(name: str) -> str:
 def _header(device: Device, comments: dict[str, str], name: str) -> str:
     real = device.real
     controller = device.controller
-    tables = "".join(
-        _array(f"{name}_{label}", values, real) for label, values in device.tables().items()
-    )
+    tables = ""
+    for label, values in device.tables().items():
+        tables += _array(f"{name}_{label}", values, real)
     maps = _map(f"{name}_s_in", controller.s_in, name, real)
     maps += _map(f"{name}_s_out", controller.s_out, name, real)
     sizes = _sizes(device, name)
@@ -219,7 +224,8 @@ def _replay(device: Device, name: str) -> str:
     """
     scale = device.controller.scale
     rng = np.random.default_rng(REPLAY_SEED)
-    levels = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs)).repeat(20, axis=1)
+    steps = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs))
+    levels = steps.repeat(20, axis=1)
     noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
     measured = scale.physical_output(noisy)
     wanted = scale.physical_output(np.roll(levels[1], 7, axis=0))
@@ -301,7 +307,8 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
     tables = {"linear": portable.linear}
     body = _product(prefix, "linear", portable.linear, "v", "out")
     source = "v"
-    for i, (w, b, low, high) in enumerate(portable.network.hidden() if portable.network else ()):
+    layers = portable.network.hidden() if portable.network else ()
+    for i, (w, b, low, high) in enumerate(layers):
         width = len(b)
         tables[f"w{i}"] = w
         tables[f"b{i}"] = b

@@ -128,20 +128,19 @@ class Device:
         """Maps through every other point of the curve; the points between show what is missed."""
         if len(self.lower) > 1:
             return None
-        full = equilibrium_curve(
-            controller,
-            self._lifted_limit(controller, self.lower),
-            self._lifted_limit(controller, self.upper),
-        )
+        low = self._lifted_limit(controller, self.lower)
+        high = self._lifted_limit(controller, self.upper)
+        full = equilibrium_curve(controller, low, high)
         if full is None:
             return None
         stored = Curve(lifted=full.lifted[::2], x=full.x[::2], read=full.read[::2])
         below = len(controller.a) - stored.x.shape[1]
         states = np.pad(stored.x, ((0, 0), (0, below)))
         seen = Joined.through(stored.lifted, stored.read[:, None])
-        errors = [
-            abs(float(seen(v[None])[0]) - y) for v, y in zip(full.lifted, full.read, strict=True)
-        ]
+        errors = []
+        for v, read in zip(full.lifted, full.read, strict=True):
+            on_line = float(seen(v[None])[0])
+            errors.append(abs(on_line - read))
         joined = SetPoints(
             to_lifted=Joined.through(stored.read, stored.lifted[:, None]),
             at_rest=Joined.through(stored.lifted, states),

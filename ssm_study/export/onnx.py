@@ -89,7 +89,8 @@ class _Graph:
             negative = self.apply("Neg", self.apply("Abs", z))
             fading = self.apply("Exp", negative)
             return self.apply("Add", above, self.apply("Log", self._plus_one(fading)))
-        clipped = self.apply("Min", self.apply("Max", z, -np.ones(1)), np.ones(1))
+        from_below = self.apply("Max", z, -np.ones(1))
+        clipped = self.apply("Min", from_below, np.ones(1))
         if kind == "saturation":
             return clipped
         square = self.apply("Mul", clipped, clipped)

@@ -19,6 +19,7 @@ from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, frozen_modes
 
 Vector = Float[np.ndarray, "_"]
+MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,7 @@ class PortableController:
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Constants by name, without those of the maps."""
-        matrices = {name: getattr(self, name) for name in ("a", "b", "c", "d", "k", "l", "e")}
+        matrices = {name: getattr(self, name) for name in MATRICES}
         neurons = dict(vars(self.neurons)) if self.neurons else {}
         neurons.pop("kinds", None)
         scale = {name: values for name, values in vars(self.scale).items() if values.size}
@@ -107,13 +108,24 @@ class PortableController:
     def recurrence(self) -> System:
         """System of the model alone, without the internal model, in float64."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
-        parts = {"a": self.a[:n, :n], "b": self.b[:n], "c": self.c[:, :n], "d": self.d}
-        linear = {name: np.asarray(part, dtype=float) for name, part in parts.items()}
+        linear = StateSpace(
+            a=self.a[:n, :n].astype(float),
+            b=self.b[:n].astype(float),
+            c=self.c[:, :n].astype(float),
+            d=self.d.astype(float),
+        )
         if not self.neurons:
-            return StateSpace(**linear)
+            return linear
         neurons = as_floats(self.neurons, np.float64)
         return StructuredSystem(
-            **linear, e=neurons.into[:n], f=neurons.f[:, :n], g=neurons.g, h=neurons.h
+            a=linear.a,
+            b=linear.b,
+            c=linear.c,
+            d=linear.d,
+            e=neurons.into[:n],
+            f=neurons.f[:, :n],
+            g=neurons.g,
+            h=neurons.h,
         )
 
 
@@ -136,10 +148,13 @@ def portable(model: Model, design: Design) -> PortableController:
     n = model.order
     p = model.scale.outputs
     added = len(modes)
-    fits = gains.k.shape[1] == n + added and len(gains.l) == n and added % p == 0
+    controller_fits = gains.k.shape[1] == n + added
+    observer_fits = len(gains.l) == n
+    fits = controller_fits and observer_fits and added % p == 0
     problem = f"the model has order {n}"
     require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
     below = ((0, added), (0, 0))
+    into_modes = error_input_matrix(modes, p)
     return PortableController(
         a=scipy.linalg.block_diag(linear.a, modes),
         b=np.pad(linear.b, below),
@@ -147,7 +162,7 @@ def portable(model: Model, design: Design) -> PortableController:
         d=linear.d,
         k=gains.k,
         l=np.pad(gains.l, below),
-        e=np.vstack([np.zeros((n, p)), error_input_matrix(modes, p)]),
+        e=np.vstack([np.zeros((n, p)), into_modes]),
         s_in=model.scaffold_in.portable(),
         s_out=model.scaffold_out.portable(),
         scale=model.scale,
@@ -193,6 +208,8 @@ def as_floats(value: Any, kind: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(as_floats(part, kind) for part in value)
     if is_dataclass(value) and not isinstance(value, type):
-        parts = {part.name: as_floats(getattr(value, part.name), kind) for part in fields(value)}
+        parts = {}
+        for part in fields(value):
+            parts[part.name] = as_floats(getattr(value, part.name), kind)
         return replace(value, **parts)
     return value

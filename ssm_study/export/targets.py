@@ -133,10 +133,11 @@ def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
 def _range_lines(
     side: str, relation: str, channels: tuple[Channel, ...], lower: Range, upper: Range
 ) -> list[str]:
-    return [
-        f"{side} {j}: {channel.name} ({channel.unit}), {relation} {low:.6g} to {high:.6g}"
-        for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True))
-    ]
+    lines = []
+    for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True)):
+        values = f"{relation} {low:.6g} to {high:.6g}"
+        lines.append(f"{side} {j}: {channel.name} ({channel.unit}), {values}")
+    return lines
 
 
 def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ DENSITY = {
     "ssm_study/data": (12.3, 3.4),
     "ssm_study/engine": (11.3, 2.8),
     "ssm_study/evidence": (11.3, 1.0),
-    "ssm_study/export": (12.1, 4.4),
+    "ssm_study/export": (12.0, 3.8),
     "ssm_study/loop": (12.5, 2.6),
     "ssm_study/models": (13.8, 7.0),
     "ssm_study/report": (12.5, 4.3),
