@@ -50,12 +50,16 @@ class Candidate:
         return float(self.errors.mean())
 
     def is_behind(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether its error exceeds the other's by that share of it and by one standard error."""
+        """Whether its error exceeds the other's by that share of it, and that by one standard error
+        or on all folds but one: a single odd piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
         standard_error = float(excess.std(ddof=1)) / np.sqrt(len(excess))
-        return bool(excess.mean() > max(by * other.mean_error, standard_error))
+        is_worse = excess > by * other.errors
+        is_consistent = int(is_worse.sum()) >= len(excess) - 1
+        is_large = bool(excess.mean() > by * other.mean_error)
+        return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Line of the table of what was tried; `certified` is None where nobody looked."""

@@ -152,6 +152,13 @@ def test_a_gain_on_one_fold_alone_decides_nothing() -> None:
     assert not plain.is_behind(lucky)
 
 
+def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
+    one_layer = candidate("one layer", 28.7, 56.5, 38.0, 17.0)
+    neurons = candidate("neurons", 7.0, 73.0, 25.3, 11.8)
+    assert one_layer.is_behind(neurons)
+    assert not neurons.is_behind(one_layer)
+
+
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
     best = candidate("best", 2.0, 2.0, 2.0, 2.0)
     assert is_hopeless([4.0, 4.0], best)
