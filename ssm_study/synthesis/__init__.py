@@ -1,1 +1,1 @@
-"""Controllers and observers with certificates: one theorem per file, and exact verification."""
+"""Design of controllers and observers with certificates, verified in exact arithmetic."""

@@ -1,5 +1,5 @@
-"""Rates and weights chosen from the model and the records alone: the certified design of the best
-expected response.
+"""Automatic choice of rates and weights from the model and the records alone: the certified design
+with the best expected response.
 
 Nothing of the closed-loop test enters. The order of the candidates: `synthesis.expected_response`.
 Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
@@ -47,7 +47,8 @@ LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """The best expected response of a certified design whose stability margin exceeds `margin`.
+    """Synthesis that chooses the certified design with the best expected response among those whose
+    stability margin exceeds `margin`.
 
     Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for
     you". With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one
@@ -90,7 +91,8 @@ class Auto:
             positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
     def _check_grid(self, name: str, below: float, allowed: str) -> None:
-        """Refuse a grid that is empty where it must not be, or that holds a value out of range."""
+        """Raise `BadRequest` for a grid that is empty where it must not be, or that holds a value
+        out of range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
         in_range = all(0 < value < below for value in grid)
@@ -99,12 +101,12 @@ class Auto:
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """The internal model's words."""
+        """Names of the internal model's modes."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
 
     @property
     def grid(self) -> CandidateGrid:
-        """The grid of rates and weights; a side without a rate of its own takes `rate`."""
+        """Grid of rates and weights; a side without a rate of its own takes `rate`."""
         return CandidateGrid(
             rate_controller=self._rate_or_common(self.rate_controller),
             rate_observer=self._rate_or_common(self.rate_observer),
@@ -117,10 +119,12 @@ class Auto:
         )
 
     def _rate_or_common(self, rate: float | str) -> float | str:
+        """The rate of one side, or the common rate where that is not given."""
         return self.rate if rate == "auto" else rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Every gain of the grid that the Riccati equation gives; None if one side has none."""
+        """Gains of all points of the grid for which the Riccati equation has a solution; None if
+        one side has none."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -130,8 +134,8 @@ class Auto:
         validation: Trajectories = (),
         mismatch: Mismatch | None = None,
     ) -> Design:
-        """Choose controller and observer, exactly verified; infeasible as the Riccati route
-        reports it.
+        """Choose controller and observer and verify them exactly; where no design exists, the
+        result carries the Riccati route's reason.
 
         The mismatch is that of the validation records unless given.
         """
@@ -169,8 +173,8 @@ class Auto:
     def _covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """The search around the grid's gains for those that are covered; longer, and for slower
-        ones too, where a coverage is asked for."""
+        """Search, around the gains of the grid, for gains whose proof covers the records; it is
+        longer, and accepts slower gains, where a coverage is requested."""
         search = GainSearch(
             model=response.model,
             balls=response.balls,
@@ -186,6 +190,7 @@ class Auto:
         slower = SLOWER_ASKED if is_asked else SLOWER
 
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
+            """Search around one design for gains whose proof covers the records."""
             largest_area = min(slower * search.area_of(first.pair), FASTER)
             return search.improve(most, cover, rounds, largest_area)
 
@@ -194,7 +199,7 @@ class Auto:
     def _largest_margin(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Design the pair of the largest coarse margin, and say why no other is taken."""
+        """Design the pair with the largest coarse margin, and note why no other pair is taken."""
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
         design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
@@ -203,7 +208,8 @@ class Auto:
         return self._reported(design, status + unsolved_note(candidates))
 
     def within(self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]) -> "Auto":
-        """This choice with responses scored with the input cut at these scaled deviations.
+        """Copy of this choice that scores responses with the input limited to these scaled
+        deviations.
 
         Limits without room around rest are not applied.
         """
@@ -211,19 +217,21 @@ class Auto:
         return replace(self, limits=(lower, upper)) if has_room else self
 
     def covering(self, premise: Premise) -> "Auto":
-        """This choice, preferring designs whose proof covers what these records show."""
+        """Copy of this choice that prefers designs whose proof covers these records."""
         return replace(self, premise=premise)
 
     def starting_from(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
-        """This choice, preferring designs that settle sooner than these decays (`decays_of`)."""
+        """Copy of this choice that prefers designs which settle faster than these recorded decays
+        (`decays_of`)."""
         return replace(self, decays=decays)
 
     def cautious(self) -> "Auto":
-        """The same grids, from which the largest margin is taken."""
+        """Copy of this choice with the same grids that takes the design with the largest margin."""
         return replace(self, margin=float("inf"))
 
     def _slowest(self, model: Model, balls: Balls) -> Design:
-        """Design the least demanding request by the Riccati route: the reason to report."""
+        """Design at the least demanding rates and weights by the Riccati route, to report its
+        reason."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -247,14 +255,15 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Designs of pairs in their order; once one is faster than the open loop, none that is not."""
+    """Certified designs of ranked pairs, made when asked for; once one is faster than the open
+    loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
-        """The certified design of a pair, if it is predicted to be stable; None otherwise, and for
-        an idle controller, covered or not, while a faster one is predicted."""
+        """Certified design of a pair; None unless it is predicted to be stable, and for a
+        controller that is no faster than none while a faster one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         known = self.response
@@ -271,7 +280,8 @@ class CertifiedDesigns:
 def coarse_peaks(
     model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
-    """Largest `g |T_ue|` of every pair on `GRID_ANGLES`, infinite where its loop is unstable."""
+    """Largest loop gain `g |T_ue|` of every pair on `GRID_ANGLES`, infinite where its loop is
+    unstable."""
     weights = mismatch.at(GRID_ANGLES)
     return peaks_on_grid(
         model.system,
@@ -286,7 +296,7 @@ def coarse_peaks(
 
 
 def unsolved_note(candidates: Candidates) -> str:
-    """Words about requests of the grid that have no solution; empty if all have one."""
+    """Text on the points of the grid without a solution; empty if all have one."""
     count = candidates.unsolved
     return f" ({count} of the grid have no solution)" if count else ""
 

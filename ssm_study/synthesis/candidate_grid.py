@@ -1,4 +1,4 @@
-"""The grid of rates and weights over which `auto` solves for gains.
+"""Grid of rates and weights over which `auto` solves for gains.
 
 Source: docs/theory.md, "The frontier"; docs/closed_loop.md, "Rates chosen for you".
 """
@@ -29,7 +29,7 @@ HALF_SLOPE = 0.5
 
 
 class SolvedSide(NamedTuple):
-    """Gains of one side of the grid, and the number of its requests that have no solution."""
+    """Gains of one side of the grid, and the number of its points without a solution."""
 
     candidates: list[GainCandidate]
     unsolved: int
@@ -37,7 +37,8 @@ class SolvedSide(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateGrid:
-    """Rates and weights of controllers and observers; `auto` explains each field."""
+    """Rates and weights of controllers and observers from which candidates are solved; `auto`
+    explains each field."""
 
     rate_controller: float | str
     rate_observer: float | str
@@ -49,7 +50,7 @@ class CandidateGrid:
     modes: tuple[str, ...]
 
     def specifications(self) -> list[RiccatiSynthesis]:
-        """Specifications that the grid varies: one for each weight of the internal model."""
+        """Synthesis specifications of the grid, one for each weight of the internal model."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
         if self.modes:
             weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
@@ -65,7 +66,8 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Every gain of the grid that the Riccati equation gives; None if one side has none."""
+        """Gains of all points of the grid for which the Riccati equation has a solution; None if
+        one side has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = slopes_at_rest(model)
@@ -94,6 +96,7 @@ class CandidateGrid:
         )
 
     def _internal_model(self, model: Model) -> Float[np.ndarray, "z z"] | None:
+        """Internal model of the controller, with its modes at the model's sampling time."""
         if not self.modes:
             return None
         return internal_model(self.modes, model.step_s, model.scale.outputs)
@@ -106,7 +109,7 @@ class CandidateGrid:
         observes: bool,
         rest: Slopes | None = None,
     ) -> SolvedSide:
-        """Gains of all rates and weights of one side, the fastest rate first while solving.
+        """Solve one side for all its rates and weights, the fastest rate first.
 
         A solution at a faster rate holds at a slower one, so the search for that one starts there.
         """
@@ -140,7 +143,8 @@ class CandidateGrid:
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
     ) -> tuple[list[float], Solution | None]:
-        """Rates of one side below its limit, the fastest first, and a solution to start from."""
+        """Rates of one side below its limit, the fastest first, and a solution to start the search
+        from."""
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
@@ -156,7 +160,8 @@ class CandidateGrid:
         return sorted(below, reverse=True), fastest
 
     def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
-        """The requested rate of one side; else from half of the model's own to near the limit."""
+        """The requested rate of one side; without one, rates from half of the model's own to near
+        the limit."""
         requested = self.rate_observer if observes else self.rate_controller
         if requested != "auto":
             return [float(requested)]
@@ -176,7 +181,8 @@ class CandidateGrid:
         rest: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Gains for one layer, the neurons' slopes frozen at rest or half way, proved for all.
+        """Gains of the linear model with the neurons' slopes frozen at rest or half way, certified
+        for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does
         not need that guard.
@@ -209,7 +215,8 @@ def slopes_at_rest(model: Model) -> Slopes | None:
 
 
 def injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains `L_z` of the observers into the neurons; None where the first has none."""
+    """Gains `L_z` with which the observers correct the neurons; None where the first observer has
+    none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

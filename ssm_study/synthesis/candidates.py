@@ -1,4 +1,5 @@
-"""The gains that `auto` chooses from, with the specification of each. Source: docs/theory.md."""
+"""Candidate gains from which `auto` chooses, each with its specification. Source:
+docs/theory.md."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +16,7 @@ GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Gains on the grid, and the specification of each."""
+    """Gains on the grid, each with the specification that leads to it."""
 
     feedback: tuple[RiccatiSynthesis, ...]
     ks: Float[np.ndarray, "C m s"]
@@ -26,14 +27,14 @@ class Candidates:
     unsolved: int = 0
 
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
-        """The gains of one pair, or of many."""
+        """Gains of one pair, or of many pairs."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
         return Gains(
             k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal
         )
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
-        """The request whose solutions are the gains of this pair."""
+        """Specification whose solutions are the gains of this pair."""
         feedback = self.feedback[pair[0]]
         observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")

@@ -1,4 +1,5 @@
-"""Gains whose proof covers more, searched around given ones where a grid does not reach them.
+"""Random search around given gains for gains whose proof covers more of the records than a grid
+reaches.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -46,14 +47,16 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredGains:
-    """One pair of gains, its area on the model in areas of the open loop, and its coverage."""
+    """Pair of gains with its response area on the model, relative to the open loop, and its
+    coverage."""
 
     gains: Gains
     area: float
     coverage: float
 
     def is_better_than(self, other: "ScoredGains", target: float) -> bool:
-        """Whether this covers more, or, where both cover the target, is faster."""
+        """Whether this pair covers more than the other or, where both cover the target, is
+        faster."""
         if min(self.coverage, other.coverage) >= target:
             return self.area < other.area
         return self.coverage > other.coverage
@@ -61,7 +64,7 @@ class ScoredGains:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSearch:
-    """Search around a design, with what the model and the records say of each trial.
+    """Random search around a design, with the model and the records by which each trial is judged.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed.
@@ -79,8 +82,8 @@ class GainSearch:
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """The fastest certified design found whose certificate covers the target; None where none
-        does.
+        """Fastest certified design of the search whose certificate covers the target; None if there
+        is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
@@ -99,16 +102,17 @@ class GainSearch:
         return None
 
     def proved_coverage(self, design: Design) -> float:
-        """Coverage by the certificate of a design, decided exactly; zero without any."""
+        """Coverage that the certificate of a design proves, decided exactly; zero without a
+        certificate."""
         proved = with_coverage(design, self.model, self.balls, self.premise)
         return coverage_facts(proved, self.model, self.premise).get("coverage") or 0.0
 
     def area_of(self, gains: Gains) -> float:
-        """Area of one pair on the model, in areas of the open loop."""
+        """Response area of one pair on the model, relative to the open loop."""
         return self._areas([gains])[0]
 
     def search(self, start: Design, target: float, rounds: int, largest_area: float) -> ScoredGains:
-        """The best gains after so many rounds, covered or not, not yet certified."""
+        """Best gains after a number of rounds, covered or not, not yet certified."""
         feedback = start.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
@@ -137,8 +141,7 @@ class GainSearch:
         target: float,
         largest_area: float,
     ) -> list[ScoredGains]:
-        """The proposals that are fast enough and whose controllers are stable, with their
-        coverage."""
+        """Proposals that are fast enough and whose controllers are stable, with their coverage."""
         if not proposals:
             return []
         allowed = best.area if best.coverage >= target else max(largest_area, best.area)
@@ -153,7 +156,7 @@ class GainSearch:
     def _best_predicted(
         self, trials: list[ScoredGains], best: ScoredGains, target: float
     ) -> ScoredGains | None:
-        """The best trial that is better than the best so far and predicted to be stable."""
+        """Best trial that is better than the best so far and predicted to be stable."""
         leader: ScoredGains | None = None
         for trial in trials:
             if not trial.is_better_than(leader or best, target):
@@ -164,23 +167,25 @@ class GainSearch:
         return leader
 
     def _faster_than(self, proposals: list[Gains], slowest: float) -> list[Gains]:
-        """The proposals that settle recorded decays in less than this share of their own time."""
+        """Proposals that settle recorded decays in less than this share of the decays' own time."""
         ratios = self._decay_ratios(proposals)
         return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
 
     def _decay_ratios(self, proposals: list[Gains]) -> list[float]:
+        """Settling time of each proposal, relative to the recorded decays."""
         ratios = slowest_ratios(
             self.model, stacked_gains(proposals), self.decays, self.mismatch.band, self.limits
         )
         return [float(ratio) for ratio in ratios]
 
     def _areas(self, proposals: list[Gains]) -> list[float]:
+        """Response area of each proposal on the model, relative to the open loop."""
         areas = relative_areas(self.model, stacked_gains(proposals), self.validation, self.limits)
         return [float(area) for area in areas]
 
     def certified_design(self, start: Design, gains: Gains) -> Design | None:
-        """These gains with certificates at the largest rates that are proved for them, exactly
-        verified; None where there are none, or where they are not predicted to be stable."""
+        """Design with these gains and certificates at the largest rates proved for them; None where
+        there are none, or where the loop is not predicted to be stable."""
         feedback, observer = start.parts()
         new_feedback = certified_at_gain(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
@@ -193,8 +198,8 @@ class GainSearch:
 
 
 def certified_at_gain(part: Any, **gains: Any) -> Any:
-    """The part's theorem for other gains, at the largest rate that is proved for them; None where
-    none is."""
+    """Theorem of one side for other gains, at the largest rate that is proved for them; None if no
+    rate is."""
     try:
         with within_floats():
             return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
@@ -203,9 +208,10 @@ def certified_at_gain(part: Any, **gains: Any) -> Any:
 
 
 def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
-    """The gains with every entry times its own random factor."""
+    """Gains with every entry multiplied by a random factor of its own."""
 
     def scaled(matrix: Any) -> Any:
+        """Matrix with every entry multiplied by a random factor."""
         return matrix * np.exp(step * random.standard_normal(matrix.shape))
 
     l_z = None if gains.l_z is None else scaled(gains.l_z)
@@ -213,7 +219,7 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
 
 
 def stacked_gains(proposals: list[Gains]) -> Gains:
-    """Pairs of gains as one batch."""
+    """Several pairs of gains as one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     k = np.stack([gains.k for gains in proposals])
     l_ = np.stack([gains.l for gains in proposals])
@@ -222,6 +228,6 @@ def stacked_gains(proposals: list[Gains]) -> Gains:
 
 
 def gain_fields(gains: Gains) -> dict[str, Any]:
-    """The gain matrices by their letters, those that there are."""
+    """Gain matrices by their letters, without those that are absent."""
     matrices = {"k": gains.k, "l": gains.l, "l_z": gains.l_z}
     return {letter: matrix for letter, matrix in matrices.items() if matrix is not None}

@@ -1,4 +1,4 @@
-"""Response of a loop from the starts of recorded decays, against the decay itself.
+"""Response of a loop from the starts of recorded decays, compared with the decays themselves.
 
 A decay is a record at rest input that starts away from rest. Its output is what the plant does
 without control; to it is added what the model answers to the loop's input from rest:
@@ -27,7 +27,8 @@ BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 def decays_of(
     model: Model, trials: Trajectories, validation: Trajectories
 ) -> Float[np.ndarray, "N T p"]:
-    """Scaled outputs of the model from the states at which recorded decays start, noise-free.
+    """Noise-free decays: scaled outputs of the model from the states at which recorded decays
+    start.
 
     Decays at rest input count that start beyond the band of settling and that the model follows;
     none with measured disturbances, which push an output without a start.
@@ -58,8 +59,8 @@ def slowest_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """The larger of the ratios at each of `BANDS`; zero without decays, and with an internal model,
-    which settles at its own pace."""
+    """Larger of the decay ratios at each of `BANDS`; zero without decays, and with an internal
+    model, which settles at its own pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
     ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
@@ -73,8 +74,8 @@ def decay_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Mean over the decays of the samples until the output stays within the band of settling, with
-    the loop over without it, for each of many pairs of gains; zero without decays."""
+    """Settling time of the loop relative to that of the decay without control, mean over the
+    decays, for each of many pairs of gains; zero without decays."""
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)
@@ -87,7 +88,7 @@ def decay_ratios(
 def _settled_sample(
     sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
-    """The first sample from which the size stays within the band."""
+    """First sample from which on the size stays within the band."""
     outside = sizes > band
     samples = np.arange(1, sizes.shape[-1] + 1)
     return np.asarray((outside * samples).max(axis=-1).astype(float))
@@ -99,7 +100,7 @@ def _closed_outputs(
     decays: Float[np.ndarray, "N T p"],
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N T p"]:
-    """The output of every pair's loop on every decay."""
+    """Output of every pair's loop, started at every decay."""
     k = gains.k.transpose(0, 2, 1)[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)

@@ -1,5 +1,5 @@
-"""Certificates for a pair of gains once it is chosen: the largest rates, the mismatch tolerated,
-limited inputs.
+"""Certificates for a pair of gains after the choice: largest rates, tolerated mismatch, limited
+inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
 `limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
@@ -48,8 +48,8 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def with_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """The design with what is proved of its very gains, each exactly verified: the largest rates,
-    the tolerance, and what input `limits` (physical) leave.
+    """Design with further certificates for its gains, each verified exactly: largest rates,
+    tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
@@ -70,8 +70,8 @@ def with_gain_certificates(
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """The largest mismatch on the input under which the loop converges; None for sides of another
-    class, and where none is found."""
+    """Certificate of the largest mismatch at the input for which the loop converges; None for sides
+    of another class, and where none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
@@ -90,8 +90,8 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def at_largest_rate(part: Side) -> Side | None:
-    """The same gain, certified at the largest rate that is proved for it; None where that is no
-    more.
+    """Side with the same gain, certified at the largest rate that is proved for it; None where that
+    is no larger.
 
     A plug-in's theorem says itself how (`Side.at_largest_rate`).
     """
@@ -105,8 +105,8 @@ def at_largest_rate(part: Side) -> Side | None:
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """Certificates with limited inputs; none for neurons, without a certificate, or for limits not
-    around rest."""
+    """Design with certificates for limited inputs; unchanged for neurons, without a certificate, or
+    for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     parts = (
         design.state_feedback,
@@ -131,7 +131,7 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
 
 
 def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
-    """States at rest at corners of a box of outputs, one of each pair of mirror images.
+    """Equilibrium states at the corners of a box of outputs, one of each pair of mirror images.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
@@ -153,8 +153,8 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 
 
 def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.ndarray, "s j"] | None:
-    """The states at rest that are nearest to stored starts: the same share of each corner; None
-    where there is none."""
+    """Equilibrium states nearest to stored starts, in the same shares of each corner; None if there
+    are none."""
     corners = rest_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
@@ -166,8 +166,8 @@ def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.nda
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """No limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`: cut at them, or
-    None."""
+    """Proof that no input limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`
+    is the proof with inputs cut at the limits, or None."""
 
     lower: Outputs
     upper: Outputs
@@ -175,8 +175,7 @@ class WithinLimits:
 
     @classmethod
     def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """The limits read from the parts of a certificate; None where they have no set of
-        starts."""
+        """Limits read from the parts of a certificate; None where they have no set of starts."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         starts = starts_at_rest(model, parts[SETS].starts)
@@ -187,10 +186,8 @@ class WithinLimits:
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Both, for limits in physical units; `BadRequest` for an infeasible design, limits without
-    room around rest, and where nothing is proved: without a certificate, or of an output that no
-    input holds or that answers it at once.
-    """
+    """Certificates of a design within physical input limits; raises `BadRequest` where nothing can
+    be proved."""
     design.parts()
     rest = model.scale.input_equilibrium
     limits = (lower.tolist(), upper.tolist())
@@ -206,16 +203,15 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
 
 
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """The least and the greatest output between the starts and their mirror images, physical
-    units."""
+    """Least and greatest output between the starts and their mirror images, in physical units."""
     read = (model.linear.c @ starts[: model.order]).T
     ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
     return ends.min(axis=0), ends.max(axis=0)
 
 
 def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """The theorem that `find` returns; None where floats do not hold what it takes: nothing is
-    claimed then, and the design stands."""
+    """Theorem that `find` returns; None where its numbers exceed floating point, so that nothing is
+    claimed and the design remains."""
     try:
         with within_floats():
             return find()

@@ -1,4 +1,5 @@
-"""From a model and its Jacobian balls to a controller and an observer, each with an exact verdict.
+"""Design of controller and observer from a model and its Jacobian balls, each with an exact
+verdict.
 
 The theorems are 1 and 2 of [Z26]; how one problem serves both: docs/theory.md.
 """
@@ -54,7 +55,8 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """One part that is being designed: what was asked, what is possible, who tries, since when."""
+    """Attempt to design one side: the request, its theoretical limit, the method, and the time it
+    began."""
 
     theorem: type[Side]
     rate: float
@@ -64,8 +66,8 @@ class DesignAttempt:
     started: float
 
     def refused(self) -> Infeasible | None:
-        """Refusal of a request that no method can meet, with the number that decides; None if the
-        request lies inside the frontier."""
+        """Refusal of a request beyond the theoretical limit, with the number that decides; None if
+        the request lies within it."""
         ball = self.ball
         limit = self.frontier.rate_limit
         if abs(ball.alpha) <= ball.beta:
@@ -90,7 +92,7 @@ class DesignAttempt:
         return None
 
     def infeasible(self, reason: str, status: str, proved: bool = False) -> Infeasible:
-        """The request without a certificate."""
+        """Design attempt that produced no certificate; `reason` says why."""
         asked: Any = {
             "theorem": self.theorem.name(),
             "rate": self.rate,
@@ -103,8 +105,8 @@ class DesignAttempt:
         )
 
     def verified(self, problem: Problem, solution: Solution) -> Any:
-        """The certificate, a `Side`; `problem` is in Theorem 1's form, transposed for an
-        observer."""
+        """Certificate of a side from a solution; `problem` is in Theorem 1's form, transposed for
+        an observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
         return self.theorem.proved(
@@ -112,8 +114,8 @@ class DesignAttempt:
         )
 
     def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
-        """The first attempt that is certified; else what the last one with matrices comes to; else
-        why none did.
+        """First attempt that is certified; otherwise the result of the last one with matrices, or
+        the reason why no attempt gave any.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -151,7 +153,7 @@ class DesignAttempt:
 def failed_checks(
     content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
-    """Sentences, one per claim of a `certificate.json` that does not hold; empty when all do.
+    """Sentences on the claims of a `certificate.json` that do not hold; empty when all hold.
 
     `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
@@ -194,6 +196,7 @@ def failed_checks(
 
 
 def _of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
+    """Sentences on the claims of one part that do not hold."""
     theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.ball(context)
     limit = theorem.rate_limit_of(context)
@@ -230,15 +233,16 @@ FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be 
 
 
 def contraction_rate(field: str, rate: Any, remedy: str) -> None:
-    """Refuse what is no contraction rate, or one so near 1 that a faster one rounds to 1."""
+    """Raise `BadRequest` for a value that is no contraction rate, or so near 1 that a faster one
+    rounds to 1."""
     fits = isinstance(rate, int | float) and 0 < rate <= FASTEST
     require(fits, field, rate, "a contraction rate lies in (0, 1), at least 1e-13 below 1", remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Synthesis(ABC):
-    """Controller and observer at the asked contraction rates (distances shrink by `sqrt(1 - rate)`
-    per sample).
+    """Design of controller and observer at the requested contraction rates (distances shrink by
+    `sqrt(1 - rate)` per sample).
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
     scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
@@ -280,19 +284,18 @@ class Synthesis(ABC):
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """The internal model's words."""
+        """Names of the internal model's modes."""
         return tuple(self.internal_model)
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
-        """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method ends without
-        any."""
+        """Matrices of Theorem 1 for the problem; raises `NoSolution` when the method finds none."""
 
     def design(
         self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
     ) -> Design:
-        """Both parts, independently; of the model's `system` where it has one, else of its linear
-        recurrence."""
+        """Design controller and observer independently, for the model's `system` if it has one,
+        else for its linear recurrence."""
         if self.invert_input:
             return design_with_inverted_input(
                 replace(self, invert_input=False), model, validation, shown
@@ -304,21 +307,23 @@ class Synthesis(ABC):
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Theorem 1 for `x+ = A x + B S_u(u)`, or its like with neurons."""
+        """Design of the state feedback: Theorem 1 for `x+ = A x + B S_u(u)`, or its counterpart for
+        a model with neurons."""
         neurons = isinstance(system, StructuredSystem)
         return self._certified(
             StructuredStateFeedback if neurons else self.feedback_theorem, system, ball
         )
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Theorem 2 for `y = S_y(C x + D S_u(u))`: Theorem 1 for `(A^T, C^T)`, transposed and
-        verified as itself."""
+        """Design of the observer for `y = S_y(C x + D S_u(u))`: Theorem 2, solved as Theorem 1 for
+        `(A^T, C^T)` and verified in its own form."""
         neurons = isinstance(system, StructuredSystem)
         return self._certified(
             StructuredObserver if neurons else self.observer_theorem, system, ball
         )
 
     def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
+        """Certified solution of one side, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual(system) if theorem.observes else system, ball)
         started = time.perf_counter()
@@ -336,8 +341,8 @@ class Synthesis(ABC):
         return request.first_certified(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """The problem solved for the controller, or with `observes` for the observer, of the dual
-        system."""
+        """Problem that is solved for the controller, or with `observes` for the observer on the
+        dual system."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
@@ -352,8 +357,8 @@ class Synthesis(ABC):
         return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """The method at the asked rate, then at faster ones, whose solutions hold at the asked rate
-        with room."""
+        """Solutions at the requested rate, then at faster ones, which hold at the requested rate
+        with a larger margin."""
         r = problem.contraction
         floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]

@@ -1,4 +1,4 @@
-"""Order of certified pairs of gains by the response that is expected of them on the plant.
+"""Ranking of certified pairs of gains by the response that is expected of them on the plant.
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
@@ -42,7 +42,8 @@ LEAST_SPREAD = 0.1
 
 
 def expected_area(area: float, loop_gain: float, spread: float) -> float:
-    """`P area + (1 - P) LOSS`, `P = Phi(-ln(loop_gain) / spread)`; `loop_gain` is 1 / margin."""
+    """Expected response area `P area + (1 - P) LOSS` with `P = Phi(-ln(loop_gain) / spread)`;
+    `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
     logarithm = np.log(max(loop_gain, np.finfo(float).tiny))
@@ -51,7 +52,7 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
 
 
 class RankedPair(NamedTuple):
-    """A pair of gains, and whether it is faster than the open loop on the model."""
+    """Pair of gains, and whether it is faster than the open loop on the model."""
 
     pair: Pair
     is_faster: bool
@@ -59,7 +60,7 @@ class RankedPair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """Data needed to score the pairs of one grid against the records."""
+    """Model, gains and records from which the pairs of one grid are scored."""
 
     model: Model
     balls: Balls
@@ -69,22 +70,24 @@ class ExpectedResponse:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, shared: Responses) -> float:
-        """Inverse of the pair's stability margin; cut short from `1 / margin` on."""
+        """Inverse of the pair's stability margin; the computation stops early from `1 /
+        margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
     def expected(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected area of the pair, its loop gain taken on the angles of `shared`."""
+        """Expected response area of the pair, with its loop gain taken on the angles of
+        `shared`."""
         return expected_area(float(area), self.loop_gain(pair, shared), self.mismatch.spread)
 
     def resists_noise(self, pair: Pair) -> bool:
-        """Whether the sensor's noise alone leaves the output within the band of settling."""
+        """Whether the sensor's noise alone leaves the output within the settling band."""
         gains = self.candidates.gains(pair)
         return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
-        """Pairs with a large enough coarse margin whose controller is stable by itself."""
+        """Pairs with a large enough coarse margin whose controller itself is stable."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
             return np.empty((0, 2), dtype=int)
         pairs = np.argwhere(self.margin * peaks < 1)
@@ -94,7 +97,7 @@ class ExpectedResponse:
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
     ) -> Iterator[RankedPair]:
-        """Pairs that pass: those faster than the open loop first, by expected response.
+        """Pairs that pass all tests, by expected response, those faster than the open loop first.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
@@ -132,8 +135,8 @@ class ExpectedResponse:
 
 
 def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the `COMPARED` smallest areas, the slow pairs behind all others, and as many
-    spread over the rest."""
+    """Indices of the `COMPARED` smallest areas (slow pairs last) and as many spread over the
+    rest."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
@@ -142,8 +145,8 @@ def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"])
 def predicts_faster_response(
     model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a pair is clearly faster than the open loop: on the model, and from where records at
-    rest input start; input limits are left out."""
+    """Whether a pair is clearly faster than the open loop, on the model and from the starts of
+    records at rest input; input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
     one = replace(pair, k=pair.k[None], l=pair.l[None], l_z=l_z)
     area = relative_areas(model, one, validation)[0]
@@ -153,8 +156,8 @@ def predicts_faster_response(
 
 
 def response_facts(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
-    """The column of `predicts_faster_response`, of validation records and trials; none without a
-    design, and for a law that undoes the input map."""
+    """Column that says whether a faster response is predicted, from validation records and trials;
+    none without a design, and for a law that inverts the input map."""
     if not design.feasible or design.inverts:
         return {}
     return {"predicted_faster": predicts_faster_response(model, design.pair, mismatch, *records)}

@@ -1,4 +1,4 @@
-"""The saddle point of the game Riccati equation and the gradient at it, compiled.
+"""Compiled solver of the game Riccati equation: its saddle point and the gradient there.
 
 Everything is a matrix of floats with its rows in sequence and every product a loop of its own: one
 kind of array, few instances, a compiler that is done in seconds. A step that has no solution raises
@@ -22,7 +22,7 @@ CONVERGED = 1e-11
 @compiled
 @no_type_check
 def turned(a):
-    """`a'`."""
+    """Transpose `a'` of a matrix."""
     out = np.empty((a.shape[1], a.shape[0]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -33,7 +33,7 @@ def turned(a):
 @compiled
 @no_type_check
 def times(a, b):
-    """`a b`."""
+    """Matrix product `a b`."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -46,7 +46,7 @@ def times(a, b):
 @compiled
 @no_type_check
 def plus(a, b, share):
-    """`a + share b`."""
+    """Weighted sum `a + share b` of two matrices."""
     out = np.empty(a.shape)
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -57,7 +57,7 @@ def plus(a, b, share):
 @compiled
 @no_type_check
 def beside(a, b):
-    """`[a, b]`."""
+    """Block matrix `[a, b]`."""
     out = np.empty((a.shape[0], a.shape[1] + b.shape[1]))
     for i in range(a.shape[0]):
         for j in range(a.shape[1]):
@@ -70,7 +70,8 @@ def beside(a, b):
 @compiled
 @no_type_check
 def solved(a, b):
-    """`a^{-1} b` by elimination with partial pivots; raises for a singular a, or NaN."""
+    """Solution `a^{-1} b` of a linear system by elimination with partial pivots; raises for a
+    singular a, or NaN."""
     n = len(a)
     rows = beside(a, b)
     width = rows.shape[1]
@@ -94,8 +95,8 @@ def solved(a, b):
 @compiled
 @no_type_check
 def log_det(a):
-    """Logarithm of the determinant of a positive definite a, by Cholesky's lower factor; raises for
-    any other."""
+    """Logarithm of the determinant of a positive definite matrix, by Cholesky's factor; raises for
+    any other matrix."""
     n = len(a)
     total = 0.0
     lower = np.zeros(a.shape)
@@ -116,8 +117,8 @@ def log_det(a):
 @compiled
 @no_type_check
 def _grown(total, step):
-    """Adds the step, made symmetric; 1 where it no longer counts, -1 where the sum has no limit (or
-    is NaN), else 0."""
+    """Add a symmetrised step to a sum, in place; 1 where the step no longer counts, -1 where the
+    sum diverges (or is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
         for j in range(i + 1):
@@ -133,8 +134,8 @@ def _grown(total, step):
 @compiled
 @no_type_check
 def doubled(a, g, h):
-    """The limit of `H <- H + A'H (I + G H)^{-1} A`; raises where there is none. G and H are used
-    up."""
+    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling; raises where
+    there is none. G and H are overwritten."""
     n = len(a)
     ended = 0
     for _ in range(DOUBLINGS):
@@ -158,7 +159,8 @@ def doubled(a, g, h):
 @compiled
 @no_type_check
 def summed(a, source):
-    """`P = a P a' + source`; raises unless a is stable. The source is used up."""
+    """Solution of the Lyapunov equation `P = a P a' + source`; raises unless a is stable. The
+    source is overwritten."""
     ended = 0
     for _ in range(DOUBLINGS):
         ended = _grown(source, times(times(a, source), turned(a)))
@@ -173,7 +175,8 @@ def summed(a, source):
 @compiled
 @no_type_check
 def _costs(f, moved, state_weight, input_weight, m, r, logs):
-    """`Q, R, S'` of the equation, inputs `(u, p, v)`, at these log multipliers."""
+    """Cost matrices `Q, R, S'` of the equation with inputs `(u, p, v)`, at these log
+    multipliers."""
     (q, n), inputs = f.shape, moved.shape[1]
     bound = exp(logs[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
     rows = beside(moved, f)  # what drives each neuron, by (u, p, x)
@@ -202,8 +205,8 @@ def _costs(f, moved, state_weight, input_weight, m, r, logs):
 @compiled
 @no_type_check
 def _constraint(h, m, inputs, injects):
-    """`T` with `T'H T < 0` the order of play: (p, v) after u; or, where the gain answers v, v, then
-    u, then p."""
+    """Matrix `T` with `T'H T < 0`, the order of play: (p, v) after u; or, where the gain answers v,
+    v, then u, then p."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):
@@ -220,7 +223,7 @@ def _constraint(h, m, inputs, injects):
 @compiled
 @no_type_check
 def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """The goal's gradient, from the saddle point `(u, p, v)`, the loop's Gramian and `T
+    """Gradient of the goal, from the saddle point `(u, p, v)`, the loop's Gramian and `T
     (T'(-H)T)^{-1} T'`.
 
     At a saddle point the players' own changes count only in second order: the multipliers act on
@@ -253,7 +256,8 @@ def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
 @compiled
 @no_type_check
 def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
-    """`goal, gradient, X, H = R + B'X B, B'X A + S'` at these log multipliers."""
+    """Saddle point of the game at these log multipliers: `goal, gradient, X, H = R + B'X B, B'X A +
+    S'`."""
     (q, n), inputs = f.shape, moved.shape[1]
     cost, own, s = _costs(f, moved, state_weight, input_weight, m, r, logs)
     across = turned(b)

@@ -1,5 +1,5 @@
-"""Guaranteed-cost gains from Riccati equations: O(n^3), and the weights choose a good one among the
-certified.
+"""Guaranteed-cost gains from Riccati equations in O(n^3); their weights select a good one among the
+certified gains.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one
 for which `sum r^{-2k} (x^T Q_x x + u^T R u)` is small whatever S_u does.
@@ -67,7 +67,7 @@ FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search 
 
 @dataclass(frozen=True, kw_only=True)
 class GuaranteedCost:
-    """One point of the tau search: the Riccati solution divided by tau, and the gain."""
+    """Riccati solution divided by tau, and the gain, at one point of the search over tau."""
 
     s_over_tau: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]
@@ -75,13 +75,13 @@ class GuaranteedCost:
 
     @property
     def cost(self) -> float:
-        """`trace(S)`: the guaranteed cost summed over unit initial states."""
+        """Guaranteed cost summed over unit initial states, `trace(S)`."""
         return float(self.tau * np.trace(self.s_over_tau))
 
 
 @within_floats()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """The certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is
+    """Certified gain with the least guaranteed cost over tau; raises `NoSolution` if no tau is
     admissible."""
     alpha = problem.ball.alpha
     beta = problem.ball.beta
@@ -98,7 +98,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
-    """The Riccati solution at one tau, divided by tau so that large tau is harmless; None if
+    """Riccati solution at one tau, divided by tau so that large tau is harmless; None if tau is
     inadmissible."""
     ball = problem.ball
     ah = problem.a_hat
@@ -122,10 +122,12 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
 
 
 def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
-    """Coarse logarithmic grid, then Brent's method between the neighbours of the best point."""
+    """Minimise the cost over tau on a coarse logarithmic grid, then by Brent's method around its
+    best point."""
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost(log_step: float) -> float:
+        """Guaranteed cost at a step of the logarithm of tau."""
         point = at_tau(problem, tau_min * (1 + np.exp(log_step)))
         tried.append((FAR if point is None else point.cost, point))
         return tried[-1][0]
@@ -145,7 +147,7 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
 
 @dataclass(frozen=True, kw_only=True)
 class RiccatiSynthesis(Synthesis):
-    """The certified gains of least guaranteed cost for the given weights.
+    """Synthesis of the certified gains with least guaranteed cost for the given weights.
 
     With neurons the search starts from what is `near`: a neighbour's solution for the controller
     (under False) or for the observer (under True).
@@ -165,8 +167,8 @@ class RiccatiSynthesis(Synthesis):
         return least_cost(problem, self.near.get(problem.neurons.observes))
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """The weights first; where the frontier leaves no room, the minimum-energy gain, with
-        neurons the LMI's."""
+        """Solutions for the given weights; near the frontier also the minimum-energy gain or, with
+        neurons, that of the LMI."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi

@@ -1,5 +1,5 @@
-"""`u = S_u^{-1}(K xh)`: the input map is known and strictly monotone, so the law can command what
-is behind it.
+"""Control laws that invert the input map, `u = S_u^{-1}(K xh)`, which is possible where S_u is
+strictly monotone.
 
 A deviation from `v = S_u(u)`, at a limit of u, is known to the observer. Through a dead zone the
 law asks for several times the input. Source: docs/theory.md, "With neurons".
@@ -29,7 +29,8 @@ INVERTED = {
 
 
 def model_behind_map(model: Model) -> Model:
-    """The model with input v. Raises `BadRequest` where `S_u` has no inverse by channel."""
+    """Model whose input is v = S_u(u); raises `BadRequest` where `S_u` cannot be inverted channel
+    by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
@@ -42,14 +43,14 @@ def model_behind_map(model: Model) -> Model:
 
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
-    """The records with v for their input."""
+    """Records with v = S_u(u) as their input."""
     return tuple(replace(record, u=model.lift(record.u)) for record in records)
 
 
 def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """Mismatch that the records show, relative to v."""
+    """Mismatch between records and model, relative to v = S_u(u)."""
     return measure_mismatch(
         model_behind_map(model),
         records_behind_map(model, records),
@@ -69,7 +70,7 @@ def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) 
 
 
 def as_inverting(design: Design) -> Design:
-    """The same gains, found for the model with input v, as those of a law that undoes `S_u`."""
+    """Design with the gains found for the model with input v, as a law that inverts `S_u`."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
     require(
@@ -86,7 +87,7 @@ def as_inverting(design: Design) -> Design:
 
 
 def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model and balls that a design is about: the model itself, or with input v."""
+    """Model and balls to which a design refers: the model itself, or the model with input v."""
     if not design.inverts:
         return model, balls
     inner_model = model_behind_map(model)
@@ -96,8 +97,8 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
 def design_with_inverted_input(
     plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
 ) -> Design:
-    """The design of `plain`, a specification without the option, for the model with input v; marked
-    as such."""
+    """Design of the specification `plain` for the model with input v, marked as inverting the input
+    map."""
     inner_model = model_behind_map(model)
     limits = getattr(plain, "limits", None)
     if limits is not None:

@@ -1,5 +1,5 @@
-"""How fast a design is on the model itself: area under its response and time to settle, for
-hundreds at once.
+"""Speed of a design on the model itself: area under its response and settling time, for hundreds of
+designs at once.
 
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in
 docs/theory.md.
@@ -32,7 +32,8 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 def release(
     model: Model, validation: Trajectories, loaded: bool
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
-    """States `x0` let go at sample 0, the load to be added to `S_u(u)`, and the horizon in samples.
+    """Initial states `x0` released at sample 0, the load added to `S_u(u)`, and the horizon in
+    samples.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
     under loads. Not states in which a constant input would hold the model: a model may have a mode
@@ -61,8 +62,8 @@ def release(
 
 
 def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """`LEVELS` of each channel of `S_u`, scaled so that level one moves the output by one scale;
-    idle ones left out."""
+    """Constant loads, `LEVELS` of each channel of `S_u`, scaled so that level one moves the output
+    by one scale; channels without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
     else:
@@ -76,8 +77,8 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
 
 
 def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
-    """A load over time, up to one, that the internal model makes: constant, a ramp, sines, or their
-    mean."""
+    """Time course of a load that the internal model can generate, at most one: constant, a ramp,
+    sines, or their mean."""
     own_modes = modes[::outputs, ::outputs]  # of one output
     if not len(own_modes):
         return np.ones(horizon)
@@ -90,7 +91,8 @@ def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float
 def relative_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
-    """`J / J_uncontrolled`, mean over the released states, of each of the pairs of gains.
+    """Response area relative to the open loop, `J / J_uncontrolled`, mean over the released states,
+    for each pair of gains.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
@@ -117,7 +119,7 @@ def _areas(
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    """Area under the response and time to settle of each pair (rows) from each start (columns)."""
+    """Area under the response and settling time of each pair (rows) from each start (columns)."""
     n = model.order
     k = gains.k.transpose(0, 2, 1)
     l_ = gains.l.transpose(0, 2, 1)

@@ -1,4 +1,5 @@
-"""[Z26] Theorems 1 and 2 as the paper states them: linear matrix inequalities, through CVXPY.
+"""Theorems 1 and 2 of [Z26] as the paper states them: linear matrix inequalities, solved through
+CVXPY.
 
 Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves
 without compiling. The solver's status is information: inside the frontier its "infeasible" is often
@@ -36,7 +37,8 @@ Matrix = Float[np.ndarray, "_ _"]
 
 
 class CompiledLmi:
-    """Theorem 1 for one pair `a (n, n)`, `b (n, m)`, ready to be solved at any rate and ball.
+    """Inequality of Theorem 1 for one pair `a (n, n)`, `b (n, m)`, compiled so that it can be
+    solved at any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
     matter for `guaranteed_cost` only, whose cost is that of the Riccati route.
@@ -72,7 +74,8 @@ class CompiledLmi:
         self.problem = cp.Problem(cp.Minimize(goal), constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
-        """Raises `NoSolution` with the solver's status when it returns no matrices."""
+        """Matrices that satisfy the inequality; raises `NoSolution` with the solver's status when
+        it returns none."""
         parts = self.parts
         known = {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
         for name, value in known.items():
@@ -88,7 +91,8 @@ class CompiledLmi:
 
 
 def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
-    """`min g` with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y` and `P >= I`: `||K||^2 <= g`."""
+    """Objective and constraints that minimise g with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y`
+    and `P >= I`, so that `||K||^2 <= g`."""
     matrix = cp.bmat(full(upper))
     g = cp.Variable(nonneg=True)
     bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
@@ -101,6 +105,7 @@ def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expr
 def _compiled(
     data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float
 ) -> Any:
+    """Compiled inequality of these dimensions, cached for problems with the same data."""
     a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
     return CompiledLmi(
         a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight
@@ -109,7 +114,8 @@ def _compiled(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """The paper's route. `objective` is one of `OBJECTIVES`, `solver` CLARABEL or SCS."""
+    """Synthesis by the paper's linear matrix inequalities; `objective` is one of `OBJECTIVES`,
+    `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
     full: bool = False
@@ -140,8 +146,8 @@ class LmiSynthesis(Synthesis):
 def paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """[Z26] Theorem 1 (2) as printed: all its unknowns (P, Y, X, sigma), any solution with the
-    block matrix `>= I`.
+    """Matrices of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X, sigma): any
+    solution with the block matrix `>= I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

@@ -1,5 +1,5 @@
-"""Choice of the fastest design whose proof covers what the records show, among those that are
-predicted to be stable.
+"""Choice of the fastest design whose proof covers the records, among those that are predicted to be
+stable.
 
 Neighbours in the order of expected response are alike, so ever fewer of them are looked at: the
 first, second, third, fifth, ... . Coverage is that of the frequency inequality, without filters and
@@ -49,9 +49,9 @@ def prefer_covered(
     cover: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """The first design among some of these pairs that is covered as asked for; else what a search
-    gives around the one that covers most; else the first that is covered at all, else the first.
-    And which of these it is.
+    """First design among these pairs whose proof covers the records as requested; else the result
+    of a search around the one that covers most; else the first that is covered at all, else the
+    first; with a word for which of these it is.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
@@ -84,8 +84,8 @@ def prefer_covered(
 
 @dataclass(kw_only=True)
 class SeenDesigns:
-    """Designs looked at whose coverage is not what is wanted: the first, the first that is covered
-    at all, and the one that covers `most`, with its `largest` coverage."""
+    """Designs considered so far whose coverage is too small: the first, the first that is covered
+    at all, and the one with the `largest` coverage, `most`."""
 
     first: Design | None = None
     barely: Design | None = None
@@ -93,7 +93,7 @@ class SeenDesigns:
     largest: float = 0.0
 
     def note(self, design: Design, coverage: float) -> None:
-        """Take note of one more."""
+        """Add one more design with its coverage."""
         self.first = self.first or design
         if self.barely is None and coverage >= LOST:
             self.barely = design
@@ -102,7 +102,7 @@ class SeenDesigns:
             self.largest = coverage
 
     def search_around(self, search: Search, target: float) -> Design | None:
-        """The design that a search finds around the one that covers most; None without any."""
+        """Design found by a search around the one that covers most; None without any."""
         if self.first is None or self.most is None:
             return None
         return search(self.first, self.most, target)
@@ -110,14 +110,15 @@ class SeenDesigns:
 
 @dataclass(frozen=True, kw_only=True)
 class LoopCoverage:
-    """Coverage by frequency of any gains of one loop, for the items of one premise."""
+    """Coverage by frequency of any gains of one loop, for the records of one premise."""
 
     context: VerificationContext
     items: dict[float, tuple[Item, ...]]
 
     @classmethod
     def of(cls, model: Model, controlled: Any, balls: Balls, premise: Premise) -> "LoopCoverage":
-        """The items around each centre are measured once."""
+        """Prepare the coverage for a loop, with the items of the premise measured once around each
+        centre."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
@@ -129,7 +130,7 @@ class LoopCoverage:
         return cls(context=context, items=items)
 
     def around(self, gains: dict[str, Any], centre: float) -> float:
-        """The largest kappa of the joint program around one centre; zero where it has none."""
+        """Largest kappa of the joint program around one centre; zero where it has no solution."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import theorem_of
         from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
@@ -150,7 +151,7 @@ class LoopCoverage:
             return 0.0
 
     def largest(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
-        """The largest kappa over the centres, and its centre; it ends at the first that is
+        """Largest kappa over the centres, and its centre; the search ends at the first that is
         `enough`."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
@@ -163,8 +164,8 @@ class LoopCoverage:
 def coverage_by_frequency(
     design: Design, model: Model, balls: Balls, premise: Premise, enough: float = np.inf
 ) -> float:
-    """The largest kappa of the joint program over the centres; it ends at the first that is
-    `enough`."""
+    """Largest kappa of the joint program for a design over all centres; the search ends at the
+    first that is `enough`."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     loop = LoopCoverage.of(model, controlled_system(model, feedback), balls, premise)

@@ -1,5 +1,5 @@
-"""The convex program behind `measured_discs`: weights, multipliers and kappa at once, at some
-angles.
+"""Convex program behind `measured_discs`: weights, multipliers and kappa together, at selected
+frequencies.
 
 With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
 inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at
@@ -40,8 +40,8 @@ Forms = Complex[np.ndarray, "A F G G"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopForms:
-    """The loop's quadratic forms: of the disc's parts and of each multiplier, over states and free
-    signals."""
+    """Quadratic forms of the loop over states and free signals: those of the disc's parts and of
+    each multiplier."""
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
@@ -55,7 +55,7 @@ class LoopForms:
     def of(
         cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
-        """Without filters: of the weights only their squared gains enter."""
+        """Forms of a loop without filters, since only squared gains of the weights enter."""
         of, counts = loop_without_filters(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
@@ -98,7 +98,7 @@ class LoopForms:
 
     @property
     def angles(self) -> Float[np.ndarray, "F"]:
-        """A grid with the angles of the loop's own modes and their neighbourhoods."""
+        """Grid of angles that includes the loop's own modes and their neighbourhoods."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
@@ -109,7 +109,7 @@ class LoopForms:
 
 @dataclass(frozen=True, kw_only=True)
 class FormsAtAngles:
-    """`LoopForms` at some angles, Hermitian over the free signals."""
+    """Quadratic forms of `LoopForms` at some angles, Hermitian over the free signals."""
 
     angles: Float[np.ndarray, "F"]
     model: Complex[np.ndarray, "F G G"]
@@ -118,7 +118,7 @@ class FormsAtAngles:
     multipliers: Forms
 
     def joined(self, other: "FormsAtAngles") -> "FormsAtAngles":
-        """The forms at the angles of both."""
+        """Forms at the angles of both objects."""
         return FormsAtAngles(
             angles=np.concatenate([self.angles, other.angles]),
             model=np.concatenate([self.model, other.model]),
@@ -131,8 +131,8 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """The loop's numbers with filters of order zero and multipliers zero, and how many multipliers
-    there are of each name."""
+    """Numbers of the loop with filters of order zero and multipliers zero, and the count of
+    multipliers of each name."""
     loop = theorem.loop_of(context)
     zero = np.zeros((1, 1))
     counts = {"lambda_p": 1, "lambda_out": 3 if loop["beta_out"] > 0 else 0}
@@ -147,7 +147,7 @@ def loop_without_filters(
 def _form_of(
     theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
 ) -> Float[np.ndarray, "N N"]:
-    """The form that one multiplier multiplies."""
+    """Quadratic form that one multiplier multiplies."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
@@ -158,8 +158,8 @@ def _form_of(
 
 @dataclass(kw_only=True)
 class ConeProgram:
-    """`minimise c x` subject to rows `g x >= h` and Hermitian `H_0 + sum_a x_a H_a >= 0`; solved by
-    Clarabel."""
+    """Program `minimise c x` subject to rows `g x >= h` and Hermitian `H_0 + sum_a x_a H_a >= 0`,
+    solved by Clarabel."""
 
     unknowns: int
     rows: list[Float[np.ndarray, "R n"]] = field(default_factory=list)
@@ -167,20 +167,21 @@ class ConeProgram:
     blocks: list[tuple[Any, Any]] = field(default_factory=list)
 
     def at_least(self, rows: Float[np.ndarray, "R n"], bounds: Float[np.ndarray, "R"]) -> None:
-        """Append `rows x >= bounds`."""
+        """Append the constraint `rows x >= bounds`."""
         self.rows.append(np.atleast_2d(rows))
         self.bounds.append(np.atleast_1d(bounds))
 
     def positive(
         self, constant: Complex[np.ndarray, "G G"], linear: Complex[np.ndarray, "n G G"]
     ) -> None:
-        """Append `constant + sum_a x_a linear_a >= 0`."""
+        """Append the constraint `constant + sum_a x_a linear_a >= 0`."""
         self.blocks.append((_triangle(constant[None])[0], _triangle(linear)))
 
     def minimise(
         self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
     ) -> Float[np.ndarray, "n"]:
-        """The solution; raises `NoSolution` with the solver's word where there is none."""
+        """Solution of the program; raises `NoSolution` with the solver's status where there is
+        none."""
         import clarabel  # slow to load
 
         rows = [-row for row in self.rows]
@@ -223,8 +224,8 @@ def _triangle(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t
 
 @dataclass(frozen=True, kw_only=True)
 class AngleProgram:
-    """`maximise goal x` subject to rows, and `constant + sum_a x_a linear_a >= 0` at every angle of
-    a grid."""
+    """Program `maximise goal x` subject to rows, and `constant + sum_a x_a linear_a >= 0` at every
+    angle of a grid."""
 
     constant: Complex[np.ndarray, "F G G"]
     linear: Complex[np.ndarray, "n F G G"]
@@ -239,7 +240,7 @@ class AngleProgram:
     def maximise(
         self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
-        """The solution and the angles that decided it, by cutting planes; raises `NoSolution`.
+        """Solution by cutting planes, and the angles that decided it; raises `NoSolution`.
 
         Angles that are far from deciding leave again.
         """
@@ -261,11 +262,12 @@ class AngleProgram:
 
 
 def _spread(count: int, some: int) -> list[int]:
+    """Indices of `some` of `count` items, spread evenly."""
     return [int(k) for k in np.unique(np.linspace(0, count - 1, some).round())]
 
 
 def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
-    """Where a value below `below` is no larger than its neighbours, the smallest first."""
+    """Indices of local minima below a threshold, the smallest first."""
     padded = np.concatenate([[np.inf], values, [np.inf]])
     no_larger_than_left = values <= padded[:-2]
     no_larger_than_right = values <= padded[2:]
@@ -274,5 +276,5 @@ def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
 
 
 def normalised(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
-    """A size for each form, by which its multiplier is scaled."""
+    """Size of each form, by which its multiplier is scaled."""
     return np.asarray(np.maximum(np.abs(forms).max(axis=(1, 2, 3)), np.finfo(float).tiny))

@@ -1,5 +1,4 @@
-"""Coverage of a run: the certificate of the deployed gains, and the columns that records derive
-again.
+"""Coverage of a run: the certificate of the deployed gains, and its columns.
 
 `coverage` is kappa over what the run's own records need at the certificate's weights. Both are
 derived from recordings by `verify`: weights that are stored larger need less and prove less, so no
@@ -38,12 +37,13 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 
 
 def is_coverage_sought(model: Model, synthesis: Any) -> bool:
-    """Whether a proof is looked for: with neurons, which take long, only where it is asked for."""
+    """Whether a proof of coverage is searched for; with neurons, which take long, only on
+    request."""
     return isinstance(model, SSM) or getattr(synthesis, "cover", None) is not None
 
 
 def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
-    """The design with its coverage certificate beside the others; as it is where there is none."""
+    """Design with its coverage certificate added; unchanged where there is none."""
     if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
@@ -69,7 +69,7 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
 
 def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Why the theorem does not speak of such a loop; None where it does."""
+    """Reason why the theorem does not apply to this loop; None where it does."""
     if design.inverts:
         return INVERTS
     observer = design.observer
@@ -81,8 +81,7 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 def coverage_facts(
     design: Design, model: Model, premise: Premise, fresh: Premise | None = None
 ) -> dict[str, Any]:
-    """The columns of the coverage; `coverage` is null, with its reason, where nothing is
-    covered."""
+    """Columns of the coverage; `coverage` is null, with its reason, where nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)
@@ -106,7 +105,7 @@ def coverage_facts(
 
 @runtime_checkable
 class MismatchRecords(Protocol):
-    """A data set's records that show the mismatch."""
+    """Records of a data set from which the mismatch is measured."""
 
     @property
     def validation(self) -> Trajectories: ...
@@ -123,8 +122,8 @@ def fresh_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Need of each fresh data set for the design's disc, over that of `premise`, the run's
-    own; none without a coverage certificate whose premise the run's records give."""
+    """Kappa that each fresh data set needs of the design's disc, relative to `premise`, the run's
+    own records; none without a coverage certificate from these records."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
         return []
@@ -140,13 +139,13 @@ def fresh_needs(
 
 
 def fresh_facts(needs: Sequence[float]) -> dict[str, Any]:
-    """The column of what fresh data sets need: the largest."""
+    """Column with the largest need of fresh data sets."""
     return {"coverage_needed": max(needs)} if needs else {}
 
 
 def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[str, Any]:
-    """Null with the band's name, where only bands without excitation keep the proof from
-    covering."""
+    """Null coverage with the band's name, where only bands without excitation prevent the proof
+    from covering the records."""
     lit = [item for item in items if not item.dark]
     if kappa < weights.need(lit)[0]:
         return {}
@@ -155,5 +154,5 @@ def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[
 
 
 def weights_of(part: MeasuredDiscs) -> Weights:
-    """The weights that a certificate states."""
+    """Weights in a certificate."""
     return Weights(floor=part.floor, output=part.weight_output, input=part.weight_input)

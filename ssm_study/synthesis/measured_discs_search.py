@@ -1,5 +1,5 @@
-"""Weights, kappa and proof of `measured_discs` for given gains: the largest that records leave room
-for.
+"""Search for weights, kappa and proof of `measured_discs` for given gains, the largest kappa that
+can be proved.
 
 One convex program gives weights, multipliers and kappa (`measured_discs_program`); kappa is then
 taken a little back and the weights widened where the loop does not mind, since weights that are
@@ -50,7 +50,7 @@ FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share o
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """The certificate with `coverage`, kappa over what the records need; or None with the
+    """Certificate with its `coverage` (kappa relative to the need of the records), or None with the
     `reason`."""
 
     certificate: MeasuredDiscs | None
@@ -60,7 +60,7 @@ class Coverage:
 
 
 def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
-    """The theorem for a model with or without neurons."""
+    """Theorem for a model with or without neurons."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -68,7 +68,7 @@ def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
 def largest_kappa(
     context: VerificationContext, weights: Weights, centre: float
 ) -> MeasuredDiscs | None:
-    """The largest certified kappa for given weights; None where none is certified, and where no
+    """Largest certified kappa for given weights; None where none is certified, and where no
     mismatch has an effect."""
     started = time.perf_counter()
     theorem = theorem_of(context)
@@ -92,7 +92,7 @@ def largest_kappa(
 def fixed_optimum(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Float[np.ndarray, "A"]]:
-    """The largest `kappa^2` for given weights, by frequency, and its multipliers; raises
+    """Largest `kappa^2` for given weights, by frequency, and its multipliers; raises
     `NoSolution`."""
     forms = LoopForms.of(theorem, context, (centre,))
     grid = forms.at(forms.angles)
@@ -114,7 +114,7 @@ def fixed_optimum(
 def angles_around(
     deciding: Float[np.ndarray, "D"], angles: Float[np.ndarray, "F"]
 ) -> Float[np.ndarray, "N"]:
-    """A finer grid between the neighbours of each deciding angle."""
+    """Finer grid between the neighbours of each deciding angle."""
     ascending = np.sort(angles)
     last = len(ascending) - 1
     fine = []
@@ -129,6 +129,7 @@ def angles_around(
 def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
+    """Program at the angles of a grid with the weights fixed."""
     reference = weights.on_output(grid.angles)[:, None, None] * grid.model
     reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
     linear = np.concatenate([-reference[None], grid.multipliers])
@@ -151,7 +152,7 @@ def _with_margin(
     nu: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> tuple[Float[np.ndarray, "A"], float]:
-    """Multipliers of the largest margin at this kappa, and the margin: in units of each free
+    """Multipliers with the largest margin at this kappa, and the margin in units of each free
     signal's own weight."""
     grid = forms.at(forms.angles)
     own = own_weights(forms, centre, multipliers)
@@ -180,7 +181,7 @@ def _numbers(
     kappa: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> dict[str, Any]:
-    """The theorem's own numbers but P."""
+    """Variables of the theorem except P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)
@@ -200,7 +201,7 @@ def certified(
     margin: float,
     started: float,
 ) -> MeasuredDiscs | None:
-    """The certificate with the first P that exact arithmetic accepts; None without any."""
+    """Certificate with the first P that exact arithmetic accepts; None without any."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -220,8 +221,7 @@ def certified(
 def metrics(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
-    """Candidates for P: minus the stabilising solutions of the Riccati equation, at several
-    slacks."""
+    """Candidates for P: negated stabilising solutions of the Riccati equation at several slacks."""
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
     rows = theorem.signals(of)
     order = len(rows.xi)
@@ -255,7 +255,7 @@ def metrics(
 
 
 def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """The smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
+    """Smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
     return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in ("inequality", "p"))
 
@@ -266,7 +266,8 @@ def largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """The proof that covers most of what the records show, over all centres; or why there is none.
+    """Proof that covers most of the records' mismatch, over all centres, or the reason why there is
+    none.
 
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
@@ -288,6 +289,7 @@ def largest_coverage(
 def _largest_for(
     context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
+    """Largest coverage around one centre."""
     started = time.perf_counter()
     theorem = theorem_of(context)
     forms = LoopForms.of(theorem, context, tuple(items))
@@ -321,6 +323,7 @@ def _proved(
     unknowns: Float[np.ndarray, "n"],
     started: float,
 ) -> Coverage | None:
+    """Certificate from a solution of the joint program; None if no attempt is accepted."""
     coarse = program.accuracy == COARSE
     for inside in INSIDE[coarse:]:
         scaled = nu * inside**2

@@ -1,5 +1,5 @@
 """Weights of `measured_discs` as cosine polynomials over fixed poles: the joint program, and
-filters.
+filters from its solution.
 
 `WeightProgram` gives the largest kappa with its weights and multipliers, and widens the weights
 where the loop does not mind. Source: docs/theory.md, "Measured discs".
@@ -41,8 +41,8 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def own_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal by itself in the form: |e|^2 one, |p|^2 its multiplier, and so
-    on."""
+    """Weight of each free signal in the quadratic form by itself: |e|^2 one, |p|^2 its multiplier,
+    and so on."""
     order = len(forms.a)
     whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
     own = np.abs(np.diagonal(whole)[order:])
@@ -51,13 +51,14 @@ def own_weights(
 
 @dataclass(frozen=True, kw_only=True)
 class WeightBasis:
-    """Squared gains `sum_j x_j phi_j`, `phi_0 = 1 / |den|^2`, `phi_j = 2 cos(j w) / |den|^2`."""
+    """Basis of squared gains `sum_j x_j phi_j`, `phi_0 = 1 / |den|^2`, `phi_j = 2 cos(j w) /
+    |den|^2`."""
 
     poles: tuple[float, ...] = POLES
     order: int = ORDER
 
     def denominator(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-        """`|den|^2`."""
+        """Squared gain `|den|^2` of the denominator at each angle."""
         if not self.poles:
             return np.ones(len(angles))
         delay = np.exp(-1j * angles)
@@ -65,19 +66,19 @@ class WeightBasis:
         return np.asarray(np.prod(factors, axis=0))
 
     def at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """Each basis function at each angle."""
+        """Value of each basis function at each angle."""
         return self.numerators(angles) / self.denominator(angles)
 
     def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """One, and `2 cos(j w)`."""
+        """Numerators of the basis functions at each angle: one, and `2 cos(j w)`."""
         rows = [np.ones(len(angles))]
         for j in range(1, self.order + 1):
             rows.append(2 * np.cos(j * angles))
         return np.stack(rows)
 
     def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
-        """The spectral factor with zeros inside the circle as `[A, B; C, D]`; raises `NoSolution`
-        where there is none."""
+        """Minimum-phase filter with this squared gain, as `[A, B; C, D]`; raises `NoSolution` where
+        there is none."""
         if coefficients[0] <= 0:
             return np.zeros((1, 1))
         if self.order == 0 and not self.poles:
@@ -92,8 +93,8 @@ class WeightBasis:
 
 
 def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """`n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)`, its zeros inside the circle;
-    raises `NoSolution`.
+    """Spectral factor `n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)` and zeros inside
+    the unit circle; raises `NoSolution`.
 
     By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
     poles outside (Oppenheim & Schafer, Discrete-Time Signal Processing, chapter 13).
@@ -117,7 +118,7 @@ def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class WeightProgram:
-    """The joint program of weights, multipliers and `nu = kappa^2` around one centre.
+    """Joint program for weights, multipliers and `nu = kappa^2` around one centre.
 
     Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
     and each band has a `widening` of its own.
@@ -131,19 +132,20 @@ class WeightProgram:
 
     @property
     def accuracy(self) -> float:
-        """The amount by which angles may be missed: more where each is a large matrix."""
+        """Amount by which constraints between the angles may be violated; larger where each is a
+        large matrix."""
         return COARSE if self.grid.model.shape[1] > LARGE else JOINT
 
     @property
     def linear(self) -> Any:
-        """The matrix of each unknown but nu, at each angle."""
+        """Matrix of each unknown except nu, at each angle."""
         phi = self.basis.at(self.grid.angles)[:, :, None, None]
         of_x = -phi * self.grid.model
         of_y = -phi * self.grid.input
         return np.concatenate([of_x, of_y, self.grid.multipliers])
 
     def item_rows(self) -> Float[np.ndarray, "I n"]:
-        """`sum over an item's lines of (X model + Y input) / seen` by the coefficients x, y."""
+        """Coefficients of x and y in `sum over an item's lines of (X model + Y input) / seen`."""
         rows = []
         for item in self.items:
             phi = self.basis.at(item.angles)
@@ -152,8 +154,8 @@ class WeightProgram:
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
-        """Rows on (x, y) and their bounds: X exceeds `c^2`, so that the disc holds `e = 0`, and
-        neither comes near zero."""
+        """Constraints on (x, y) with their bounds: X exceeds `c^2`, so that the disc contains `e =
+        0`, and neither comes near zero."""
         mean = self.basis.at(EVENLY).mean(axis=1)
         clear = self.basis.at(CIRCLE).T - NEAR_ZERO * mean
         none = np.zeros_like(clear)
@@ -165,7 +167,7 @@ class WeightProgram:
         return rows, bounds
 
     def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
-        """The largest nu, and x, y, multipliers; raises `NoSolution`."""
+        """Largest nu, with x, y and the multipliers; raises `NoSolution`."""
         linear = self.linear
         scale = normalised(linear)
         count = len(scale)
@@ -183,13 +185,13 @@ class WeightProgram:
 
     @property
     def weight_count(self) -> int:
-        """How many coefficients both weights have together."""
+        """Number of coefficients of both weights together."""
         return 2 * (self.basis.order + 1)
 
     def _rows_with_nu(
         self, scale: Float[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"]]:
-        """Rows on nu, x, y and the multipliers, and their bounds.
+        """Constraints on nu, x, y and the multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
         and at most `MOST`; nu is at most `LARGEST`.
@@ -216,8 +218,8 @@ class WeightProgram:
     def widened(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
-        """At a fixed nu the weights that are widest beyond what records show, each band up to
-        `WIDEST`; a margin of `room` times each free signal's own weight is left in the loop."""
+        """Widest weights beyond the records at a fixed nu, each band up to `WIDEST`; a margin of
+        `room` times each free signal's own weight is left in the loop."""
         multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
         own = own_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
@@ -239,7 +241,8 @@ class WeightProgram:
     def _rows_with_bands(
         self, scale: Float[np.ndarray, "n"], nu: float
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
-        """Rows on x, y, the multipliers and a widening of each band; their bounds; how many bands.
+        """Constraints on x, y, the multipliers and a widening of each band; their bounds; the
+        number of bands.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
@@ -262,7 +265,7 @@ class WeightProgram:
         return rows, bounds, len(bands)
 
     def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
-        """Filters of the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
+        """Filters from the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
         `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / nu
@@ -276,12 +279,12 @@ class WeightProgram:
 
 
 def in_units(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
-    """The matrices of the unknowns, each divided by its size."""
+    """Matrices of the unknowns, each divided by its size."""
     return forms / scale[:, None, None, None]
 
 
 def autocorrelation(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
-    """Coefficients of `|den|^2` in ones and `2 cos(j w)`."""
+    """Coefficients of `|den|^2` in one and `2 cos(j w)`."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
     whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
     return np.pad(whole, (0, size - len(whole)))

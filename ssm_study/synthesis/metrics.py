@@ -1,5 +1,4 @@
-"""The numbers of a record that describe the design: feasible, certified, how far from the limit,
-what is predicted.
+"""Columns that describe the design: feasible, certified, distance from the limit, prediction.
 
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 """
@@ -26,6 +25,7 @@ OPINION = "another solver's opinion, which decides nothing"
 
 
 def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
+    """Declarations of the columns of one side."""
     said = side.capitalize()
     setting = f"synthesis.rate_{side}"
     reason = f"Why there is no {side}"
@@ -218,8 +218,8 @@ COLUMNS = (
 
 
 def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
-    """Feasible, certified, how far from the frontier, how large, and what is predicted of the pair
-    on the plant.
+    """Columns of a design: feasible, certified, distance from the frontier, size of the gains, and
+    the prediction for the plant.
 
     `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
@@ -246,13 +246,13 @@ def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch)
 
 
 def infeasible_reason(design: Design) -> str:
-    """Reasons of the sides that have no certificate."""
+    """Reasons of the sides that have no certificate, as one text."""
     parts = (design.state_feedback, design.observer)
     return "; ".join(part.reason for part in parts if isinstance(part, Infeasible))
 
 
 def uncertified_reason(design: Design) -> str:
-    """Statuses of the sides that exact arithmetic does not find certified."""
+    """Statuses of the sides that exact arithmetic does not confirm, as one text."""
     sides = {"controller": design.state_feedback, "observer": design.observer}
     missed = []
     for side, part in sides.items():
@@ -262,7 +262,7 @@ def uncertified_reason(design: Design) -> str:
 
 
 def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
-    """Columns on the mismatch that the records show."""
+    """Columns of the mismatch between records and model."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,
         "mismatch_seen": mismatch.seen,
@@ -274,8 +274,8 @@ def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """Columns on what is proved within input limits; of several inputs or outputs what all share.
-    Empty where nothing is."""
+    """Columns of what is proved within input limits, for several inputs or outputs what all share;
+    empty where nothing is proved."""
     within_limits = WithinLimits.of(model, design.extra_certificates)
     if within_limits is None:
         return {}
@@ -291,8 +291,7 @@ def limit_facts(design: Design, model: Model) -> dict[str, Any]:
 def shared_range(
     start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
 ) -> dict[str, float]:
-    """The range that all channels share, under these names; empty where they rest far apart and
-    share none (the exported header has each)."""
+    """Range that all channels share, under these column names; empty where they share none."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:
@@ -301,8 +300,8 @@ def shared_range(
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates:
-    information, not the verdict."""
+    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates, for
+    information only."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = of_commands(design, model, balls)
@@ -325,7 +324,7 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
 
 
 def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    """The columns of one side of the design; null where there is no certificate."""
+    """Columns of one side of the design; null where there is no certificate."""
     facts: dict[str, Any] = {
         f"rate_{side}": part.rate,
         f"{side}_feasible": not isinstance(part, Infeasible),

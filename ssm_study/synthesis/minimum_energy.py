@@ -1,4 +1,4 @@
-"""The minimum-energy gain: a certified controller for every rate inside the frontier, without any
+"""Minimum-energy gain: a certified controller for every rate inside the frontier, computed without
 iteration.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the asked rate, with the
@@ -65,7 +65,8 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
 
 def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True) -> FastGain:
-    """`K0 / ((1 - delta^2) alpha)` at `r = contraction`; zero where no mode is faster than asked.
+    """Minimum-energy gain of the modes outside the circle of radius `contraction`, `K0 / ((1 -
+    delta^2) alpha)`; zero where there is no such mode.
 
     `widen` designs for a ball between the asked one and the widest that is possible at this r.
     """
@@ -90,7 +91,8 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
-    """Every share of the room with the cheap metric, then with the metric of the whole model."""
+    """Solutions at every share of the room to the frontier, with the cheap metric first, then with
+    the metric of the whole model."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempts.append(partial(minimum_energy_solution, problem, share))
@@ -100,8 +102,8 @@ def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
-    """Gain and metric of the problem at a faster rate, `share` of the room to the frontier away (in
-    log r).
+    """Gain and metric of the problem at a faster rate, `share` of the way (in log r) to the
+    frontier.
 
     At the faster rate and wider ball the fast part of the inequality is an equality; the room in
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
@@ -114,8 +116,8 @@ def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solut
 
 
 def whole_solution(problem: Problem, share: float, scale: float) -> Solution:
-    """The same gain with the least metric of the whole model, `scale` times: see
-    `modes.whole_metric`."""
+    """The same gain with `scale` times the least metric of the whole model
+    (`modes.whole_metric`)."""
     modes, fast, faster = _gain_at(problem, share)
     p = scale * whole_metric(problem, modes, fast, faster)
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
@@ -123,6 +125,8 @@ def whole_solution(problem: Problem, share: float, scale: float) -> Solution:
 
 
 def _gain_at(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
+    """Modes and minimum-energy gain at the factor that is `share` of the way (in log r) to the
+    frontier, and that factor."""
     ball = problem.ball
     r = problem.contraction
     limit = max(frontier(problem.a, problem.b, ball).contraction_limit, FASTEST * r)
@@ -133,7 +137,8 @@ def _gain_at(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedFormSynthesis(Synthesis):
-    """The minimum-energy gains: no weights, the least effort that reaches the rate."""
+    """Synthesis of minimum-energy gains, which reach the rate with the least effort and have no
+    weights."""
 
     method: ClassVar[str] = "closed_form"
 

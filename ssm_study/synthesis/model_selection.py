@@ -1,5 +1,5 @@
-"""Which of several trained models is kept: of those that fit about as well, the one that can be
-controlled fastest.
+"""Selection among trained models: of those that fit about equally well, the one with the fastest
+certifiable control.
 
 Models that fit as well differ much in the rate that can be certified: one of them may let a neuron
 cut off the input.
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LargestCertifiableRate:
-    """The largest certifiable rate of a state feedback among those within `within_percent` of the
-    best validation fit.
+    """Selection of the model with the largest certifiable rate among those within `within_percent`
+    of the best validation fit.
 
     One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md,
     "The frontier".
@@ -67,20 +67,19 @@ class LargestCertifiableRate:
         return near[int(np.argmax(rates))]
 
     def largest_rate(self, model: Any) -> float:
-        """The largest rate of a certified state feedback of one model; zero where there is
-        none."""
+        """Largest rate of a certified state feedback for one model; zero where there is none."""
         return max(0.0, fastest(model.system, certified_balls(model).input))
 
     def _within(self, model: Any) -> float:
-        """Points of fit that count as about as good, by kind of model."""
+        """Difference in fit that counts as equal, in percentage points, by kind of model."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent
         return self.within_percent
 
 
 def fastest(system: System, ball: JacobianBall) -> float:
-    """The largest rate of any state feedback: exact for a linear recurrence, with neurons as
-    bisection finds it."""
+    """Largest rate of any state feedback: exact for a linear recurrence, by bisection with
+    neurons."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (

@@ -1,4 +1,4 @@
-"""Metrics of a minimum-energy gain: by fast and slow modes, and of the whole model.
+"""Metrics of a minimum-energy gain, by fast and slow modes and for the whole model.
 
 Only the modes with `|lambda| > r` need the input; the slow ones, which contract already, join
 through a Lyapunov equation. Derivation: docs/theory.md, "The gain in closed form".
@@ -28,8 +28,8 @@ ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 @dataclass(frozen=True, kw_only=True)
 class Modes:
-    """`x = right [z_fast; z_slow]`, `[z_fast; z_slow] = left x`, and the two parts do not see each
-    other."""
+    """Decoupled fast and slow modes: `x = right [z_fast; z_slow]` and `[z_fast; z_slow] =
+    left x`."""
 
     right: Float[np.ndarray, "n n"]
     left: Float[np.ndarray, "n n"]
@@ -40,12 +40,13 @@ class Modes:
 
     @property
     def fast(self) -> int:
+        """Number of fast modes."""
         return len(self.a_fast)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FastGain:
-    """The minimum-energy gain `k`, in x, and its metric `p` on `z_fast`, sigma = 1."""
+    """Minimum-energy gain `k`, in x, and its metric `p` on `z_fast`, with sigma = 1."""
 
     k: Float[np.ndarray, "m n"]
     p: Float[np.ndarray, "k k"]
@@ -54,8 +55,8 @@ class FastGain:
 def split_modes(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> Modes:
-    """Ordered real Schur form of `A^T` (the fast part drives the slow one), then a Sylvester
-    equation decouples them.
+    """Separate the modes outside the circle of radius `contraction` (fast) from the others, by an
+    ordered real Schur form of `A^T` and a Sylvester equation.
 
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
     cannot be told apart.
@@ -83,8 +84,8 @@ def split_modes(
 
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
-    """`P = right diag(P_fast, P_slow / w) right^T`, w the largest weight with `GOOD_SHARE` of the
-    best margin: a smaller one would only spread the entries of P over more digits than floats have.
+    """Metric `P = right diag(P_fast, P_slow / w) right^T`, with the largest weight w that keeps
+    `GOOD_SHARE` of the best margin.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
@@ -117,8 +118,8 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
 def whole_metric(
     problem: Problem, modes: Modes, fast: FastGain, faster: float
 ) -> Float[np.ndarray, "n n"]:
-    """The least `P` of the gain built at `r = faster`, fast and slow modes together: where diagonal
-    needs more digits.
+    """Least metric `P` of the gain built at `r = faster` for fast and slow modes together, where
+    the diagonal one needs too many digits.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.
@@ -133,8 +134,8 @@ def whole_metric(
 
 
 def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
-    """Roots of what the input reaches: the minimum energy of the fast modes, the Gramian of the
-    slow ones."""
+    """Scale of each state: square roots of the minimum energy of the fast modes and of the Gramian
+    of the slow ones."""
     root = energy_root(modes.a_fast / faster, modes.b_fast / faster)
     slow = len(modes.left) - modes.fast
     if slow == 0:

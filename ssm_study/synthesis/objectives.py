@@ -1,4 +1,4 @@
-"""Objectives of a linear matrix inequality: any solution, the deepest inside, or the least
+"""Objectives for a linear matrix inequality: any solution, the largest margin, or the least
 guaranteed cost."""
 
 from typing import Any
@@ -14,7 +14,7 @@ Goal = tuple[cp.Expression, list[cp.Constraint]]
 def goal_and_constraints(
     objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
 ) -> Goal:
-    """Goal and constraints of an inequality with this upper triangle, linear in P and other
+    """Goal and constraints of an inequality given by its upper triangle, linear in P and other
     unknowns.
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
@@ -37,7 +37,7 @@ def goal_and_constraints(
 
 
 def _bordered(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
-    """Upper triangle with rows of performance below it, coupled to block `at`."""
+    """Upper triangle with rows of performance appended, coupled to block `at`."""
     zeros: list[Any] = [0] * len(performance)
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]

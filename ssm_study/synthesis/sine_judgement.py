@@ -18,8 +18,8 @@ from ssm_study.systems import Balls
 def design_lines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Lines of a period at which the design is to be tried; none for a law that undoes the input
-    map, nor where the noise is not known."""
+    """Frequencies, as lines of a period, at which the design is to be tested; none for a law that
+    inverts the input map, nor where the noise is unknown."""
     if not design.feasible or design.inverts or not mismatch.noise:
         return []
     return peak_lines(model, design.pair, balls, period)
@@ -28,7 +28,7 @@ def design_lines(
 def simulated_sines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
 ) -> list[SineMismatch]:
-    """Mismatch that single sines on the simulated plant show, for this design."""
+    """Mismatch measured with single sines on the simulated plant, for this design."""
     from ssm_study.data.simulated import PERIOD
 
     lines = design_lines(design, model, balls, mismatch, PERIOD)
@@ -38,8 +38,8 @@ def simulated_sines(
 def sine_facts(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """The margin with the sines among the records, and the prediction from both; none without
-    sines."""
+    """Columns of the margin with the sines among the records, and of the prediction from both; none
+    without sines."""
     if not sines:
         return {}
     without = predict(model, design.pair, balls, mismatch)

@@ -1,4 +1,4 @@
-"""The inequalities of a structured model, solved as they stand by CVXPY: the oracle of the game
+"""Inequalities of a structured model, solved directly by CVXPY; an independent check of the game
 Riccati route.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
@@ -33,7 +33,7 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
 class StructuredLmi:
-    """One problem with neurons, ready to be solved at any rate.
+    """Inequality of one problem with neurons, compiled so that it can be solved at any rate.
 
     `objective` as in `objectives.goal_and_constraints`; a state feedback's cost stands beside the
     state, an observer's noise where the step arrives. With `fixed` the gains are that solution's,
@@ -58,7 +58,7 @@ class StructuredLmi:
         self.program = cp.Problem(cp.Minimize(goal), constraints)
 
     def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
-        """Variables and parameters by the letters of the theorem, with the ball's numbers."""
+        """Variables and parameters by the letters of the theorem, with the numbers of the ball."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
@@ -71,7 +71,7 @@ class StructuredLmi:
         return of
 
     def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
-        """The theorem's, and the rows of the ball's multiplier."""
+        """Block matrix of the theorem with the rows of the ball's multiplier."""
         q, m = neurons.g.shape
         t = cp.diag(of.t)
         data = {
@@ -93,7 +93,8 @@ class StructuredLmi:
         return structured_observer.inequality(named, t, of.n), [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
-        """Raises `NoSolution` with the solver's status when it returns no matrices."""
+        """Matrices that satisfy the inequality at a rate; raises `NoSolution` with the solver's
+        status when it returns none."""
         of = self.of
         fixed = self.fixed
         neurons = self.problem.of_neurons
@@ -115,7 +116,7 @@ class StructuredLmi:
 
     @classmethod
     def of_gains(cls, problem: Problem) -> "StructuredLmi":
-        """The program that `proved` asks, for gains that inject nothing."""
+        """Program with the gains given, for gains that do not act on the neurons."""
         n, m = problem.b.shape
         one = np.eye(n)
         none = np.zeros((m, problem.of_neurons.e.shape[1]))
@@ -138,7 +139,7 @@ def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
 
 
 def holds(problem: Problem, solution: Solution) -> bool:
-    """The verdict of the theorem in exact arithmetic."""
+    """Whether exact arithmetic confirms the theorem for this solution."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.of_neurons.observes:
         theorem = structured_observer.StructuredObserver
@@ -146,13 +147,13 @@ def holds(problem: Problem, solution: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """The largest rate over all gains (or `fixed` ones) as far as the solver finds it; 0 if there
-    is none."""
+    """Largest rate over all gains (or for `fixed` ones) that the solver finds; 0 if there is
+    none."""
     return fastest(problem, fixed)[0]
 
 
 def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
-    """That rate, by bisection on the exact verdict, and its matrices, from which a search may
+    """Largest rate by bisection on the exact verdict, and its matrices, from which a search may
     start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
     low = 0.0
@@ -179,7 +180,7 @@ def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) 
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """The part's gains with matrices at the largest rate; None where that is no more than is
+    """Side with the same gains, certified at the largest rate; None where that is no larger than
     certified already."""
     started = time.perf_counter()
     problem, gains = part.as_problem()

@@ -1,5 +1,5 @@
-"""Guaranteed-cost gains of a structured model from game Riccati equations, multipliers found by a
-gradient search.
+"""Guaranteed-cost gains of a structured model from game Riccati equations, with multipliers found
+by a gradient search.
 
 With `w = (z + v) / 2`, `|v_i| <= |z_i|`, and `J = alpha I + beta Delta`, `p = Delta u`, the
 inequality of `theorems.structured_state_feedback` at given `Lambda` and `lambda_p = 1 / sigma` is
@@ -57,21 +57,21 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """A problem with neurons at a factor `r` of its own: the search comes from slower ones, above
-    one too."""
+    """Game Riccati problem with neurons at a contraction factor `r` of its own; the search starts
+    from slower factors, also above one."""
 
     problem: Problem
     r: float
 
     @cached_property
     def neurons(self) -> Neurons:
-        """Scaled; raises `ValueError` for a problem without any."""
+        """Scaled neurons of the problem; raises `ValueError` if it has none."""
         return self.problem.of_neurons.scaled()
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """Arguments of `saddle_point`: `A, B` of the equation, inputs `(u, p, v)`, how u and p
-        enter neurons, weights.
+        """Arguments of `saddle_point`: `A, B` of the equation with inputs `(u, p, v)`, how u and p
+        enter the neurons, and the weights.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.
@@ -89,8 +89,8 @@ class Game:
 
 
 class Saddle(NamedTuple):
-    """At admissible multipliers: the goal and its gradient, `X`, `H = R + B'X B` and `B'X A +
-    S'`."""
+    """Saddle point at admissible multipliers: the goal, its gradient, `X`, `H = R + B'X B` and `B'X
+    A + S'`."""
 
     goal: float
     gradient: Vector
@@ -100,8 +100,8 @@ class Saddle(NamedTuple):
 
 
 def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """The saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite
-    where they admit none.
+    """Saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where
+    they are inadmissible.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
     second term keeps the search off the edge of what is admissible, where the gradient of the first
@@ -115,8 +115,8 @@ def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 
 def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """BFGS on the goal from admissible `logs`; a step to an inadmissible point is shortened. The
-    best logs found."""
+    """Best log multipliers that BFGS finds from admissible `logs`; a step to an inadmissible point
+    is shortened."""
     at = evaluate(game, logs, barrier)
     metric = np.eye(len(logs))
     left = evaluations
@@ -147,8 +147,8 @@ def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vecto
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """The gain and the matrices of the theorem; raises `NoSolution` where the search gets stuck
-    before the rate.
+    """Gain with the least guaranteed cost and the matrices of the theorem; raises `NoSolution`
+    where the search stops before the requested rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
     solution at a faster rate, since smaller weights and a slower rate only relax the inequality.
@@ -169,8 +169,8 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 
 
 def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tuple[Vector, float]:
-    """Log multipliers, and the factor they hold at: from a slow rate to the asked one, centred on
-    the way."""
+    """Log multipliers found by continuation from a slow rate to the requested one, re-centred on
+    the way, and the factor at which they hold."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
     # step
     of = game.problem
@@ -199,15 +199,14 @@ def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tupl
 
 
 def cheapest(game: Game, logs: Vector) -> Vector:
-    """The multipliers of least cost that are found from these, which hold."""
+    """Admissible multipliers of least cost that a search finds from these."""
     for barrier, evaluations in LAST:
         logs = descend(game, logs, barrier, evaluations)
     return logs
 
 
 def logs_of(problem: Problem, found: Solution) -> Vector:
-    """The log multipliers of the inequality's matrices: the inverse of what `solution` makes of
-    them."""
+    """Log multipliers of given matrices of the inequality; inverse of `solution`."""
     assert found.multipliers is not None
     units = problem.of_neurons.units
     r2 = 1 - problem.rate
@@ -219,11 +218,12 @@ def logs_of(problem: Problem, found: Solution) -> Vector:
 
 
 def _between(game: Game, slow: Game, share: float) -> Game:
+    """Game at a factor between those of two games."""
     return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
 def solution(game: Game, logs: Vector) -> Solution:
-    """The theorem's matrices at these multipliers. Raises `NoSolution` where they do not hold."""
+    """Matrices of the theorem at these multipliers; raises `NoSolution` where they do not hold."""
     saddle = evaluate(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons
@@ -264,8 +264,8 @@ def solution(game: Game, logs: Vector) -> Solution:
 def without_ball(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
-    """A sigma so large (of an observer an eta so small) that it takes next to nothing of P: for a
-    ball without radius.
+    """Multiplier sigma for a ball without radius (of an observer eta): so large (so small) that it
+    hardly reduces P.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """
