@@ -40,7 +40,7 @@ let last = performance.now();
 """
 ANSWER = """const done = arguments[arguments.length - 1], begun = performance.now();
 %s;
-# in the same frame
+// in the same frame
 requestAnimationFrame(() => setTimeout(() => done(performance.now() - begun)));"""
 
 

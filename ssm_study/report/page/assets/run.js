@@ -89,11 +89,23 @@ function trajectoryFigures(i) {
   ];
 }
 
+const VARIES = new Map(); // of each column, once it was asked
+
+/** Whether the runs differ in a column. */
+function varies(name) {
+  if (!VARIES.has(name))
+    VARIES.set(
+      name,
+      COLUMNS[name].some((value) => value !== COLUMNS[name][0]),
+    );
+  return VARIES.get(name);
+}
+
 /** What is known of the run: first what is not the same in all runs, settings marked; the rest behind a fold. */
 function factsOf(i) {
   const recorded = Object.keys(COLUMNS).filter((name) => COLUMNS[name][i] !== null);
   const named = recorded.filter((name) => DATA.known_columns.includes(name));
-  const differ = named.filter((name) => RUNS === 1 || new Set(COLUMNS[name]).size > 1);
+  const differ = named.filter((name) => RUNS === 1 || varies(name));
   const folded = (title, names) =>
     names.length
       ? [
