@@ -1,1 +1,1 @@
-"""The commands, and what they answer to a wrong request."""
+"""Commands of the command line, and their messages for wrong requests."""

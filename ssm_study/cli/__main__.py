@@ -1,4 +1,4 @@
-"""`python -m ssm_study.cli`: the command line without its installed script."""
+"""Entry point of `python -m ssm_study.cli`, the command line without its installed script."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""A page shown in the browser."""
+"""Display of a page in the web browser."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ def open_page(path: Path) -> None:
 
 
 def page_link(path: Path) -> str:
-    """The path of a page; on a terminal a link that a click opens."""
+    """Path of a page as text; on a terminal a link that can be clicked."""
     if not sys.stdout.isatty():
         return str(path)
     return f"\x1b]8;;{path.absolute().as_uri()}\x1b\\{path}\x1b]8;;\x1b\\"

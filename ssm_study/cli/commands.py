@@ -1,4 +1,5 @@
-"""The commands but `run`: each takes the parsed options and returns an exit status, None for done.
+"""Functions behind all commands except `run`: each takes the parsed options and returns an exit
+status, None for success.
 
 Each imports what it takes when it is given, so that `--help` and refusals load no library of
 numerics.
@@ -21,7 +22,7 @@ EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
 
 
 def act_on_folder(action: Command, subject: str, options: argparse.Namespace) -> int | None:
-    """Find the folder of the study or the run that is meant, and give it to the command."""
+    """Find the study or run folder that is meant, and call the command with it."""
     from ssm_study.table import folders
 
     find_folder = folders.study_folder if subject == "study" else folders.run_folder
@@ -30,12 +31,12 @@ def act_on_folder(action: Command, subject: str, options: argparse.Namespace) ->
 
 
 def write_new_study(options: argparse.Namespace) -> None:
-    """Write a study folder and print its files."""
+    """Write the folder of a new study and print its files."""
     print(*new(options.folder), sep="\n")
 
 
 def look_at_log(options: argparse.Namespace) -> None:
-    """Print what is in a log, and draw it where it holds records."""
+    """Print a description of a log, and draw it where it holds records."""
     from ssm_study.data.look import look
     from ssm_study.data.text_layout import TextSettings
 
@@ -58,7 +59,7 @@ def look_at_log(options: argparse.Namespace) -> None:
 
 
 def excite(options: argparse.Namespace) -> None:
-    """Write the input for the user's own plant and print its file."""
+    """Write an excitation for the user's own plant and print its file."""
     from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
     settings = excitation_settings(options)
@@ -72,7 +73,8 @@ def excite(options: argparse.Namespace) -> None:
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Settings of the excitation: those of the run of a first log, and above them what is given."""
+    """Settings of the excitation: those of the run of a first log, overridden by the given
+    options."""
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles
@@ -84,7 +86,7 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def gather_study(options: argparse.Namespace) -> None:
-    """Make the table of a study again."""
+    """Build the table of a study again from its runs."""
     from ssm_study.table.gather import gather
 
     count = len(gather(options.study, anew=True))
@@ -114,7 +116,7 @@ def verify_run(options: argparse.Namespace) -> int:
 
 
 def refine_run(options: argparse.Namespace) -> int:
-    """Refine a run's controller, one line a step."""
+    """Refine a run's controller and print one line for each step."""
     from ssm_study.cli.summary import conclude_run
     from ssm_study.study.refine import refine
 
@@ -128,7 +130,7 @@ def refine_run(options: argparse.Namespace) -> int:
 
 
 def reproduce_run(options: argparse.Namespace) -> int:
-    """Do a run again and print where the two differ."""
+    """Run a configuration again and print where the two records differ."""
     from ssm_study.study import line as study
     from ssm_study.study.reproduce import reproduce
 
@@ -138,7 +140,7 @@ def reproduce_run(options: argparse.Namespace) -> int:
 
 
 def export_controller(options: argparse.Namespace) -> None:
-    """Verify a run, write its controller and print the files."""
+    """Verify a run, write its controller, and print the files."""
     from ssm_study.export.targets import export
     from ssm_study.study.verify import verify
 
@@ -152,7 +154,7 @@ def export_controller(options: argparse.Namespace) -> None:
 
 
 def may_overwrite(folder: Path) -> bool:
-    """Ask on the terminal whether an earlier export may be replaced; without one it may."""
+    """Whether an earlier export may be replaced, asked on a terminal; True without one."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
         return True
@@ -163,14 +165,14 @@ def may_overwrite(folder: Path) -> bool:
 
 
 def export_recordings(options: argparse.Namespace) -> None:
-    """Write the loops of all runs into one recording and print its file."""
+    """Write the closed loops of all runs into one recording and print its file."""
     from ssm_study.table.one_recording import export_mcap
 
     print(export_mcap(options.study))
 
 
 def export_to_mlflow(options: argparse.Namespace) -> None:
-    """Write a study into an MLflow store."""
+    """Write a study to an MLflow store."""
     from ssm_study.table.mlflow import export_mlflow
 
     count = export_mlflow(options.study, options.store)
@@ -199,7 +201,7 @@ def report_study(options: argparse.Namespace) -> None:
 
 
 def figures_line(paths: list[Path], left_out: int) -> str:
-    """How many figures were drawn and where they lie."""
+    """Text on how many figures were drawn and where they are."""
     if not paths:
         return "no figure drawn; -v says why"
     count = len({path.stem for path in paths})
@@ -208,10 +210,11 @@ def figures_line(paths: list[Path], left_out: int) -> str:
 
 
 def watch_study(options: argparse.Namespace) -> None:
-    """Serve the page of a study until it is stopped."""
+    """Serve the page of a study until the command is stopped."""
     from ssm_study.report.page.live import serve
 
     def announce(address: str) -> None:
+        """Print the address of the page."""
         print(address, flush=True)
 
     with serve(options.study, options.port, announce=announce) as server:

@@ -1,4 +1,4 @@
-"""How a command ends: its exit status, and the sentence for an error that ended it."""
+"""End of a command: its exit status, and the message for an error that ended it."""
 
 import errno
 
@@ -15,8 +15,7 @@ REMEDIES = {
 
 
 def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
-    """The sentence for a disk that is full or a folder that is not ours; `field` names what was
-    asked."""
+    """Message for a full disk or a folder without permission; `field` names what was requested."""
     problem = error.strerror or type(error).__name__
     remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
     return BadRequest(field, error.filename or otherwise, problem, remedy)

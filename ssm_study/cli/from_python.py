@@ -1,4 +1,4 @@
-"""The command, called from Python: compose a request, run a study, save a design as a run."""
+"""The command line called from Python: compose a request, run a study, save a design as a run."""
 
 import shutil
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ OF_THE_PLACE = ("experiment=", "study=", "results_dir=")
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
-    """Compose the configuration that the command composes from the same words.
+    """Configuration that the command composes from these overrides.
 
     Raises `BadRequest` as the command does.
     """
@@ -62,7 +62,7 @@ def study(*overrides: str) -> pd.DataFrame:
 
 
 def save_run(design: "Design", folder: Path) -> Path:
-    """Save a design as a run folder: the command makes the same run from the same words.
+    """Save a design as a run folder, as the command makes it from the same overrides.
 
     Model and gains are computed again, with everything that a run's record says beside them.
     Raises `BadRequest` where the run's certificate differs from the design's.

@@ -1,5 +1,4 @@
-"""One-sentence messages for requests that Hydra refuses, each with the request that was probably
-meant."""
+"""One-sentence messages for requests that Hydra refuses, each with a suggestion."""
 
 import re
 from difflib import get_close_matches
@@ -18,8 +17,7 @@ UNKNOWN_CHOICE = re.compile(r"Could not find '(.+)/([^/']+)' Available options i
 
 
 def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
-    """The refusal of `overrides` over the configuration in `folder` that Hydra answered with
-    `error`."""
+    """Error with a plain message and a suggestion, made from Hydra's error for these overrides."""
     message = one_sentence(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
         problem = f"{error.override} cannot be read"
@@ -47,13 +45,14 @@ def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequ
 
 
 def nearest_choice(group: str, name: str, choices: list[str]) -> str:
-    """Remedy for a name that is no choice of its group: the nearest one, else all of them."""
+    """Suggestion for a name that is no choice of its group: the nearest choice, else all of
+    them."""
     near = get_close_matches(name, choices, n=1)
     return f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
 
 
 def at_place(key: str, at: list[str], overrides: list[str]) -> str:
-    """Remedy for a group that is named with its place, with the value that was asked."""
+    """Suggestion for a group that is named with its place, with the requested value."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
     suggestions = " or ".join(f"{place}={value}" for place in at)
@@ -61,7 +60,7 @@ def at_place(key: str, at: list[str], overrides: list[str]) -> str:
 
 
 def one_sentence(error: BaseException) -> str:
-    """Hydra's and OmegaConf's messages without their appendices."""
+    """Message of Hydra or OmegaConf without its additional lines."""
     text = str(error)
     for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
         text = text.split(appendix)[0]
@@ -69,8 +68,8 @@ def one_sentence(error: BaseException) -> str:
 
 
 def refuse_dashes(overrides: list[str], folder: Path) -> None:
-    """Raise `BadRequest` for a setting that is written like an option, `--model.order 4`, and for
-    Hydra's rerun.
+    """Raise `BadRequest` for a setting written like an option, `--model.order 4`, and for Hydra's
+    rerun.
 
     Also for an option that is nearly one of ours; to others Hydra answers.
     """
@@ -89,7 +88,7 @@ def refuse_dashes(overrides: list[str], folder: Path) -> None:
 
 
 def refuse_misspelt_option(word: str) -> None:
-    """Raise `BadRequest` for an option that is nearly one of ours."""
+    """Raise `BadRequest` for an option that resembles one of ours."""
     if word in OPTIONS or not word.startswith("--"):
         return
     near = get_close_matches(word, OPTIONS, n=1, cutoff=0.8)
@@ -99,8 +98,8 @@ def refuse_misspelt_option(word: str) -> None:
 
 
 def meant(key: str, overrides: list[str], folder: Path) -> str:
-    """For a key that is not there: the choice that has it, else the nearest key or group, else
-    nothing."""
+    """Suggestion for a key that does not exist: the choice that has it, else the nearest key or
+    group, else an empty text."""
     if owners := choices_with(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
@@ -114,7 +113,8 @@ def meant(key: str, overrides: list[str], folder: Path) -> str:
 
 
 def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> DictConfig:
-    """Compose the request from its choices alone, of a sweep from the first ones.
+    """Compose the request without the settings that may be wrong: its choices alone, of a sweep the
+    first ones.
 
     What names no choice says nothing about what was meant.
     """
@@ -137,8 +137,8 @@ def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> Dic
 
 
 def places(group: str, message: str, folder: Path) -> list[str]:
-    """`reference` -> `[reference@loop.reference]`: as Hydra says, or of a group that is in no
-    request, as we add it."""
+    """Names of a group with its place, `reference` -> `[reference@loop.reference]`, from Hydra's
+    message or from where the configuration adds it."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")
     found_places: set[str] = set()
@@ -149,8 +149,7 @@ def places(group: str, message: str, folder: Path) -> list[str]:
 
 
 def choices_with(key: str, folder: Path) -> list[str]:
-    """`data.path` -> `[data=recorded]`: the choices of a group, not taken here, that have the
-    key."""
+    """Choices of groups, not selected here, that have the key: `data.path` -> `[data=recorded]`."""
     parts = key.split(".")
     choices = []
     for cut in range(1, len(parts)):

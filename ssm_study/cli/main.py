@@ -1,5 +1,5 @@
-"""`ssm-study`: the command line. Exit status 0 done, 1 some runs failed (the rest is kept), 2 the
-request was wrong."""
+"""The command line `ssm-study`. Exit status 0: done; 1: some runs failed (the others are kept); 2:
+the request was wrong."""
 
 import os
 import select
@@ -49,7 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _reader_is_gone() -> bool:
-    """Whether nobody reads our output any more; another broken pipe is no good end."""
+    """Whether the reader of our output (such as `head`) has closed it; any other broken pipe is an
+    error."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return bool(poll.poll(0))

@@ -1,4 +1,4 @@
-"""The command `new`: a study folder of one's own, written from a template."""
+"""The command `new`: writes the folder of a new study from a template."""
 
 import re
 from importlib.util import find_spec
@@ -10,8 +10,8 @@ TEMPLATE = Path(__file__).with_name("study_folder")
 
 
 def new(folder: Path) -> list[Path]:
-    """Write configuration, plant, theorem, figure, test and README into a new folder; returns the
-    files.
+    """Write configuration, plant, theorem, figure, test and README into a new folder, and return
+    the files.
 
     The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot,
     or is taken.

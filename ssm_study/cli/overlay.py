@@ -1,4 +1,4 @@
-"""The command `overlay`: free runs of several runs on one record."""
+"""The command `overlay`: compares the free runs of several runs on one record."""
 
 import argparse
 from pathlib import Path
@@ -9,7 +9,7 @@ WORDS = "compare the free runs of several runs on the test record that they shar
 
 
 def add_overlay(commands: Any) -> None:
-    """Add `overlay RUN RUN ...`."""
+    """Add the command `overlay RUN RUN ...` to the parser."""
     parser = commands.add_parser("overlay", help=WORDS, description=WORDS[0].upper() + WORDS[1:])
     run_help = "a run folder, or a study with the begin or the end of a run's name"
     parser.add_argument("runs", nargs="+", type=Path, metavar="RUN", help=run_help)
@@ -20,7 +20,7 @@ def add_overlay(commands: Any) -> None:
 
 
 def overlay_runs(options: argparse.Namespace) -> None:
-    """Print the table and write the picture."""
+    """Print the table that compares the runs, and draw their free runs."""
     from ssm_study.report.overlay import overlay
     from ssm_study.table.folders import run_folder
 

@@ -1,3 +1,3 @@
-"""Figures of the paper: every run draws them when it ends."""
+"""Figures of the paper, which every run draws at its end."""
 
 PAPER_FIGURES = ("validation_trajectory", "closed_loop_responses")

@@ -1,4 +1,4 @@
-"""The words that `ssm-study` takes: its commands, their options and their help."""
+"""Parser of the command line: commands, their options and their help."""
 
 import argparse
 from collections.abc import Callable
@@ -55,7 +55,7 @@ def add_command(subparsers: Subparsers, name: str, summary: str) -> argparse.Arg
 
 
 def add_new(subparsers: Subparsers) -> None:
-    """Add `new FOLDER`."""
+    """Add the command `new FOLDER` to the parser."""
     summary = "write a study folder of your own: plant, theorem, figure, test, README"
     command = subparsers.add_parser("new", help=summary)
     folder_help = "a folder that does not exist yet"
@@ -64,7 +64,7 @@ def add_new(subparsers: Subparsers) -> None:
 
 
 def add_excite(subparsers: Subparsers) -> None:
-    """Add `excite`."""
+    """Add the command `excite` to the parser."""
     summary = "write an input for your own plant: several amplitudes, each period twice, then rest"
     command = add_command(subparsers, "excite", summary)
     file_help = "the CSV file to write: time_s, input"
@@ -84,7 +84,8 @@ def add_excite(subparsers: Subparsers) -> None:
 
 
 def add_look(subparsers: Subparsers) -> None:
-    """Add `look FILE`: what is in a log, a picture of it, and the command that fits it."""
+    """Add the command `look FILE`, which describes a log, draws it, and prints the command that
+    fits it."""
     summary = "show what is in a log: columns, clock, holes, dynamics; and the command that fits it"
     command = add_command(subparsers, "look", summary)
     command.add_argument("file", type=Path, metavar="FILE", help="the log")
@@ -102,7 +103,7 @@ def add_look(subparsers: Subparsers) -> None:
 
 
 class Action(NamedTuple):
-    """A command on a study or on a run: what does it, on which of the two, and its help."""
+    """Command on a study or on a run: its function, which of the two it needs, and its help."""
 
     function: Command
     subject: str
@@ -111,7 +112,7 @@ class Action(NamedTuple):
 
 
 def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
-    """Add a command on a folder, which is looked for before the command is given it."""
+    """Add a command on a folder, which is looked up before the command's function is called."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject
     command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
@@ -122,6 +123,7 @@ def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
 
 
 def add_show_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `show`."""
     by_help = "sort by this column of runs.csv, in its better direction"
     command.add_argument("--by", metavar="COLUMN", help=by_help)
     where_help = "keep runs for which this holds, e.g. 'order == 8 and seed < 5'"
@@ -133,11 +135,13 @@ def add_show_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_verify_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `verify`."""
     json_help = "for machines: every claim, and what was not checked"
     command.add_argument("--json", action="store_true", help=json_help)
 
 
 def add_refine_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `refine`."""
     record_help = "log of a trial, with the columns of the run's data"
     command.add_argument("--record", type=Path, metavar="LOG", help=record_help)
     times_help = "stop after N iterations, each a run (4)"
@@ -145,6 +149,7 @@ def add_refine_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_export_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `export`."""
     folder_help = "the folder to write into"
     command.add_argument("--to", type=Path, required=True, metavar="DIR", help=folder_help)
     real_help = "floats of the C code: double (default) or float"
@@ -156,6 +161,7 @@ def add_export_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_report_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `report`."""
     others_help = "further studies to show on the same page"
     command.add_argument("others", nargs="*", type=Path, metavar="STUDY", help=others_help)
     only_help = f"draw only this figure (may be repeated): {', '.join(FIGURES)}"
@@ -168,11 +174,13 @@ def add_report_options(command: argparse.ArgumentParser) -> None:
 
 
 def add_watch_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of `watch`."""
     port_help = "local port (0: any free one)"
     command.add_argument("--port", type=int, default=8420, metavar="PORT", help=port_help)
 
 
 def add_mlflow_options(command: argparse.ArgumentParser) -> None:
+    """Add the options of the export to MLflow."""
     store_help = "address (default: sqlite:///STUDY/mlflow.db)"
     command.add_argument("--store", metavar="ADDRESS", help=store_help)
 

@@ -1,4 +1,4 @@
-"""A request, checked before Hydra acts on it: our three options, and every configuration of a
+"""Check of a request before Hydra acts on it: our own options, and every configuration of a
 sweep."""
 
 import re
@@ -42,7 +42,8 @@ JUST_ASKING = (
 
 
 def translate(arguments: list[str]) -> list[str]:
-    """Our own options of `ssm-study run` as Hydra's arguments; `-m` may stand anywhere."""
+    """Translate our own options of `ssm-study run` into Hydra's arguments; `-m` may stand
+    anywhere."""
     # Only a launcher can plan.
     many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
@@ -53,12 +54,13 @@ def translate(arguments: list[str]) -> list[str]:
 
 
 def quoted(words: Iterable[str]) -> list[str]:
-    """`internal_model=[sine(0.5Hz)]` with the sine in quotes: to Hydra it would be a function."""
+    """Put quotes around a sine in `internal_model=[sine(0.5Hz)]`, which Hydra would read as a
+    function."""
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
 
 
 def check_request(arguments: list[str], folder: Path, name: str) -> Command:
-    """The request, composed; refused are foreign targets, Hydra's own section included.
+    """Compose the request and refuse foreign targets in it, Hydra's own section included.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
@@ -73,14 +75,14 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
 
 
 def overrides_of(request: Command) -> list[Override]:
-    """The words of the request, parsed; raises what Hydra raises for those that it cannot read."""
+    """Parsed overrides of the request; raises Hydra's errors for those it cannot read."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 
 
 def refuse_no_choices(request: Command) -> None:
-    """Raise `BadRequest` for a group that is given no name: Hydra would end in an error of its
-    own."""
+    """Raise `BadRequest` for a group without a name of a choice, for which Hydra gives no clear
+    error."""
     assert isinstance(request.config_loader, Loader)
     for override in overrides_of(request):
         key = str(override.key_or_group)
@@ -95,7 +97,7 @@ def refuse_no_choices(request: Command) -> None:
 
 
 def refuse_empty(request: Command) -> None:
-    """Raise `BadRequest` for `plant={}`: Hydra merges it, so it would change nothing."""
+    """Raise `BadRequest` for `plant={}`, which Hydra would merge without any effect."""
     for override in overrides_of(request):
         key = str(override.key_or_group)
         value = override.value()
@@ -106,8 +108,8 @@ def refuse_empty(request: Command) -> None:
 
 @contextmanager
 def checked(request: Command) -> Iterator[None]:
-    """Raise `BadRequest` before Hydra makes anything; while a launcher works that tells nothing,
-    tell how far it is.
+    """Context that raises `BadRequest` before Hydra makes anything, and shows progress for
+    launchers that report none.
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """

@@ -1,5 +1,5 @@
-"""`ssm-study run`: one run or a sweep, composed by Hydra, with a sentence for whatever is wrong
-with the request."""
+"""The command `ssm-study run`: one run or a sweep, composed by Hydra, with a plain message for
+every wrong request."""
 
 import gc
 import os
@@ -29,8 +29,8 @@ PYTHONS_WARNING = warnings.formatwarning
 
 
 def refuse_more_threads_than_cores() -> None:
-    """Refuse a count of threads in the environment that is no number or more than the cores this
-    process may use."""
+    """Raise `BadRequest` for a thread count in the environment that is no number or exceeds the
+    cores this process may use."""
     limit_threads()  # a program that calls `run` has not
     cores = len(os.sched_getaffinity(0))
     for variable in THREADS:
@@ -47,21 +47,21 @@ def _warned(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    """Our own warnings are sentences for the user: without the line of code that gave them."""
+    """Text of a warning; our own are sentences for the user, without the line of code."""
     if category.__module__.startswith("ssm_study"):
         return f"ssm-study: {message}\n"
     return PYTHONS_WARNING(message, category, filename, lineno, line)
 
 
 def configuration_folder() -> Path:
-    """Where the configuration lies: inside the installed package, or beside it in a clone."""
+    """Folder of the configuration, inside the installed package or beside it in a clone."""
     package = Path(str(files("ssm_study")))
     return package / "conf" if (package / "conf").is_dir() else package.parent / "conf"
 
 
 def run(overrides: list[str]) -> int:
-    """One study run, or with `-m` a Hydra multirun; options and `--help` are Hydra's. Refuses a
-    wrong request."""
+    """Run one study, or with `-m` a Hydra multirun; refuses a wrong request. Options and `--help`
+    are Hydra's."""
     warnings.formatwarning = _warned
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
@@ -90,7 +90,7 @@ def run(overrides: list[str]) -> int:
 
 
 def answer(overrides: list[str], opens: bool) -> int:
-    """Give the help, let Hydra answer, or do what is requested; returns the exit status."""
+    """Print the help, let Hydra answer, or do what is requested; returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
         Command(overrides, folder, "study").help()
@@ -113,7 +113,7 @@ def answer(overrides: list[str], opens: bool) -> int:
 
 
 def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
-    """The sentence for Hydra's own errors over a number or null where the name of a choice belongs;
+    """Message for a number or null where a choice must be named, which Hydra reports unclearly;
     None for any other error."""
     message = str(error)
     if "integer string conversion" in message:
@@ -125,7 +125,7 @@ def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
 
 
 def say(what: str) -> None:
-    """A line of progress, on a terminal alone."""
+    """Print a line of progress, on a terminal only."""
     if sys.stderr.isatty():
         print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
 
@@ -141,11 +141,12 @@ def show_page(request: Command) -> None:
 
 
 def concluded(request: Command) -> bool:
-    """The study gathered and told, after a single run drawn; True if a run failed."""
+    """Gather and print the study after its runs, and draw a single run; True if a run failed."""
     return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 
 def _job() -> Callable[[DictConfig], Any]:
+    """Task function that Hydra calls for a run."""
     # It would look at five thousand modules again and again, and once more at the end: 3 s.
     gc.disable()
     from ssm_study.study import line as study

@@ -1,4 +1,4 @@
-"""How a run and a sweep end: gathered, drawn, and told in one table."""
+"""Summary at the end of a run or sweep: gathered, drawn, and printed in one table."""
 
 import io
 import json
@@ -51,8 +51,8 @@ def conclude_run(config: DictConfig) -> bool:
 
 
 def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Read the list in the file, if it is younger than every record, every start and end of a run,
-    and all `files`; else return an empty list.
+    """Stored list in the file, if it is newer than all records, starts and ends of runs and all
+    `files`; else an empty list.
 
     Figures that are younger show another run of the study.
     """
@@ -68,8 +68,8 @@ def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
 def _outcome(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Gather and draw a study; return how the run went, as a coloured terminal of that width shows
-    it."""
+    """Gather and draw a study, and return the text on how the run ended, for a coloured terminal of
+    that width."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.table.gather import gather

@@ -1,4 +1,4 @@
-"""The laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs
+"""Laws that every plant, scaffolding, theorem, model and experiment obeys: `pytest --pyargs
 ssm_study.conformance`.
 
 Judged is every yaml of a group, ours and those of trusted packages (`ssm_study.extensions`); `-k
@@ -14,7 +14,8 @@ from ssm_study.extensions import configurations
 
 
 def folders() -> list[Path]:
-    """Folders that hold yaml files by group: ours first, in the order of the search."""
+    """Folders with yaml files of the configuration groups, ours first, in the order of Hydra's
+    search."""
     return [configuration_folder(), *configurations()]
 
 
@@ -31,7 +32,7 @@ def choices(group: str) -> list[str]:
 
 @cache
 def part(group: str, choice: str) -> Any:
-    """The object a study would get for `group=choice`."""
+    """Object that a study would build for `group=choice`."""
     from ssm_study.cli.from_python import composed
     from ssm_study.construction import construct_part
     from ssm_study.engine.settings import plain_settings

@@ -1,4 +1,4 @@
-"""Every choice of a swappable part runs the whole line, without being listed here: a new yaml is a
+"""Law of the whole line: every choice of a swappable part runs from data to record; a new yaml is a
 new test case."""
 
 import json

@@ -1,4 +1,4 @@
-"""The laws of `Plant`, for every yaml of the group."""
+"""Laws of `Plant`, tested for every yaml of the group."""
 
 import numpy as np
 import pytest
@@ -12,12 +12,13 @@ HALF = 15
 
 @pytest.fixture(params=choices("plant"))
 def plant(request: pytest.FixtureRequest) -> Plant:
+    """The plant of one choice of the group."""
     made: Plant = part("plant", request.param)
     return made
 
 
 def inputs(plant: Plant, cases: int) -> np.ndarray:
-    """Random levels within the amplitude, about the equilibrium."""
+    """Random input sequences within the plant's default amplitude, one for each case."""
     rng = np.random.default_rng(0)
     levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
     return plant.equilibrium().u + levels * np.array(plant.input_amplitude)

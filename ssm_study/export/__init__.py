@@ -1,1 +1,1 @@
-"""The controller for use elsewhere."""
+"""Export of a controller for use outside this package."""

@@ -1,4 +1,4 @@
-"""The controller as dependency-free C99: no allocation, no library, exact constants.
+"""Export of the controller as C99 without dependencies: no allocation, no library, exact constants.
 
 Every constant is written so that it reads back to the same float.
 """
@@ -20,7 +20,7 @@ from ssm_study.refusal import require
 
 
 def read_template(name: str) -> Template:
-    """A template that lies beside this module."""
+    """Text of a C template beside this module."""
     return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
@@ -61,7 +61,7 @@ def c_files(
     digest: str = "",
     rates: Sequence[str] = (),
 ) -> dict[str, str]:
-    """File name and text of the header, the source, and a replay with its own `main`.
+    """File name and text of the C files: header, source, and a replay program with its own `main`.
 
     `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
     signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
@@ -84,10 +84,12 @@ def c_files(
 
 
 def _comment_lines(lines: Sequence[str]) -> str:
+    """Lines of text as lines of a C comment."""
     return "\n".join(f" * {harmless(line)}" for line in lines) or " *"
 
 
 def _source(name: str) -> str:
+    """Text of the C source file."""
     guard = name.upper()
     return (
         f"#ifndef {guard}_EXTERN\n"
@@ -99,6 +101,7 @@ def _source(name: str) -> str:
 
 
 def _header(device: Device, comments: dict[str, str], name: str) -> str:
+    """Text of the C header with all constants and functions."""
     real = device.real
     controller = device.controller
     tables = ""
@@ -134,6 +137,7 @@ def _header(device: Device, comments: dict[str, str], name: str) -> str:
 
 
 def _set_point_maps(device: Device, name: str) -> str:
+    """C functions that map set points to equilibria."""
     points = device.set_points
     assert points is not None
     maps = _inverse(f"{name}_s_in_inverse", points.inward, name, device.real)
@@ -144,13 +148,14 @@ def _set_point_maps(device: Device, name: str) -> str:
 
 
 def _declarations(defined: str) -> str:
-    """Prototypes of the public functions in C code that defines them."""
+    """Prototypes of the public functions that a C text defines."""
     opened = [line for line in defined.splitlines() if "_API void" in line]
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
 def _resting_line(device: Device) -> str:
-    """The C line that lets a ramp's model rest while a limit acts; empty where none has to.
+    """Line of C that stops the internal model of a ramp while a limit acts; empty where it is not
+    needed.
 
     Integrators do so by themselves, and oscillators go on.
     """
@@ -161,13 +166,13 @@ def _resting_line(device: Device) -> str:
 
 
 def _constants(code: str) -> int:
-    """Count of floats in all constant arrays of C code."""
+    """Number of floats in all constant arrays of a C text."""
     counts = re.findall(r"static const \w+ \w+\[(\d+)\]", code)
     return sum(int(count) for count in counts)
 
 
 def harmless(text: str) -> str:
-    """Text that can neither end a C comment nor continue beyond its line.
+    """Text changed so that it cannot end a C comment or continue beyond its line.
 
     The text may come from whatever name somebody gave a study.
     """
@@ -175,6 +180,8 @@ def harmless(text: str) -> str:
 
 
 def _sizes(device: Device, name: str) -> dict[str, object]:
+    """Values for the placeholders of the C template: names, number type and dimensions of the
+    controller."""
     controller = device.controller
     states, lifted = controller.b.shape
     disturbances = controller.scale.disturbances
@@ -193,7 +200,7 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
 
 
 def _within(device: Device, has_set_points: bool) -> str:
-    """The header's comment on use within limits; measured disturbances are the last argument."""
+    """Comment of the header on use within limits; measured disturbances are the last argument."""
     comment = WITHIN[has_set_points]
     if not device.controller.scale.disturbances:
         return comment
@@ -201,7 +208,7 @@ def _within(device: Device, has_set_points: bool) -> str:
 
 
 def _pushed(device: Device, name: str) -> str:
-    """C code that adds measured disturbances to the next state; none where there are none."""
+    """C code that adds measured disturbances to the next state; empty where there are none."""
     disturbances = device.controller.scale.disturbances
     if not disturbances:
         return ""
@@ -262,7 +269,7 @@ def _replay(device: Device, name: str) -> str:
 
 
 def _recorded(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
-    """C table with a row per sample."""
+    """C table of a signal with a row per sample."""
     rows = []
     for row in values:
         numbers = ", ".join(_number(value, real) for value in row)
@@ -272,12 +279,13 @@ def _recorded(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
 
 
 def _number(value: float | np.floating[Any], real: str) -> str:
-    """Shortest text that reads back to the same float."""
+    """Shortest decimal text that reads back to the same float."""
     digits = np.format_float_scientific(REALS[real](value), trim="0")
     return f"{digits}f" if real == "float" else digits
 
 
 def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
+    """C definition of a constant array."""
     numbers = ", ".join(_number(value, real) for value in values.ravel())
     return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
 
@@ -298,12 +306,14 @@ def _function(
 def _product(
     prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
 ) -> str:
+    """Line of C that adds the product of a matrix and a vector to the target."""
     rows, columns = matrix.shape
     return f"    {prefix}_matvec({rows}, {columns}, #{label}, {source}, {target});\n"
 
 
 def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """C function `out += linear v + N(v)`, layer by layer: `d = phi(W d + b) - phi(b)`."""
+    """C function of a piecewise linear map, `out += linear v + N(v)`, layer by layer: `d = phi(W d
+    + b) - phi(b)`."""
     tables = {"linear": portable.linear}
     body = _product(prefix, "linear", portable.linear, "v", "out")
     source = "v"
@@ -330,7 +340,7 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
 
 
 def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
-    """C function `out += part w`, or `out` between stored points."""
+    """C function `out += part w`, or the interpolation of `out` between stored points."""
     if not isinstance(part, Joined):
         product = _product(prefix, "linear", part, "w", "out")
         return _function(name, "w", {"linear": part}, product, real)
@@ -346,7 +356,8 @@ def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, re
 
 
 def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
-    """C function `out = S^{-1}(w)`: a product, or the piece of each channel."""
+    """C function `out = S^{-1}(w)`: a matrix product, or a piecewise linear function of each
+    channel."""
     if inverse.matrix is not None:
         body = _product(prefix, "linear", inverse.matrix, "w", "out")
         return _function(name, "w", {"linear": inverse.matrix}, body, real)

@@ -1,4 +1,4 @@
-"""C code of the neurons of a controller."""
+"""C code for the neurons of a controller."""
 
 import re
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from ssm_study.models.structured import NEURONS
 
 
 def neuron_texts(device: Device, name: str) -> dict[str, str]:
-    """C code that neurons add to the header; empty texts for a model without neurons.
+    """Parts of the C header for the neurons; empty texts for a model without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.
@@ -29,6 +29,7 @@ def joined_lines(lines: Sequence[str]) -> str:
 
 
 def _neurons_function(device: Device, name: str) -> list[str]:
+    """C function that computes the outputs of the neurons."""
     real = device.real
     neurons = device.controller.neurons
     assert neurons is not None
@@ -52,6 +53,7 @@ def _neurons_function(device: Device, name: str) -> list[str]:
 
 
 def _activation(kind: str, real: str) -> str:
+    """C expression of an activation function."""
     code = NEURONS[kind].c
     if real == "float":  # tanhf and 1.0f
         code = re.sub(r"([a-z]\w+)\(", r"\1f(", code)
@@ -60,6 +62,7 @@ def _activation(kind: str, real: str) -> str:
 
 
 def _neurons_read(device: Device, name: str) -> list[str]:
+    """C code that adds the neurons to the predicted output."""
     real = device.real
     neurons = device.controller.neurons
     assert neurons is not None
@@ -75,6 +78,7 @@ def _neurons_read(device: Device, name: str) -> list[str]:
 
 
 def _neurons_driven(device: Device, name: str) -> list[str]:
+    """C code that adds the neurons to the next state."""
     neurons = device.controller.neurons
     assert neurons is not None
     states, count = neurons.into.shape

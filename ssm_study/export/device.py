@@ -1,4 +1,5 @@
-"""The controller as the device computes it: rounded, limited, in the order of its C code.
+"""Model of the controller on a device: rounded numbers, limited inputs, operations in the order of
+the C code.
 
 For a set point r the law aims at the equilibrium of the model nearest to it:
 `v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`,
@@ -45,13 +46,14 @@ class SetPoints:
 
     @property
     def maps(self) -> dict[str, Any]:
-        """The maps `to_lifted`, `at_rest` and `seen` by name."""
+        """Maps `to_lifted`, `at_rest` and `seen` by name."""
         return {name: getattr(self, name) for name in ("to_lifted", "at_rest", "seen")}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """A controller rounded to `real`, with physical input limits `lower, upper (m,)`.
+    """Controller with its numbers rounded to `real`, and with physical input limits `lower, upper
+    (m,)`.
 
     Limits are infinite where there is none. `set_points` is None where they cannot be computed on
     a device: S_u or S_y couples its channels, the model integrates, no constant input reaches every
@@ -68,7 +70,7 @@ class Device:
     def of(
         cls, controller: PortableController, real: str, lower: Vector, upper: Vector
     ) -> "Device":
-        """The device whose numbers are rounded once, to the nearest `real`.
+        """Device whose numbers are rounded once, to the nearest `real`.
 
         Missing limits become the largest `real`.
         """
@@ -77,6 +79,7 @@ class Device:
         largest = float(np.finfo(kind).max)
 
         def rounded(limit: Vector) -> Vector:
+            """Input limit rounded to `real`."""
             each = np.broadcast_to(limit, controller.scale.inputs)
             return np.clip(each, -largest, largest).astype(kind)
 
@@ -89,7 +92,7 @@ class Device:
 
     @cached_property
     def set_points(self) -> SetPoints | None:
-        """Maps to equilibria from the rounded numbers, computed in float64 and rounded once more.
+        """Maps to equilibria, computed in float64 from the rounded numbers and rounded once more.
 
         None where a device cannot compute them.
         """
@@ -106,6 +109,8 @@ class Device:
     def _by_matrices(
         self, model: StateSpace, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
+        """Maps to equilibria of a linear model, as matrices; None where it integrates or cannot
+        hold every output."""
         states, _, gain = model.held()
         if model.integrates:
             return None
@@ -125,7 +130,8 @@ class Device:
     def _along_curve(
         self, controller: PortableController, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps through every other point of the curve; the points between show what is missed."""
+        """Maps to equilibria by interpolation between every other point of the curve; the points
+        between show the error."""
         if len(self.lower) > 1:
             return None
         low = self._lifted_limit(controller, self.lower)
@@ -153,18 +159,19 @@ class Device:
 
     @staticmethod
     def _lifted_limit(controller: PortableController, limit: Vector) -> float:
-        """Image of an input limit under the input map S_u, the limit clipped to `WIDEST` scaled
+        """Value of the input map S_u at an input limit, which is first clipped to `WIDEST` scaled
         inputs."""
         scaled = controller.scale.scaled_input(limit.astype(float))
         return float(_mapped(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Constants of the C code by name, in its order, without those of its maps."""
+        """Constants of the C code by name, in its order, except those of its maps."""
         return self.controller.arrays() | {"lower": self.lower, "upper": self.upper}
 
     @property
     def multiplications(self) -> int:
-        """Largest count of products of two floats in one `track`, those of phi left out.
+        """Largest number of multiplications of floats in one `track`, without those of the
+        activation function.
 
         In one `step` where there are no set points.
         """
@@ -185,7 +192,8 @@ class Device:
         return products + reaching + inverses + maps + 2 * inputs
 
     def start(self, y0: Vector) -> Vector:
-        """State in which the model rests at `y0`; the equilibrium where there are no set points."""
+        """Equilibrium state of the model at output `y0`; the equilibrium of the plant where there
+        are no set points."""
         points = self.set_points
         if points is None:
             return np.zeros(len(self.controller.a), dtype=REALS[self.real])
@@ -195,7 +203,7 @@ class Device:
     def track(
         self, x: Vector, y: Vector, r: Vector, d: Vector | None = None
     ) -> tuple[Vector, Vector]:
-        """The input for this sample, clamped, and the next state.
+        """Compute the input for this sample, limited, and the next state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.
@@ -226,7 +234,7 @@ class Device:
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:
-        """The equilibrium nearest to `r` within the limits.
+        """Equilibrium nearest to the set point `r` within the limits.
 
         State `x`, scaled input `v` and output `w`.
         """
@@ -257,8 +265,8 @@ class Device:
         r: Float[np.ndarray, "T p"],
         d: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
-        """Inputs that the device applies to these measurements and set points, and measured
-        disturbances where it takes some.
+        """Inputs that the device applies to recorded measurements, set points and, where it takes
+        some, measured disturbances.
 
         It starts at rest at the first measurement.
         """
@@ -275,21 +283,24 @@ class Device:
 
 
 def _map_products(portable: PortableMap) -> int:
-    """Products in one evaluation of S; a slope for each bias."""
+    """Number of products in one evaluation of S; a slope for each bias."""
     network = portable.network
     layers = () if network is None else (*network.weights, *network.biases)
     return portable.linear.size + sum(part.size for part in layers)
 
 
 def _inverse_products(inverse: Inverse) -> int:
+    """Number of products in one evaluation of the inverse map."""
     return len(inverse.channels) if inverse.matrix is None else inverse.matrix.size
 
 
 def _reaching_products(part: Any) -> int:
+    """Number of products in one evaluation of a map to equilibria."""
     return part.slopes.shape[1] if isinstance(part, Joined) else part.size
 
 
 def _mapped(portable: PortableMap, v: Vector) -> Vector:
+    """Value of a map at `v`, computed in the order of the C code."""
     out = times(portable.linear, v)
     if portable.network is None:
         return out
@@ -302,7 +313,7 @@ def _mapped(portable: PortableMap, v: Vector) -> Vector:
 
 
 def _undone(inverse: Inverse, w: Vector) -> Vector:
-    """`S^{-1}(w)` in the order of the C code.
+    """Value of the inverse map `S^{-1}(w)`, computed in the order of the C code.
 
     Channel by channel the order is that already; for a product `@` promises none.
     """

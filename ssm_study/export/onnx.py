@@ -1,5 +1,5 @@
-"""The controller as an ONNX cell of one sample: `(y, state) -> (u, next_state)`, with measured
-disturbances `(y, state, d)`.
+"""Export of the controller as an ONNX model of one sample: `(y, state) -> (u, next_state)`, with
+measured disturbances `(y, state, d)`.
 
 In doubles, for any batch size.
 """
@@ -17,7 +17,7 @@ IR_VERSION = 8  # old enough for runtimes in the field
 
 
 class _Graph:
-    """Nodes of an ONNX graph in their order; rows of a signal are samples.
+    """Builder of an ONNX graph with its nodes in order; rows of a signal are samples.
 
     An array among the inputs of a node becomes a constant.
     """
@@ -29,6 +29,7 @@ class _Graph:
     def apply(
         self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = ""
     ) -> str:
+        """Append an operator to the graph and return the name of its output."""
         from onnx import helper
 
         names = [value if isinstance(value, str) else self.constant(value) for value in inputs]
@@ -37,6 +38,7 @@ class _Graph:
         return output
 
     def constant(self, value: Float[np.ndarray, "..."]) -> str:
+        """Add a constant to the graph and return its name."""
         from onnx import numpy_helper
 
         name = f"c{len(self.constants)}"
@@ -45,10 +47,11 @@ class _Graph:
         return name
 
     def times(self, x: str, matrix: Float[np.ndarray, "r c"]) -> str:
+        """Append the product of a signal and a transposed matrix."""
         return self.apply("MatMul", x, matrix.T)
 
     def map(self, s: PortableMap, v: str) -> str:
-        """Output of S, layer by layer: `phi(z) - phi(b)`."""
+        """Append the output of the map S, layer by layer: `phi(z) - phi(b)`."""
         terms = [self.times(v, s.linear)]
         if s.network is None:
             return self.apply("Sum", *terms)
@@ -64,7 +67,7 @@ class _Graph:
         return self.apply("Sum", *terms)
 
     def neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
-        """Outputs of the neurons, `phi(F x + G v + L_z e + b) - phi(b)`.
+        """Append the outputs of the neurons, `phi(F x + G v + L_z e + b) - phi(b)`.
 
         The kinds stand side by side, each masked to its own neurons.
         """
@@ -79,7 +82,7 @@ class _Graph:
         return self.apply("Sum", *parts, -neurons.phi_bias)
 
     def phi(self, kind: str, z: str) -> str:
-        """One kind of neuron, in operators that runtimes have for doubles."""
+        """Append one kind of activation function, in operators that runtimes have for doubles."""
         if kind == "tanh":
             return self.apply("Tanh", z)
         above = self.apply("Max", z, np.zeros(1))
@@ -100,11 +103,12 @@ class _Graph:
         return self.apply("Add", cubed, self.apply("Sub", z, clipped))
 
     def _plus_one(self, x: str) -> str:
+        """Append the sum of a signal and one."""
         return self.apply("Add", x, np.ones(1))
 
 
 def onnx_model(controller: PortableController, about: str) -> Any:
-    """The checked `onnx.ModelProto`. Needs the extra `export`."""
+    """Checked `onnx.ModelProto` of the controller; needs the extra `export`."""
     import onnx
     from onnx import TensorProto, checker, helper
 
@@ -112,6 +116,7 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     states = len(controller.a)
 
     def signal(name: str, width: int) -> Any:
+        """Declaration of an input or output of the graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
     inputs = [signal("y", controller.scale.outputs), signal("state", states)]
@@ -133,7 +138,8 @@ def onnx_model(controller: PortableController, about: str) -> Any:
 
 
 def _cell(controller: PortableController) -> _Graph:
-    """Graph of one sample; `V = K xh` is the scaled input, the rest as in PortableController."""
+    """Graph of one sample of the controller; `V = K xh` is the scaled input, the rest as in
+    PortableController."""
     graph = _Graph()
     scale = controller.scale
     neurons = controller.neurons

@@ -1,4 +1,4 @@
-"""Model and controller as plain arrays and maps of leaky-relu layers.
+"""Model and controller as plain arrays, with maps made of leaky-relu layers.
 
 Every target of the export starts from these.
 """
@@ -24,7 +24,8 @@ MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """Neurons `phi(F x + G S_u(v) + L_z e + b) - phi(b)`, e the observer's error in its output.
+    """Neurons of a model as plain arrays, `phi(F x + G S_u(v) + L_z e + b) - phi(b)` with e the
+    observer's output error.
 
     `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
     `phi_bias` is `phi(b)`. Zero rows of `into` and columns of `f` stand for the internal model.
@@ -40,7 +41,8 @@ class PortableNeurons:
     kinds: tuple[str, ...]
 
     def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
-        """Outputs of the neurons in the order of the C code; without `error`, none is injected."""
+        """Outputs of the neurons, computed in the order of the C code; without `error` no
+        correction is injected."""
         z = times(self.g, lifted, times(self.f, x, self.bias))
         if error is not None:
             z = times(self.l_z, error, z)
@@ -74,7 +76,7 @@ class PortableController:
     b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers as plain lists by name, for `controller.json`."""
+        """Numbers of the controller as plain lists by name, for `controller.json`."""
         numbers: dict[str, Any] = {name: each.tolist() for name, each in self.arrays().items()}
         numbers["s_in"] = self.s_in.to_json()
         numbers["s_out"] = self.s_out.to_json()
@@ -84,7 +86,7 @@ class PortableController:
         return numbers
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Constants by name, without those of the maps."""
+        """Constants of the controller by name, except those of the maps."""
         matrices = {name: getattr(self, name) for name in MATRICES}
         neurons = dict(vars(self.neurons)) if self.neurons else {}
         neurons.pop("kinds", None)
@@ -94,7 +96,8 @@ class PortableController:
 
     @property
     def resting(self) -> slice:
-        """States that rest while a limit acts and would not by themselves: those of a ramp.
+        """Slice of the states that have to be held while a limit acts: the integrators of a ramp's
+        internal model.
 
         They come first in its model.
         """
@@ -106,7 +109,7 @@ class PortableController:
         return slice(first, first + count)
 
     def recurrence(self) -> System:
-        """System of the model alone, without the internal model, in float64."""
+        """Linear system of the model alone, without the internal model, in float64."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
         linear = StateSpace(
             a=self.a[:n, :n].astype(float),
@@ -130,7 +133,7 @@ class PortableController:
 
 
 def portable(model: Model, design: Design) -> PortableController:
-    """The controller of a model and its design as plain numbers.
+    """Controller of a model and its design as plain arrays.
 
     Raises `BadRequest` when the design has no controller or observer, or was made for another
     model.
@@ -175,6 +178,7 @@ def portable(model: Model, design: Design) -> PortableController:
 def _neurons(
     model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
 ) -> PortableNeurons | None:
+    """Neurons of a model as plain arrays; None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
     none = np.zeros((len(model.neurons), model.scale.outputs))
@@ -191,7 +195,7 @@ def _neurons(
 
 
 def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
-    """`start + a x`, summed from the first column on: the order of the C code.
+    """Sum `start + a x`, added from the first column on as in the C code.
 
     `@` does not promise it.
     """
@@ -202,7 +206,7 @@ def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -
 
 
 def as_floats(value: Any, kind: Any) -> Any:
-    """`value` with each array in it, at any depth, rounded or widened to `kind`."""
+    """Copy of `value` with every array in it, at any depth, converted to the float type `kind`."""
     if isinstance(value, np.ndarray):
         return value.astype(kind)
     if isinstance(value, tuple):

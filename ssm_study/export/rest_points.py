@@ -1,4 +1,5 @@
-"""Equilibria of the controller's model: by matrices, and with neurons between stored points.
+"""Equilibria of the controller's model: by matrices, or with neurons by interpolation between
+stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
 the model contracts; of one input and one output they are a curve, of which the device stores some
@@ -34,7 +35,7 @@ class Joined:
 
     @classmethod
     def through(cls, w: Vector, out: Rows) -> "Joined":
-        """The map through the points `w`, in any order, with a row of `out` each."""
+        """Piecewise linear map through the points `w`, in any order, with a row of `out` each."""
         order = np.argsort(w)
         w = w[order]
         out = out[order]
@@ -43,18 +44,21 @@ class Joined:
         return cls(points=w[1:-1].copy(), slopes=slopes, offsets=offsets)
 
     def __call__(self, w: Vector) -> Vector:
+        """Value of the map at `w`."""
         j = int((self.points <= w[0]).sum())
         return self.slopes[j] * w[0] + self.offsets[j]
 
 
 def reached(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """`by w`: a product, in the order of the C code, or the map between stored points."""
+    """Value at `w` of a matrix (product in the order of the C code) or of a piecewise linear
+    map."""
     return by(w) if isinstance(by, Joined) else times(by, w)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Equilibria for `lifted (h,)`, rising: states `x (h, n)` and what S_y reads, `read (h,)`.
+    """Equilibria for rising values `lifted (h,)`: states `x (h, n)`, and the arguments of S_y,
+    `read (h,)`.
 
     `read` rises or falls throughout.
     """
@@ -65,7 +69,7 @@ class Curve:
 
 
 def equilibrium_curve(controller: PortableController, low: float, high: float) -> Curve | None:
-    """Equilibria from `low` to `high`, and half way between.
+    """Equilibria at points from `low` to `high`, and half way between these points.
 
     None where two of them share an output, or one is not found.
     """
@@ -99,9 +103,11 @@ def equilibrium_curve(controller: PortableController, low: float, high: float) -
 def _equilibrium(
     model: StructuredSystem, neurons: PortableNeurons, v: float, near: Vector
 ) -> Vector | None:
-    """State at which the model rests under one lifted input, searched from a neighbour's."""
+    """Equilibrium state of the model for one lifted input, found by a search from its
+    neighbour's."""
 
     def residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
+        """Difference between the next state and the state."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = phi(neurons.kinds, z) - neurons.phi_bias
         tangent = model.at_slopes(phi(neurons.kinds, z, "slope"))

@@ -1,4 +1,4 @@
-"""A run's controller for use elsewhere, with the certificate beside it."""
+"""Export of a run's controller in all formats, with its certificate."""
 
 import hashlib
 import json
@@ -44,7 +44,7 @@ _SCRIPT = Path(__file__).with_name("script.py.txt")
 
 
 def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controller") -> list[Path]:
-    """Write the controller of the run folder into the folder `to`; returns what was written.
+    """Write the controller of a run into the folder `to` and return the files that were written.
 
     C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of
     docs/howto_export.md. Raises `BadRequest` for a run without controller, an unknown `real`, or
@@ -68,7 +68,8 @@ def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controll
 
 
 def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") -> dict[str, str]:
-    """File name and text of the C code, limited as `limits` finds. Refuses as `export` does."""
+    """File name and text of the C code of a run's controller, with input limits as `limits` gives;
+    refuses what `export` refuses."""
     controller = load(run)
     design = Design.load(run / "certificate.json")
     device = Device.of(controller, real, *limits(run))
@@ -86,7 +87,7 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
 
 
 def limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limit of the input, physical; infinite for a run without records.
+    """Lower and upper limit of the input, in physical units; infinite for a run without records.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
@@ -105,7 +106,7 @@ def limits(run: Path) -> tuple[Range, Range]:
 def _recorded_range(
     run: Path, name: str, topic: str
 ) -> tuple[tuple[Channel, ...], Range, Range] | None:
-    """Channels of a topic, with the least and greatest value that the records hold of each."""
+    """Channels of a topic, each with the least and greatest value in the records."""
     if not (run / name).is_file():
         return None
     groups = [group for group in read_mcap(run / name)[0] if group.topic.endswith(topic)]
@@ -116,7 +117,8 @@ def _recorded_range(
 
 
 def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
-    """One line per signal: name, unit, and the limits of an input or the range of an output."""
+    """Text lines, one per signal: name, unit, and the limits of an input or the range of an
+    output."""
     lines: list[str] = []
     inputs = _recorded_range(run, "excitation.mcap", "/input")
     if inputs is not None:
@@ -133,6 +135,7 @@ def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
 def _range_lines(
     side: str, relation: str, channels: tuple[Channel, ...], lower: Range, upper: Range
 ) -> list[str]:
+    """Text lines with the range of each channel on one side."""
     lines = []
     for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True)):
         values = f"{relation} {low:.6g} to {high:.6g}"
@@ -141,7 +144,7 @@ def _range_lines(
 
 
 def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves within the limits; none where there are none."""
+    """Sentences on what the certificate proves within the limits; empty where it proves nothing."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
@@ -177,7 +180,8 @@ def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
 
 
 def _set_point_lines(device: Device) -> tuple[str, ...]:
-    """How far set points are missed between stored equilibria, in the output's scale."""
+    """Text line with the largest error of set points between stored equilibria, in the output's
+    scale."""
     if device.set_points is None or not device.set_points.missed:
         return ()
     missed = f"missed by at most {device.set_points.missed:.1e}."
@@ -185,7 +189,7 @@ def _set_point_lines(device: Device) -> tuple[str, ...]:
 
 
 def python_control_system(run: Path) -> Any:
-    """The controller of the run folder as a `control.NonlinearIOSystem`.
+    """Controller of a run as a `control.NonlinearIOSystem`.
 
     It is what `controller.py` makes elsewhere.
     """
@@ -196,7 +200,7 @@ def python_control_system(run: Path) -> Any:
 
 
 def load(run: Path) -> PortableController:
-    """The controller of a run folder as plain arrays."""
+    """Controller of a run as plain arrays."""
     for name in ("model.json", "certificate.json"):
         is_there = (run / name).is_file()
         remedy = "name the folder of a run that reached the controller"
@@ -205,6 +209,7 @@ def load(run: Path) -> PortableController:
 
 
 def _model(run: Path) -> Model:
+    """Stored model of a run."""
     model = model_from_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
     is_certifiable = isinstance(model, Model)
@@ -213,7 +218,8 @@ def _model(run: Path) -> Model:
 
 
 def describe(run: Path) -> str:
-    """One line on the run the controller comes from and the exact verdict on its certificate."""
+    """Line of text with the run that the controller comes from and the exact verdict on its
+    certificate."""
     model = _model(run)
     design = Design.load(run / "certificate.json")
     verdict = "NOT certified"
@@ -238,7 +244,7 @@ def _is_certified(run: Path, model: Model, design: Design) -> bool:
 
 
 def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
-    """How far rounding moves the loop on the model; no line in double.
+    """Text line with the change of the simulated loop by rounding; empty in double precision.
 
     From rest one output scale off.
     """
@@ -256,7 +262,8 @@ def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
 
 
 def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -> Any:
-    """Outputs `(T, p)` of the model under the device, both from the state `start`, to rest."""
+    """Outputs `(T, p)` of the model in closed loop with the device, both started at `start`, until
+    they rest."""
     kind = device.lower.dtype
     set_point = np.asarray(model.scale.output_equilibrium, dtype=kind)
     nothing_applied = np.zeros(model.linear.b.shape[1])
@@ -272,7 +279,7 @@ def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -
 
 
 def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
-    """The rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps.
+    """Rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps.
 
     Proved with the stored metrics. The device is an observer for its own rounded model, so that
     model is what is certified: the stored rate where the theorem still holds, else the largest of
@@ -307,7 +314,8 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
 def _largest_rate(
     part: Theorem, context: VerificationContext, gain: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """The stored rate if it holds; else bisected from below, where any rate at all does; else 0."""
+    """Stored rate if it can be proved for the rounded numbers; else the largest smaller one, by
+    bisection; 0 if none can."""
     ball = part.ball(context)
     stored = float(part.variables["rate"])
     numbers = part.variables | part.model_data(context) | gain
@@ -326,7 +334,7 @@ def _largest_rate(
 
 
 def _rounded_ball(portable: PortableMap) -> JacobianBall | None:
-    """Ball of the slopes of a rounded map; None where no sound one is known."""
+    """Ball that contains the slopes of a rounded map; None where no sound one is known."""
     try:
         if portable.network is None:
             return LinearScaffold(gain=portable.linear).bound().ball

@@ -1,1 +1,1 @@
-"""The controller meets the plant."""
+"""Closed loop of controller and plant, its trajectories and its measures."""

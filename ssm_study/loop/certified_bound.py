@@ -1,4 +1,4 @@
-"""The certified bound of the output feedback, sample by sample.
+"""Certified bound on the state of the loop with output feedback, for every sample.
 
 The experiment is that of docs/closed_loop.md. With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] =
 ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <=
@@ -31,7 +31,7 @@ PerCase = Float[np.ndarray, "N"]
 def in_inverse_metric(
     matrix: Float[np.ndarray, "n n"], columns: Float[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n k"]:
-    """Columns whose Euclidean norms are those of `columns` in the metric `matrix^{-1}`.
+    """Transform columns so that their Euclidean norms are their norms in the metric `matrix^{-1}`.
 
     `R^{-1} columns` with `R R' = matrix`.
     """
@@ -108,7 +108,8 @@ def input_gain(feedback: StateFeedback, observer: Observer) -> float:
 
 
 def violations(x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer) -> int:
-    """Samples, over all cases, whose measured distance exceeds the bound by more than rounding."""
+    """Number of samples, over all cases, whose measured distance exceeds the bound by more than
+    rounding."""
     d, e = distances(x, x_hat, feedback, observer)
     bound = certified_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
     floor = RESOLUTION * (d[:, :1] + e[:, :1])
@@ -136,7 +137,8 @@ def decay_rate(
 def excess(
     x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """How far an estimate leaves what is certified, as a share of the bound's start.
+    """Largest amount by which an estimate exceeds the certified bound, as a share of the bound at
+    the start.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to

@@ -25,7 +25,7 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Comparison of every controller in every situation, one row each.
+    """Comparison of all controllers in all situations, with one row for each pair.
 
     It is explained in docs/closed_loop.md, "Robustness".
 
@@ -59,7 +59,7 @@ class Comparison(ComparisonTable):
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
     def _check_names(self, field_name: str, names: Sequence[str]) -> None:
-        """Refuse values of a field that are not among these names."""
+        """Raise `BadRequest` for values of a field that are not among these names."""
         unknown = [value for value in getattr(self, field_name) if value not in names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
         problem = withdrawn[0] if withdrawn else "not known"
@@ -67,7 +67,7 @@ class Comparison(ComparisonTable):
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the table.
+        """Rows of the table, one for each controller in each situation.
 
         A controller that does not exist for this model has rows with the reason and no numbers.
         """
@@ -115,7 +115,7 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def spread(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants whose fields are multiplied by factors in `1 +- spread_share`, space-filling."""
+        """Plants with fields varied by space-filling factors in `1 +- spread_share`."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))

@@ -1,4 +1,4 @@
-"""Controllers that close the loop: a law from measured outputs to held inputs, batched over cases.
+"""Controllers that close the loop: laws from measured outputs to held inputs, batched over cases.
 
 A controller is a discrete-time system of its own. Its memory is one array `(N, s)`, so a thousand
 cases step together and nothing is hidden in an object.
@@ -36,7 +36,8 @@ Measured = Float[np.ndarray, "k"] | None
 
 
 class Controller(ABC):
-    """Law from measured outputs to inputs, with a memory that steps from sample to sample.
+    """Interface of a control law from measured outputs to inputs, with a memory that is updated
+    every sample.
 
     `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
     target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
@@ -48,40 +49,42 @@ class Controller(ABC):
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
     def start(self, cases: int) -> Memory:
-        """The memory before the first sample; by default there is none."""
+        """Memory before the first sample; by default there is none."""
         return np.zeros((cases, 0))
 
     def targets(self, reference: Reference) -> Plan:
-        """Signal to follow at each sample; by default the reference itself."""
+        """Signal to be followed at each sample; by default the reference itself."""
         return reference
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that hold the reference's extremes, as the law computes them; by default none."""
+        """Inputs that the law needs to hold the reference's extremes; by default none."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """The input to hold over the coming sample."""
+        """Input to be held over the coming sample."""
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """The memory at the next sample, given the input that was really applied, and measured
-        disturbances `d (k,)`; None stands for their equilibrium."""
+        """Memory at the next sample, given the input that was applied and measured disturbances `d
+        (k,)`; None stands for their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
-        """The part of the memory that estimates the model's state, if any."""
+        """Part of the memory that estimates the model's state, if any."""
         return memory[:, :0]
 
     def among(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Law for the cases that go on; it differs where each case has gains of its own."""
+        """Control law for the cases that are still running, where each case may have gains of its
+        own."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """Constant equilibrium input `u = u_eq`, against which every other law is measured."""
+    """Control law that holds the equilibrium input `u = u_eq`, with which every other law is
+    compared."""
 
     u: Float[np.ndarray, "m"]
     step_s: float
@@ -100,7 +103,7 @@ class Uncontrolled(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateFeedback(Controller):
-    """Law on an observer's estimate of the model's state.
+    """Base of control laws that use an observer's estimate of the model's state.
 
     `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output. Measured disturbances push
     the estimate as they push the model. With neurons `L_z (yh - y) / s_y` is added inside them. `L
@@ -115,10 +118,12 @@ class EstimateFeedback(Controller):
 
     @property
     def step_s(self) -> float:  # type: ignore[override]  # here the model knows it
+        """Sampling time of the model, in seconds."""
         return self.model.step_s
 
     @property
     def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
+        """Numbers of inputs and outputs of the model."""
         return self.model.scale.inputs, self.model.scale.outputs
 
     def start(self, cases: int) -> Memory:
@@ -150,7 +155,7 @@ class EstimateFeedback(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """Feedback of the observer's estimate, about a trajectory of the model.
+    """Feedback of the observer's estimate around a trajectory of the model.
 
     `u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the estimate ([Z26] eq. 9 and Theorem 3). A
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
@@ -176,14 +181,15 @@ class ObserverFeedback(EstimateFeedback):
 
     @classmethod
     def of(cls, model: Model, design: Design) -> "ObserverFeedback":
-        """Loop of a design; raises `BadRequest` if one of its parts is infeasible."""
+        """Controller of a certified design; raises `BadRequest` if one of its parts is
+        infeasible."""
         inverse = None
         if design.inverts:
             inverse = inverse_of(model.scaffold_in.portable())
         return cls(model=model, gains=design.pair, inverse=inverse)
 
     def asked(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
-        """Scaled input that the law asks for, before any limit.
+        """Scaled input that the law computes, before any limit.
 
         `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """

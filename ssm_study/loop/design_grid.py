@@ -1,5 +1,5 @@
-"""Hundreds of certified designs for one model, each run on the true plant, to see how well the
-mismatch margin predicts."""
+"""Grid of hundreds of certified designs for one model, each run on the true plant, to test how well
+the stability margin predicts."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,7 +33,7 @@ impossible."""
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """Table of `designs` gains drawn from the grids of `auto`, wide enough to fail.
+    """Table of randomly drawn designs from the grids of `auto`, wide enough that some of them fail.
 
     The default choice, if any, is row 0. A row holds rates, gains, what is predicted
     (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
@@ -49,6 +49,7 @@ class DesignGrid(ComparisonTable):
         at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
+        """Rows of the table, one for each drawn design."""
         candidates = self.auto.candidates(known.model, known.balls)
         if candidates is None:
             return []
@@ -75,7 +76,7 @@ class DesignGrid(ComparisonTable):
         return rows
 
     def drawn(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
-        """Controller and observer of each design."""
+        """Randomly drawn pairs of controller and observer gains."""
         counts = (len(candidates.ks), len(candidates.ls))
         total = counts[0] * counts[1]
         size = min(self.designs, total)
@@ -85,7 +86,7 @@ class DesignGrid(ComparisonTable):
 
 
 def _with_first(pair: Gains, gains: Gains) -> Gains:
-    """Stacked gains with one more pair in front."""
+    """Stacked gains with one more pair put in front."""
     stacked = {}
     for name, gain in vars(pair).items():
         if gain is not None:
@@ -115,7 +116,8 @@ def _prediction_columns(known: Identified, gains: Gains) -> list[Row]:
 def _behaviour_columns(
     plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: int
 ) -> list[Row]:
-    """Behaviour of all designs on the plant, run as one batch of cases, with noise and without."""
+    """Columns on the behaviour of all designs on the plant, run as one batch with noise and
+    without."""
     y0, noise = loop.draw(plant, seed)
     band = plant.settling_band
     designs = len(gains.k)

@@ -1,4 +1,4 @@
-"""Columns of the study's table that judge one closed-loop experiment, each with its unit."""
+"""Columns that judge one closed-loop experiment, each with its unit."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -110,8 +110,8 @@ def behaviour(loop: LoopRuns) -> Columns:
 
 
 def noise_gain(run: Rollouts) -> float | None:
-    """`std(y) / std(n)` over the second half of the horizon, cases that stayed, the worst output;
-    None without noise.
+    """Measured noise gain `std(y) / std(n)` over the second half of the horizon, the worst output
+    over cases that stayed within the bound; None without noise.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is it for the model.
@@ -128,7 +128,7 @@ def noise_gain(run: Rollouts) -> float | None:
 
 
 def pooled(loops: list[LoopRuns]) -> Columns:
-    """`behaviour` over the cases of several experiments of the same length, as if they were one."""
+    """Columns of `behaviour` over the cases of several experiments of the same length together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     cases = sum(len(error) for error in errors)
@@ -146,7 +146,8 @@ def pooled(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
-    """How many cases settle, how soon, against the plant left alone, and what the others do."""
+    """Columns on how many cases settle and how fast, compared with the uncontrolled plant, and on
+    how the others move."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -188,7 +189,8 @@ def is_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
 
 
 def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
-    """Largest swing of a settled case without noise, in bands of settling; None if none settles."""
+    """Largest oscillation of a settled case without noise, in settling bands; None if none
+    settles."""
     swings = []
     for loop in loops:
         run = loop.quiet or loop.judged
@@ -198,12 +200,12 @@ def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
 
 
 def worst_overshoot(loop: LoopRuns) -> float:
-    """Largest overshoot of the controlled cases, as a share of their starts."""
+    """Largest overshoot of the controlled cases, as a share of the initial error."""
     return float(overshoots(loop.controlled, loop.settling_band).max())
 
 
 def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
-    """Sum over all signals of their squares."""
+    """Sum of squares over all signals."""
     return sum(float((signal**2).sum()) for signal in signals)
 
 
@@ -214,7 +216,7 @@ def final_error(error: Float[np.ndarray, "N T p"]) -> float:
 
 
 def bound_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """How many cases were stopped at the bound, and when first."""
+    """Columns on how many cases were stopped at the bound, and when first."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
@@ -229,7 +231,7 @@ CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bou
 
 
 def certified(loop: LoopRuns, design: Design) -> Columns:
-    """Measured distances against the certified ones (docs/closed_loop.md).
+    """Columns that compare measured distances with the certified bound (docs/closed_loop.md).
 
     All None without a run on the model; `certified_bound_excess_plant` is None too where plant and
     model follow different references.

@@ -1,5 +1,5 @@
-"""References that the output should follow: offsets from the equilibrium, as functions of time, the
-same for every output."""
+"""References for the output: offsets from the equilibrium as functions of time, the same for every
+output."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -55,7 +55,7 @@ class FileReference(Reference):
         return np.interp(time_s, *table.T)
 
     def _read_table(self) -> Float[np.ndarray, "rows columns"]:
-        """Numbers of the file, blank lines and comments left out."""
+        """Numbers of the file, without blank lines and comments."""
         text = Path(self.path).read_text(encoding="utf-8")
         lines = [line for line in text.splitlines() if line.strip()]
         if not lines:

@@ -1,5 +1,5 @@
-"""The closed-loop experiment: initial conditions, noise, reference and disturbance, on the plant,
-on the uncontrolled plant and on the model."""
+"""Closed-loop experiment: initial conditions, noise, reference and disturbance, on the plant, on
+the uncontrolled plant and on the model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ Channels = tuple[Channel, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
-    """Identified model in the place of the plant, so that the loop shows no mismatch.
+    """Identified model used in place of the plant, so that the loop has no model mismatch.
 
     `x+ = A x + B S_u(u) + B d,  y = S_y(C x)`. The state is the model's (scaled), `u` and `y` are
     physical; `d (m)` disturbs the recurrence's
@@ -55,7 +55,8 @@ class IdentifiedPlant(Plant):
 
     @classmethod
     def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
-        """Model as a plant; channels without a name are `u_1, ...` and `y_1, ...`, or `u` and `y`.
+        """Plant made of a model; channels without a name are called `u_1, ...` and `y_1, ...`, or
+        `u` and `y`.
 
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
@@ -83,7 +84,7 @@ class IdentifiedPlant(Plant):
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States in which a constant input would hold `y0`: the model released from a set point.
+        """States at which a constant input would hold the outputs `y0`.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
@@ -129,7 +130,7 @@ def _indexed_channels(prefix: str, count: int) -> Channels:
 
 
 def answers_at_once(model: Model) -> bool:
-    """Whether the input reaches the output within its sample, by D or through a neuron."""
+    """Whether the input affects the output within the same sample, through D or a neuron."""
     through_neuron = False
     if isinstance(model, StructuredSSM):
         is_driven = model.g.any(axis=1)
@@ -164,12 +165,13 @@ class LoopRuns:
 
     @property
     def judged(self) -> Rollouts:
-        """Runs by which settling is judged."""
+        """Runs from which settling is judged: the noise-free ones, where there are any."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Table that a run writes beside its record, `comparison.csv`, one flat row per case."""
+    """Interface of a table that a run writes beside its record, `comparison.csv`, one flat row per
+    case."""
 
     @abstractmethod
     def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
@@ -222,12 +224,13 @@ class Loop:
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def within(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Experiment with the limits that are set, else the range of these recorded inputs."""
+        """Copy of the experiment with the limits that are set, else with the range of these
+        recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
 
     def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
-        """Run a certified design on the plant, and beside it on the noise-free model."""
+        """Run a certified design on the plant, and on the noise-free model for comparison."""
         controller = ObserverFeedback.of(model, design)
         runs = self.on_plant(plant, controller, seed)
         initial_outputs = runs.controlled.y[:, 0]
@@ -262,7 +265,7 @@ class Loop:
     def _noise_crosses_band(
         self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
     ) -> bool:
-        """Whether a plant that starts at rest is carried out of the band by the noise alone."""
+        """Whether noise alone drives a plant that starts at rest out of the settling band."""
         still = replace(self, reference=Rest(), disturbance=NoDisturbance())
         y0 = np.tile(plant.equilibrium().y, (len(noise), 1))
         shaken = still.simulate(plant, controller, y0, noise)
@@ -272,7 +275,7 @@ class Loop:
     def on_model(
         self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
     ) -> Rollouts:
-        """Run the controller on its own model from the same outputs, with nothing else acting.
+        """Run the controller on its own model from the same outputs, without noise and disturbance.
 
         This is the situation that the certificate speaks of.
         """
@@ -283,7 +286,8 @@ class Loop:
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def fitted(self, model: Model) -> "Loop":
-        """Experiment with a horizon: the one that is set, else `RESPONSES` times the response."""
+        """Copy of the experiment with a definite horizon: the one that is set, else `RESPONSES`
+        times the model's response."""
         if self.horizon_s is not None:
             return self
         response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
@@ -291,7 +295,7 @@ class Loop:
         return replace(self, horizon_s=samples * model.step_s)
 
     def samples(self, step_s: float) -> int:
-        """Samples of the horizon."""
+        """Number of samples in the horizon."""
         if self.horizon_s is None:
             return SAMPLES[0]
         return max(2, round(self.horizon_s / step_s))
@@ -299,7 +303,7 @@ class Loop:
     def draw(
         self, plant: Plant, seed: int
     ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
-        """Initial outputs and measurement noise, the same for every controller at one seed."""
+        """Draw initial outputs and measurement noise, the same for every controller at one seed."""
         cases = self.initial_conditions
         samples = self.samples(plant.step_s)
         outputs = len(plant.outputs)
@@ -321,7 +325,7 @@ class Loop:
         noise: Float[np.ndarray, "N T p"],
         measured_disturbance: Float[np.ndarray, "T k"] | None = None,
     ) -> Rollouts:
-        """Simulate one batched closed loop from the states that read `y0`.
+        """Simulate one batched closed loop from the states with outputs `y0`.
 
         Measured disturbances are at their equilibrium unless given.
         """

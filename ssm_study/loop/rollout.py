@@ -1,4 +1,4 @@
-"""Simulation of the closed loop, a thousand cases in one array, and how each case moves.
+"""Simulation of closed loops, a thousand cases in one array, and measures of how each case moves.
 
 Judged on the true output alone, never on the noisy measurement.
 """
@@ -36,7 +36,7 @@ STEADY = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts:
-    """Runs of N cases with T samples each, in physical units.
+    """Simulated runs of N cases with T samples each, in physical units.
 
     `u[:, k]` is held over sample k, `y[:, k]` is read before it acts. `y` is the true output,
     `measured` what the controller saw, `estimate` its state estimate (the
@@ -131,13 +131,13 @@ def close_loop(
 def _record(
     log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: dict[str, np.ndarray]
 ) -> None:
-    """Write the signals of these cases at these samples."""
+    """Write the signals of these cases at these samples into the log."""
     for name, value in values.items():
         log[name][cases, samples] = value
 
 
 def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
-    """Zeros for each signal of a run; `shape` is cases, samples, outputs."""
+    """Arrays of zeros for each signal of a run; `shape` is cases, samples, outputs."""
     cases, samples, outputs = shape
     widths = {
         "u": len(plant.inputs),
@@ -156,7 +156,7 @@ def _inside_bound(
     estimate: Float[np.ndarray, "N n"],
     bound: Bound,
 ) -> Bool[np.ndarray, "N"]:
-    """Whether output, input and estimate of each case are within what counts as staying."""
+    """Whether output, input and estimate of each case are within the bound."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
     sizes = np.abs(np.hstack([amplitudes, estimate]))
@@ -174,7 +174,8 @@ def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
 
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:
-    """Refuse a controller made for other inputs, outputs or another sampling time."""
+    """Raise `BadRequest` for a controller made for other inputs, outputs or another sampling
+    time."""
     needed = (len(plant.inputs), len(plant.outputs))
     fits = controller.dimensions == needed
     problem = f"the plant has {needed}"
@@ -187,7 +188,7 @@ def _check_dimensions(plant: Plant, controller: Controller) -> None:
 
 
 def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
-    """Refuse a reference whose values need inputs beyond the limits."""
+    """Raise `BadRequest` for a reference whose values need inputs beyond the limits."""
     beyond = np.abs(demanded - np.clip(demanded, *limits))
     excess = float(beyond.max(initial=0.0))
     if excess == 0.0:
@@ -201,7 +202,7 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
 
 
 def last_step(reference: OutputSignal) -> int:
-    """Sample at which a reference of steps takes its last value.
+    """Sample at which a step reference takes its last value.
 
     0 if the reference still moves in the second half.
     """
@@ -268,7 +269,8 @@ def rise_and_swing(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]
 
 
 def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude of what each settled case still does in the last tenth: the worst output.
+    """Amplitude of each settled case's remaining oscillation in the last tenth of the horizon, for
+    the worst output.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
@@ -320,7 +322,7 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
 def squared_shrink(
     distance: Float[np.ndarray, "N T"], until: float | Float[np.ndarray, "N 1"]
 ) -> PerCase:
-    """Square of the mean factor per sample by which each row shrinks.
+    """Squared mean factor per sample by which each row of distances shrinks.
 
     A row counts until it is at most `until`, else to its end.
     """
@@ -333,7 +335,8 @@ def squared_shrink(
 
 
 def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
-    """Largest difference of the recorded inputs from those computed again, relative to the largest.
+    """Largest difference between the recorded inputs and those computed again, relative to the
+    largest input.
 
     `|u - u_again| / max |u|` over cases that stayed, `u_again` from the recorded measurements
     alone. `u_again` is cut at the limits that the controller knew of; an integrator replays its own

@@ -1,5 +1,5 @@
-"""A PI controller tuned by a textbook rule from the same model, on the same plant from the same
-starts: what a certified design has to be better than."""
+"""Baseline for a certified design: a PI controller tuned by a textbook rule from the same model, on
+the same plant from the same starts."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ssm_study.refusal import BadRequest
 def pi_facts(
     plant: Plant | None, model: Model, loop: Loop, seed: int
 ) -> dict[str, float | int | None]:
-    """Columns of Tyreus and Luyben's PI (`loop.peers.pi`) on a simulated plant.
+    """Columns of Tyreus and Luyben's PI controller (`loop.peers.pi`) on a simulated plant.
 
     The same starts, noise, reference, disturbance and limits as for the certified design. None for
     a log, a device (which is not run again), several inputs or outputs, and where the rule has no

@@ -1,4 +1,5 @@
-"""Trajectories that a model can follow: states and inputs that realise a reference or come nearest.
+"""Trajectories that a model can follow: states and inputs whose output equals a reference or comes
+nearest to it.
 
 A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic
 tracking, then `u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3
@@ -35,7 +36,7 @@ EQUILIBRIUM_TOLERANCE = 1e-8
 
 
 def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
-    """Scaled state and scaled input at which the model rests with output `y` (physical unit).
+    """Scaled state and input at which the model rests with output `y` (physical unit).
 
     `x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))` for the recurrence f. With more inputs than outputs
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
@@ -46,6 +47,7 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     size = max(1.0, float(np.abs(y_bar).max()))
 
     def residual(point: Vector) -> Vector:
+        """Deviation from equilibrium and from the requested output."""
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
         through_neurons = model.h @ model.inner(x, v) if isinstance(model, StructuredSSM) else 0.0
@@ -53,6 +55,7 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         return np.concatenate([motion, output - y_bar])
 
     def jacobian(point: Vector) -> Matrix:
+        """Jacobian of the residual."""
         x, v = np.split(point, [n])
         linear = model.linearised(x, v) if isinstance(model, StructuredSSM) else model.linear
         return np.block([[linear.a - np.eye(n), linear.b], [linear.c, linear.d]])
@@ -119,7 +122,7 @@ def guided_trajectory(
     reference: Reference,
     law: Callable[..., Vector] = np.add,
 ) -> Plan:
-    """Trajectory on which a model with neurons is led to each set point by its own feedback.
+    """Trajectory on which the feedback itself leads a model with neurons to each set point.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium,
     `(xs, us)` the equilibrium of the reference's value: it gets there at the certified rate;
@@ -147,7 +150,7 @@ def set_points(model: Model, reference: Reference) -> Plan:
 
 
 def inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Rows `v` with `S(v) = w`.
+    """Solutions `v` of `S(v) = w`, row by row.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `w`.
@@ -165,7 +168,7 @@ def inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
 
 
 def _scalar_inverse(scaffold: Scaffold, w: Vector) -> Vector:
-    """Values `v` with `S(v) = w`, by Chandrupatla's method for all at once.
+    """Solutions `v` of the scalar equations `S(v) = w`, by Chandrupatla's method for all at once.
 
     Not a number where no bracket is found.
     """
@@ -182,7 +185,7 @@ def _scalar_inverse(scaffold: Scaffold, w: Vector) -> Vector:
 
 
 def _vector_inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Rows `v` with `S(v) = w`, by Newton steps; equal rows are solved once."""
+    """Solutions `v` of `S(v) = w` by Newton's method, row by row; equal rows are solved once."""
     values, index = np.unique(w, axis=0, return_inverse=True)
     start = np.zeros(scaffold.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
@@ -210,7 +213,7 @@ def _solve_newton(
     point: Vector,
     tolerance: float,
 ) -> Vector:
-    """Point with `|residual| <= tolerance`, by Newton steps that are halved until they improve.
+    """Root with `|residual| <= tolerance` by damped Newton steps.
 
     The last point where no step improves.
     """

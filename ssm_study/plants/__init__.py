@@ -1,1 +1,1 @@
-"""The plants that are controlled."""
+"""Plants that are simulated and controlled."""

@@ -1,4 +1,5 @@
-"""Two water tanks above each other, both of which can overflow: a benchmark of the field."""
+"""Cascaded tanks: two water tanks above each other, both of which can overflow; a benchmark of the
+field."""
 
 from dataclasses import dataclass
 
@@ -22,7 +23,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class CascadedTanks(Plant):
-    """Torricelli's law twice, with brims.
+    """Two tanks in cascade, each emptying by Torricelli's law and limited by its brim.
 
         dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
@@ -81,6 +82,7 @@ class CascadedTanks(Plant):
         substep_s = self.step_s / self.substeps
 
         def rate(levels: States) -> States:
+            """Time derivative of both levels under the held input."""
             return self._rate(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep

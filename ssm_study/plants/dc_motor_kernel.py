@@ -65,8 +65,8 @@ def _at(c, j, t):
 @compiled
 @no_type_check
 def _keeps(p, c, t, load, body, mode):
-    """Margin that is positive while `body` (0 motor, 1 load) stays in its mode at time t of the
-    series."""
+    """Margin of the present mode of `body` (0 motor, 1 load) at time t of the series; positive
+    while the mode lasts."""
     if mode != 0:
         return mode * _at(c, 1 + body, t)
     tm, tl = _torques(p, _at(c, 0, t), _at(c, 1, t), _at(c, 2, t), _at(c, 3, t), load)
@@ -76,7 +76,7 @@ def _keeps(p, c, t, load, body, mode):
 @compiled
 @no_type_check
 def _leaves(p, c, h, load, body, mode):
-    """Time in [0, h] at which the body leaves its mode; above h if it does not."""
+    """Time in [0, h] at which the body leaves its mode; larger than h if it does not."""
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0

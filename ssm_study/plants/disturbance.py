@@ -12,7 +12,7 @@ Signal = Float[np.ndarray, "T"]
 
 
 class Disturbance(ABC):
-    """Disturbance as a function of time, in the unit of the channel it acts on.
+    """Interface of a disturbance as a function of time, in the unit of its channel.
 
     In a closed loop that is the plant's first channel (the motor's: load torque, N m).
     """
@@ -24,7 +24,7 @@ class Disturbance(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class NoDisturbance(Disturbance):
-    """No disturbance, `d = 0`."""
+    """Disturbance that is zero at all times."""
 
     def signal(self, time_s: Signal) -> Signal:
         return np.zeros_like(time_s)

@@ -1,4 +1,4 @@
-"""The column that names the plant."""
+"""Column that names the plant of a run."""
 
 from ssm_study.columns import Column
 

@@ -1,4 +1,4 @@
-"""The interface of every plant: its signals, its equilibrium, and one sampling period under held
+"""Interface of every plant: its signals, its equilibrium, and one sampling period under held
 input."""
 
 from abc import ABC, abstractmethod
@@ -20,7 +20,7 @@ Outputs = Float[np.ndarray, "N p"]
 
 @dataclass(frozen=True, kw_only=True)
 class Equilibrium:
-    """Equilibrium of a plant, `x = f(x, u)` with `y = h(x)`.
+    """Equilibrium of a plant: input, state and output with `x = f(x, u)` and `y = h(x)`.
 
     Held at `u (m,)`, a plant started in `x (n,)` stays there and reads `y (p,)`.
     """
@@ -85,14 +85,15 @@ class Plant(ABC):
 
     @property
     def real(self) -> bool:
-        """Whether the plant is a device.
+        """Whether the plant is a physical device.
 
         A device runs one case at a time, from where it is, and never again to check a record.
         """
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch a device off; called at the end of every closed loop, also after an error."""
+        """Switch off a physical device; called at the end of every closed loop, also after an
+        error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
@@ -100,14 +101,15 @@ class Plant(ABC):
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
-        """States that read `y0`, all else at rest."""
+        """States with outputs `y0` and all else at rest."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
         """States one sampling period later, `u` and `d` held meanwhile."""
 
     def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Push of a measured disturbance on the next states; only an identified model has one."""
+        """Contribution of a measured disturbance to the next states; only an identified model has
+        one."""
         problem = f"{type(self).__name__} has no path for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
@@ -142,9 +144,11 @@ class Plant(ABC):
 
 
 def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Property that reads the plant's field of that name, times each of the factors if any."""
+    """Property that returns the plant's field of that name, multiplied by the factors if there are
+    any."""
 
     def read(plant: Plant) -> Any:
+        """Value of the field, times the factors."""
         value = getattr(plant, field)
         if not factors:
             return value
@@ -156,7 +160,7 @@ def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
 def check_signs(
     plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()
 ) -> None:
-    """Raise `BadRequest` for a setting, by its name, that has the wrong sign or is not finite.
+    """Raise `BadRequest` for a setting of the plant that has the wrong sign or is not finite.
 
     `positive` None: every one that is not among `not_negative`.
     """

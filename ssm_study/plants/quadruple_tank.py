@@ -1,4 +1,5 @@
-"""Four tanks, two pumps, two level sensors: the field's two-input two-output laboratory plant."""
+"""Quadruple tank: four tanks, two pumps and two level sensors, a common laboratory plant with two
+inputs and two outputs."""
 
 from dataclasses import dataclass
 
@@ -94,6 +95,7 @@ class QuadrupleTank(Plant):
         into[:, :2] += d
 
         def rate(levels: States) -> States:
+            """Time derivative of the four levels under the held input."""
             return self._rate(levels, into)
 
         levels = runge_kutta(rate, x, self.step_s, self.substeps)

@@ -1,4 +1,5 @@
-"""A servo drive whose friction drops as it starts to move, behind an amplifier that saturates."""
+"""Servo drive whose friction falls as it starts to move (Stribeck), behind an amplifier that
+saturates."""
 
 from dataclasses import dataclass
 
@@ -91,7 +92,7 @@ class StribeckDrive(Plant):
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """Torque that friction can take up at speed w: `Fs` at rest, falling to `Fc`."""
+        """Largest friction torque at speed w: `Fs` at rest, falling to `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm
         fading = np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
         return self.coulomb_torque_nm + extra * fading

@@ -1,4 +1,4 @@
-"""A plant around a plant: limits and dead time at its input."""
+"""Wrappers of plants that add a limit or a dead time at the input."""
 
 from dataclasses import dataclass
 from operator import attrgetter
@@ -16,13 +16,14 @@ Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
 def _inner(name: str) -> Any:
-    """Property that answers as the inner plant does."""
+    """Property that returns the inner plant's property of the same name."""
     return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Plant around a plant, from which it takes all that it does not define itself.
+    """Plant built around another plant, from which it takes everything that it does not define
+    itself.
 
     A wrapper with `memory` appends states of its own.
     """
@@ -47,7 +48,7 @@ class Wrapper(Plant):
         return (*self.plant.states, *self.memory)
 
     def fresh_memory(self) -> Float[np.ndarray, "r"]:
-        """Values of the appended states of a case at its start: zeros by default."""
+        """Initial values of the states that the wrapper adds: zeros by default."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:
@@ -60,7 +61,7 @@ class Wrapper(Plant):
         return np.hstack([self.plant.states_at(y0), memory])
 
     def split(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
-        """States of the inner plant, and the appended ones."""
+        """Split states into those of the inner plant and those that the wrapper adds."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
@@ -74,7 +75,7 @@ class Wrapper(Plant):
         return u
 
     def renewed(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
-        """Appended states one sample later."""
+        """Values of the added states one sample later."""
         return memory
 
     def output(self, x: States) -> Outputs:
@@ -122,6 +123,7 @@ class DelayedInput(Wrapper):
 
     @property
     def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere
+        """Names and units of the states that hold the delayed inputs."""
         channels = []
         for age in range(self.samples):
             for channel in self.inputs:

@@ -1,1 +1,1 @@
-"""A study as one table: gathered, filtered, ranked, shown."""
+"""Table of a study: gathered from its runs, filtered, ranked, printed."""

@@ -1,4 +1,5 @@
-"""Columns of `runs.parquet`, collected from the rooms that declare them, in the order of the line.
+"""Columns of `runs.parquet`, collected from the rooms that declare them, in the order of the
+stages.
 
 First which run it is, then what was requested, then the results, room by room, and last the
 circumstances.
@@ -42,7 +43,7 @@ PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
 def declared(name: str) -> Column | None:
-    """Declaration of the column of this name, or None where nobody declares it."""
+    """Declaration of the column of this name; None where nobody declares it."""
     if name in BY_NAME:
         return BY_NAME[name]
     return next((column for column in PATTERNS if column.covers(name)), None)
@@ -59,15 +60,16 @@ def label(name: str) -> str:
 
 
 def setting_of(name: str) -> str:
-    """Entry of the configuration that a column repeats, as `plant.step_s`; empty where it is
-    none."""
+    """Entry of the configuration that a column repeats, such as `plant.step_s`; empty where it
+    repeats none."""
     if FURTHER.covers(name):
         return name.replace("__", ".")
     return BY_NAME[name].setting if name in BY_NAME else ""
 
 
 def settings(table: pd.DataFrame) -> list[str]:
-    """Columns that repeat settings, those of the command last; `rates_chosen` is left out."""
+    """Names of columns that repeat settings, those of the command line last; `rates_chosen` is left
+    out."""
     declared_names = [column.name for column in SETTINGS]
     further = sorted(name for name in map(str, table) if FURTHER.covers(name))
     names = [*declared_names, *further]
@@ -75,7 +77,7 @@ def settings(table: pd.DataFrame) -> list[str]:
 
 
 def by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names of columns by the part of the study that they describe.
+    """Names of columns, grouped by the part of the study that they describe.
 
     Settings come first, what no part declares last.
     """
@@ -91,7 +93,7 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Advice on a misspelt column: the nearest names, or how to list them."""
+    """Suggestion for a misspelt column: the nearest names, or how to list them."""
     half_of_the_letters = 0.5
     near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
     if near:
@@ -100,7 +102,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
 
 
 def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Name, printed word, better direction and what `verify` does, for each column.
+    """Name, printed word, better direction and treatment by `verify` of each column.
 
     All columns, or those that have values in the table.
     """
@@ -127,7 +129,7 @@ def requested(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def swept(table: pd.DataFrame) -> list[str]:
-    """Settings in which the runs differ, most values first, the seed last."""
+    """Settings in which the runs differ, those with most values first, the seed last."""
     names = [name for name in ("study", *settings(table)) if name in table]
     counts = {name: requested(table, name).nunique() for name in names}
     varied = [name for name, count in counts.items() if count > 1]

@@ -1,4 +1,4 @@
-"""Rows that an expression selects, as in `--where "order == 8 and fit_test_percent > 85"`.
+"""Selection of rows by an expression, as in `--where "order == 8 and fit_test_percent > 85"`.
 
 `pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
 calls, attributes, subscripts and names that are no columns are refused before it sees them.
@@ -44,7 +44,8 @@ def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
 
 
 def _comparable(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with NaN for missing numbers and texts, and false for missing truth values."""
+    """Copy of the table with NaN for missing numbers and texts, and false for missing truth
+    values."""
     columns: dict[Any, Any] = {}
     for name, values in table.items():
         if values.dtype == "boolean":
@@ -57,12 +58,14 @@ def _comparable(table: pd.DataFrame) -> pd.DataFrame:
 
 
 class _Prepared(ast.NodeTransformer):
-    """Checks an expression against the table, and rewrites what pandas reads otherwise."""
+    """Checker of an expression against the table, which also rewrites what pandas would read
+    differently."""
 
     def __init__(self, table: pd.DataFrame) -> None:
         self.table = table
 
     def generic_visit(self, node: ast.AST) -> ast.AST:
+        """Refuse every kind of syntax that is not allowed in a filter."""
         if isinstance(node, REFUSED):
             raise BadRequest("where", ast.unparse(node), "not a comparison", REMEDY)
         return super().generic_visit(node)
@@ -86,6 +89,7 @@ class _Prepared(ast.NodeTransformer):
         return comparisons[0] if len(comparisons) == 1 else ast.BoolOp(ast.And(), comparisons)
 
     def _compare(self, left: ast.expr, operator: ast.cmpop, right: ast.expr) -> ast.expr:
+        """Comparison of two sides, rewritten for missing values."""
         if _is_null(left):
             left, right = right, left  # so that null stands on the right
         if _is_null(right):
@@ -115,7 +119,8 @@ class _Prepared(ast.NodeTransformer):
         return missing if is_equality else ast.UnaryOp(ast.Not(), missing)
 
     def _refuse_mixed(self, left: ast.expr, right: ast.expr) -> None:
-        """Refuse to compare a number with a text: no row would ever be selected."""
+        """Raise `BadRequest` for a comparison of a number with a text, which would never select a
+        row."""
         left_kind = self._kind(left)
         right_kind = self._kind(right)
         if left_kind and right_kind and left_kind != right_kind:

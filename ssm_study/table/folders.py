@@ -1,4 +1,5 @@
-"""Folders that a command means: a study by its path, a run by its path or a part of its name."""
+"""Lookup of the folders that a command means: a study by its path, a run by its path or a part of
+its name."""
 
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,7 +11,7 @@ MANY = 8  # names in a sentence
 
 
 def study_folder(path: Path) -> Path:
-    """Check that runs may be in the folder `path`, and return it.
+    """Check that the folder `path` may hold runs, and return it.
 
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
@@ -25,7 +26,7 @@ def study_folder(path: Path) -> Path:
 
 
 def _remedy_for_no_folder(path: Path) -> str:
-    """Advice that names the study nearby, below `results` or with a similar name."""
+    """Suggestion of a study nearby, below `results` or with a similar name."""
     in_results = Path("results") / path
     if in_results.is_dir():
         return f"did you mean {in_results}?"
@@ -37,7 +38,8 @@ def _remedy_for_no_folder(path: Path) -> str:
 
 
 def run_folder(path: Path) -> Path:
-    """Folder of the one run that `path` means: itself, or by the end or begin of a run's name.
+    """Folder of the one run that `path` means: the path itself, or a run whose name begins or ends
+    with it.
 
     `results/paper/1a2b3c4d5e`, or `results/paper/order8-width32-seed3`. The study itself stands for
     its only run. Raises `BadRequest` where no run or several are meant.
@@ -66,7 +68,7 @@ def _run_names(study: Path) -> list[str]:
 
 
 def _listed(names: list[str]) -> str:
-    """The first names in words, and how many more there are."""
+    """First few names as text, with the count of the others."""
     words = ", ".join(names[:MANY])
     more = len(names) - MANY
     return f"{words} and {more} more" if more > 0 else words

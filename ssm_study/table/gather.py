@@ -73,7 +73,7 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
-    """Write both files of the table, then the marks, which vouch for both."""
+    """Write both files of the table, then the marks by which they are recognised as up to date."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
     csv = _without_formulas(table).to_csv(index=False)
@@ -98,7 +98,7 @@ def record_marks(study: Path) -> Marks:
 
 
 def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
-    """The last table and the marks it was made by; no rows where its files were changed."""
+    """Last gathered table and its marks; no rows where its files were changed since."""
     with suppress(OSError):
         index = unsealed(contents(study / MARKS))
         if index is not None:
@@ -110,7 +110,7 @@ def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
 
 
 def contradicted(study: Path, rows: pd.DataFrame) -> bool:
-    """Whether a declared column of one of these rows is not what the record of its run says."""
+    """Whether a declared column in one of these rows differs from the record of its run."""
     for run, row in _records(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         for name, shown_value in row.items():
@@ -124,7 +124,7 @@ def contradicted(study: Path, rows: pd.DataFrame) -> bool:
 
 
 def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Rows by run, with None in the place of pandas' NA, as JSON has them."""
+    """Rows by run, with None in place of pandas' NA, as JSON has them."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
     names = [str(name) for name in rows]
     records = {}
@@ -135,7 +135,8 @@ def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
 
 
 def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Table whose texts a spreadsheet takes for no formula: an apostrophe quotes those it would."""
+    """Copy of the table in which texts that a spreadsheet would run as formulas begin with an
+    apostrophe."""
     texts: pd.Index = table.select_dtypes("string").columns
     quoted = {}
     for name in texts:
@@ -173,7 +174,7 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:
-    """`value` as a column of this kind holds it, or None if it is of another kind.
+    """Value in the form of a column of this kind; None if it is of another kind.
 
     A text in a column of numbers is missing, not 0.
     """

@@ -12,7 +12,7 @@ FEWEST = 2  # seeds of one setting, below which there is no deviation
 
 
 def over_seeds(table: pd.DataFrame) -> list[str]:
-    """A small table: other settings that vary, seeds, then `mean ± deviation` of each result.
+    """Small table with the settings that vary, the seeds, and `mean ± deviation` of each result.
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
@@ -36,7 +36,7 @@ def over_seeds(table: pd.DataFrame) -> list[str]:
 
 
 def aligned(rows: list[list[str]]) -> list[str]:
-    """Rows of cells as lines of equal columns, the first to the left."""
+    """Text lines with the cells in aligned columns."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []
     for first, *rest in rows:
@@ -63,7 +63,8 @@ def group_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
 
 
 def mean_and_deviation(values: pd.Series) -> str:
-    """`3.3 ± 0.26`: the deviation to two digits; a dash without values."""
+    """Mean and deviation as text, `3.3 ± 0.26`, the deviation to two digits; a dash without
+    values."""
     if not len(values):
         return "-"
     if len(values) < FEWEST:

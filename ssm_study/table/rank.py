@@ -1,4 +1,4 @@
-"""Order of runs, the best first: the one notion that `show`, the page and the figures share.
+"""Ranking of runs, the best first, as `show`, the page and the figures use it.
 
 It asks for a certificate first, then for the plant (did every start settle, and was that predicted
 without the plant?), then for time, and among equals for the fit.
@@ -14,7 +14,7 @@ NO_FASTER = 0.995  # settling time over the uncontrolled one, from where it prin
 
 
 def outcome_class(table: pd.DataFrame) -> pd.Series:
-    """Class of each run's outcome, the best first.
+    """Class of each run's outcome, the best class first.
 
     0 certified and settles, 1 the same but no faster than without control, 2 certified only, 3 not
     certified, 4 a baseline, which has no controller, 5 infeasible, 6 failed, which any other status
@@ -37,13 +37,13 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
 
 
 def settling_ratio(table: pd.DataFrame) -> pd.Series:
-    """Mean settling time as a share of the uncontrolled one; NaN where either is unknown."""
+    """Mean settling time relative to the uncontrolled one; NaN where either is unknown."""
     open_loop_s = column(table, "settling_time_open_loop_s")
     return column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
 
 
 def predicted(table: pd.DataFrame) -> pd.Series:
-    """Whether the plant was predicted to stay stable, from model and records alone.
+    """Whether each run's plant was predicted to be stable, from model and records alone.
 
     False where nothing is said.
     """
@@ -51,7 +51,7 @@ def predicted(table: pd.DataFrame) -> pd.Series:
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
-    """Table sorted by outcome class, then predicted to be stable, then settling time, then fit.
+    """Table sorted by outcome class, then prediction of stability, then settling time, then fit.
 
     The first row is the best run: of the certified ones that settle, the fastest of those that one
     would have chosen without the plant. Settling times are relative to the plant left alone where
@@ -73,7 +73,8 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
-    """Table with the best first, or sorted by a column in its better direction, missing last.
+    """Table sorted from best to worst, or by one column in its better direction, missing values
+    last.
 
     Raises `BadRequest` if the column is unknown.
     """

@@ -83,7 +83,7 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
 def gathered_rows(
     study: Path, by: str | None, where: str | None, anew: bool = False
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Table of a study, and its rows to show.
+    """Table of a study, and those of its rows that are to be shown.
 
     A table whose first rows contradict the runs' records is made anew: its seal vouches for its
     bytes, not for who wrote them.
@@ -97,7 +97,7 @@ def gathered_rows(
 
 
 def column_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines that describe the columns of the table which hold values."""
+    """Text lines that describe the columns of the table which have values."""
     head = ("column", "what it is (unit)", "better", "checked by verify unless said")
     rows = [head, *listed(table)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
@@ -109,7 +109,7 @@ def column_lines(table: pd.DataFrame) -> list[str]:
 
 
 def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
-    """Cost of each stage that the records name, the costliest first.
+    """Computing time of each stage in the records, the longest first.
 
     Each distinct one counts once, here or in an earlier study: how many runs needed it, how many
     distinct ones, what these took, and what reuse saved.
@@ -131,7 +131,7 @@ def stage_costs(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def cost_lines(table: pd.DataFrame) -> list[str]:
-    """Text lines with the cost of each stage.
+    """Text lines with the computing time of each stage.
 
     Stage, runs, how many are distinct, how many reused, time of each, of all, time saved.
     """
@@ -150,7 +150,7 @@ def cost_lines(table: pd.DataFrame) -> list[str]:
 
 
 def short_names(names: pd.Series) -> pd.Series:
-    """Short name of each run: the digits that end its name, where no two runs share them.
+    """Short name of each run: the digits at the end of its name, where they are unique.
 
     Every command takes them for the run.
     """
@@ -195,7 +195,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
 
 
 def certificate_words(table: pd.DataFrame) -> pd.Series:
-    """Both certificates of each run in one word; missing where there is neither verdict."""
+    """Verdict of both certificates of each run in one word; missing where there is neither."""
     controller = table["controller_certified"]
     observer = table["observer_certified"]
     pairs = zip(controller.fillna(False), observer.fillna(False), strict=True)
@@ -213,7 +213,7 @@ def column_head(name: str) -> str:
 
 
 def predictions(table: pd.DataFrame) -> pd.Series:
-    """Prediction of each run as a word, never without the doubt of its evidence."""
+    """Prediction of each run as a word, marked where its evidence is doubtful."""
     words = table["predicted_stable"].map({True: "yes", False: "no"}).astype("string")
     evidence = text(table, "evidence")
     words = words.mask((evidence == "doubt") & (words == "yes"), "yes, doubt")

@@ -1,1 +1,1 @@
-"""Controllers that ours is compared with."""
+"""Controllers with which ours is compared."""

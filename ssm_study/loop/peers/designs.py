@@ -1,5 +1,5 @@
-"""Peers without a controller or with a certified design: any solution of the paper's inequalities,
-guaranteed cost, and ours."""
+"""Peers of the comparison that need no tuning or use a certified design: no control, the paper's
+inequalities, guaranteed cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer gets all arguments; these need less
 from ssm_study.certificates.certificate import Design
@@ -12,14 +12,14 @@ from ssm_study.synthesis.lmi import LmiSynthesis
 
 
 class UncontrolledPeer(Peer, names=("uncontrolled",)):
-    """Uncontrolled plant, against which every controller is measured."""
+    """Peer that leaves the plant uncontrolled."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Uncontrolled:
         return Uncontrolled.of(plant)
 
 
 class PaperLmiPeer(Peer, names=("paper_lmi",)):
-    """Any solution of the theorems' inequalities."""
+    """Peer with any solution of the inequalities of the paper's theorems."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
         synthesis = LmiSynthesis(
@@ -29,7 +29,8 @@ class PaperLmiPeer(Peer, names=("paper_lmi",)):
 
 
 class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
-    """Riccati, with the weights of `synthesis=riccati`."""
+    """Peer with the Riccati design of least guaranteed cost, with the weights of
+    `synthesis=riccati`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
         synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
@@ -37,14 +38,14 @@ class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
 
 
 class ChosenPeer(Peer, names=("auto",)):
-    """Our own choice, `synthesis=auto`."""
+    """Peer with our own automatic choice, `synthesis=auto`."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
         return known.chosen(Auto())
 
 
 class ChosenIntegralPeer(Peer, names=("auto_integral",)):
-    """Our own choice, with integral action."""
+    """Peer with our own automatic choice and integral action."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
         synthesis = Auto(integral_weights=(1e-4, 1e-3, 1e-2))

@@ -1,5 +1,5 @@
-"""LQG as in textbooks, from the linear part and the mean slope of the nonlinearity, without a
-certificate."""
+"""LQG controller as in textbooks, from the linear part and the mean slope of the nonlinearity,
+without a certificate."""
 
 from dataclasses import replace
 
@@ -45,7 +45,8 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
 
 
 class LqgPeer(Peer, names=("lqg",)):
-    """LQG with the weights of `synthesis=riccati` and the sensor's noise."""
+    """Peer with an LQG controller, with the weights of `synthesis=riccati` and the sensor's
+    noise."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> ObserverFeedback:
         weights = lqg_weights(plant, known, rate)
@@ -53,7 +54,7 @@ class LqgPeer(Peer, names=("lqg",)):
 
 
 def lqg_weights(plant: Plant, known: Identified, rate: float) -> Synthesis:
-    """Weights of `synthesis=riccati`, with the sensor's noise, mean over the outputs.
+    """Weights of `synthesis=riccati` with the sensor's noise variance, averaged over the outputs.
 
     One input scale drives the states; a linear design has no rate.
     """

@@ -1,4 +1,4 @@
-"""Controllers that are compared on one plant, one file each, and the data that each may use."""
+"""Interface of the controllers that are compared on one plant, and the data that each may use."""
 
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -28,7 +28,8 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every controller may use: model, balls of its Jacobians, validation records."""
+    """Data that every controller of the comparison may use: model, balls of its Jacobians,
+    validation records."""
 
     model: Model
     balls: Balls
@@ -38,7 +39,7 @@ class Identified:
 
     @classmethod
     def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """Model and balls with the records of a data set that a controller may use."""
+        """Data of the comparison from a model, its balls and a data set."""
         return cls(
             model=model,
             balls=balls,
@@ -49,12 +50,13 @@ class Identified:
 
     @cached_property
     def without_neurons(self) -> SSM:
-        """Linear model for a textbook's design: neurons count by their slopes at rest."""
+        """Linear model for a textbook's design, with the neurons replaced by their slopes at
+        rest."""
         return without_neurons(self.model)
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Distance of the plant from the model, as the records show it."""
+        """Mismatch between plant and model, measured from the records."""
         return measure_mismatch(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
@@ -65,7 +67,8 @@ class Identified:
 
 
 def without_neurons(model: Model) -> SSM:
-    """Model of one layer: neurons by their slopes at rest, within A, B, C and D."""
+    """Model of one layer with the neurons replaced by their slopes at rest, within A, B, C
+    and D."""
     if isinstance(model, SSM):
         return model
     return SSM(
@@ -79,7 +82,7 @@ def without_neurons(model: Model) -> SSM:
 
 
 class Peer(Family):
-    """One way to a controller; `names` is what the comparison calls it."""
+    """Interface of one method that yields a controller; `names` is what the comparison calls it."""
 
     @abstractmethod
     def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
@@ -92,7 +95,7 @@ class Peer(Family):
 def compared(
     name: str, plant: Plant, known: Identified, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """Build a peer, and the columns that say what is proved and predicted of it.
+    """Build the controller of a peer, with columns on what is proved and predicted for it.
 
     None, and a row with the reason, where the peer has no controller.
     """

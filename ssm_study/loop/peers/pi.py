@@ -33,7 +33,7 @@ class PI(Controller):
 
     @classmethod
     def on(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
-        """PI controller about the equilibrium of a plant, at its sampling time.
+        """PI controller around the equilibrium of a plant, at its sampling time.
 
         Raises `BadRequest` for more than one input or output.
         """
@@ -59,7 +59,8 @@ class PI(Controller):
 
 
 class Ultimate(NamedTuple):
-    """Proportional gain at which the linearised loop just oscillates, and the period.
+    """Proportional gain at which the linearised loop just oscillates (ultimate gain), and the
+    period of the oscillation.
 
     Physical units, seconds.
     """
@@ -88,9 +89,11 @@ def ultimate(model: SSM) -> Ultimate:
     sign = float(np.sign(static_gain[0, 0]))
 
     def poles(gain: float) -> Complex[np.ndarray, "n"]:
+        """Poles of the loop with this proportional gain."""
         return np.linalg.eigvals(a - sign * gain * b @ c).astype(complex)
 
     def excess(gain: float) -> float:
+        """Spectral radius of the loop minus one."""
         return float(np.abs(poles(gain)).max() - 1)
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
@@ -109,7 +112,8 @@ def ultimate(model: SSM) -> Ultimate:
 
 
 def tyreus_luyben(model: SSM) -> PI:
-    """PI controller by the rule of Tyreus and Luyben: Ziegler and Nichols' experiment, calmer.
+    """PI controller by the rule of Tyreus and Luyben, a more cautious form of Ziegler and Nichols'
+    rule.
 
     `gain = ultimate / 3.2,  integral = 2.2 periods`. Source: Tyreus & Luyben, Ind. Eng. Chem. Res.
     31 (1992) 2625-2628. (Rules from a first-order
@@ -125,7 +129,7 @@ def tyreus_luyben(model: SSM) -> PI:
 
 
 def mean_slope(model: SSM) -> Float[np.ndarray, "k m"]:
-    """Mean slope of the input nonlinearity, which a linear design uses in its place.
+    """Mean slope of the input nonlinearity, which replaces it in a linear design.
 
     `(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i.
     """
@@ -135,7 +139,7 @@ def mean_slope(model: SSM) -> Float[np.ndarray, "k m"]:
 
 
 class PiPeer(Peer, names=("pi",)):
-    """Tyreus and Luyben's rule on the linearised model."""
+    """Peer with a PI controller tuned by Tyreus and Luyben's rule on the linearised model."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> PI:
         return tyreus_luyben(known.without_neurons)
