@@ -12,6 +12,7 @@ made again. One to three minutes a log on a busy core.
 """
 
 import argparse
+import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -117,7 +118,14 @@ def compare(log: Log) -> dict[str, object]:
         "baseline": baseline.words if baseline else "",
         "chosen": found.chosen,
         "refitted": found.refitted,
+        "commit": commit(),
     }
+
+
+def commit() -> str:
+    """The commit of the code that is measured."""
+    words = ("git", "rev-parse", "--short", "HEAD")
+    return subprocess.run(words, cwd=ROOT, capture_output=True, text=True).stdout.strip()
 
 
 def quote(setting: str) -> str:
