@@ -1,2 +1,3 @@
-"""Claims about a design that exact arithmetic decides: theorems, one a file, and the certificates
+"""Certificates of a design: theorems as matrix inequalities that exact arithmetic decides.
+Claims about a design that exact arithmetic decides: theorems, one a file, and the certificates
 they make."""

@@ -61,7 +61,8 @@ class Side(Theorem, abstract=True):
 
     @property
     def contraction(self) -> float:
-        """`r`: the factor by which distances (the estimation error) shrink each step."""
+        """Contraction factor per step of the certificate. `r`: the factor by which distances
+        (the estimation error) shrink each step."""
         return float(np.sqrt(1 - self.rate))
 
     @property
@@ -82,7 +83,8 @@ class Side(Theorem, abstract=True):
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
-        """That of `S_u`, of an observer that of `S_y`."""
+        """The ball of Jacobians that this side is certified for. That of `S_u`, of an observer
+        that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
@@ -93,18 +95,19 @@ class Side(Theorem, abstract=True):
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Fields to store from a method's answer `found` to `problem`: every number that
-        `conditions` uses."""
+        """Collect the fields to store from a problem and its solution. Fields to store from a
+        method's answer `found` to `problem`: every number that `conditions` uses."""
 
 
 class OfProblem(Side, abstract=True):
-    """Beside `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
+    """Mixin for a certificate whose theorem is the inequality of one synthesis problem. Beside
+    `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
     `LETTERS`."""
 
     @staticmethod
     @abstractmethod
     def inequality(of: Any) -> Blocks:
-        """The theorem's one inequality."""
+        """The one matrix inequality of the theorem, as named blocks."""
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
@@ -126,8 +129,9 @@ class OfProblem(Side, abstract=True):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> float:
-        """The exact frontier; with neurons the worst over frozen slopes, beyond which no
-        certificate goes."""
+        """The largest rate that any certificate of this theorem can have for this model. The
+        exact frontier; with neurons the worst over frozen slopes, beyond which no certificate
+        goes."""
         system = cls._system(context)
         return controller_frontier(
             dual(system) if cls.observes else system, cls.ball(context)
@@ -135,8 +139,8 @@ class OfProblem(Side, abstract=True):
 
     @classmethod
     def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Every field that problem and solution have under its letter; an observer's turned
-        back."""
+        """Collect the fields of the certificate from a problem and its solution. Every field
+        that problem and solution have under its letter; an observer's turned back."""
         of: dict[str, Any] = {
             **vars(problem),
             **vars(found),
@@ -156,8 +160,8 @@ class OfProblem(Side, abstract=True):
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
     def as_problem(self) -> tuple[Problem, Solution]:
-        """The stored numbers as a method of design has them, an observer's transposed; no
-        weights."""
+        """Rebuild the synthesis problem from the numbers that the certificate stores. The stored
+        numbers as a method of design has them, an observer's transposed; no weights."""
         of: dict[str, Any] = dict(vars(self))
         if self.observes:
             of |= {
@@ -178,8 +182,8 @@ class OfProblem(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedback(Side, abstract=True):
-    """`u = K x` contracts what is controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear
-    in `p (n, n)`.
+    """Certificate that a state feedback makes the model contract. `u = K x` contracts what is
+    controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
 
     The printed proof says P, the inequality is the dual form.
     """
@@ -195,7 +199,8 @@ class StateFeedback(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
-    """The estimate's error contracts in `M = Q`."""
+    """Certificate that an observer makes the estimation error contract. The estimate's error
+    contracts in `M = Q`."""
 
     c: Float[np.ndarray, "p n"]
     q: Float[np.ndarray, "n n"]
@@ -208,8 +213,8 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """No certificate at these settings: a result, not an error. `rate_limit` says how much was
-    possible.
+    """Entry of a design for a side that has no certificate, with the reason. No certificate at
+    these settings: a result, not an error. `rate_limit` says how much was possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -257,18 +262,19 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether both sides are there and hold in exact arithmetic."""
+        """Whether controller and observer both have certificates that hold in exact arithmetic."""
         return self.state_feedback.certified and self.observer.certified
 
     @property
     def feasible(self) -> bool:
-        """Whether both sides are there."""
+        """Whether controller and observer both have certificates, checked exactly or not."""
         return not any(
             isinstance(part, Infeasible) for part in (self.state_feedback, self.observer)
         )
 
     def parts(self) -> tuple[StateFeedback, Observer]:
-        """Both sides; raises `BadRequest` with the reason where one is infeasible."""
+        """Certificates of controller and observer by their names. Both sides; raises
+        `BadRequest` with the reason where one is infeasible."""
         for name in SIDES:
             part = self.content[name]
             if isinstance(part, Infeasible):
@@ -279,7 +285,7 @@ class Design:
 
     @property
     def pair(self) -> Gains:
-        """The gains of both sides; `BadRequest` as of `parts`."""
+        """The gains of controller and observer together; `BadRequest` as of `parts`."""
         feedback, observer = self.parts()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
@@ -288,7 +294,8 @@ class Design:
 
     @property
     def inverts(self) -> bool:
-        """Whether the law undoes the input map: `u = S_u^{-1}(K xh)`."""
+        """Whether the control law applies the inverse of the input map. Whether the law undoes
+        the input map: `u = S_u^{-1}(K xh)`."""
         return "inverted_input" in str(
             getattr(self.state_feedback, "theorem", type(self.state_feedback))
         )
@@ -304,7 +311,7 @@ class Design:
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """`k`, `l` and `l_z`, those that there are."""
+        """Gain matrices of the design by name, `k`, `l` and `l_z`, without the missing ones."""
         sides = (part for part in (self.state_feedback, self.observer) if isinstance(part, Side))
         return {letter: gain for side in sides for letter, gain in side.gains.items()}
 
@@ -355,15 +362,15 @@ class Design:
 
 
 def digest(content: dict[str, Any]) -> str:
-    """SHA-256 of a part's other fields as canonical JSON: whether the file still says what was
-    written."""
+    """Hash of a stored certificate that shows whether it was altered. SHA-256 of a part's other
+    fields as canonical JSON: whether the file still says what was written."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def _read(label: str, content: dict[str, Any]) -> Any:
-    """A part by its own theorem; one that names none is of the theorem that bears the part's
-    name."""
+    """Construct a certificate from its stored fields by the theorem that it names. A part by its
+    own theorem; one that names none is of the theorem that bears the part's name."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
     values = {
         name: value for name, value in content.items() if name not in ("digest", "certified_rate")

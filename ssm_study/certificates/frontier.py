@@ -32,7 +32,8 @@ NEGLIGIBLE = 1e-20  # a power F^(2^j) of this size no longer matters in sum_j F^
 
 @dataclass(frozen=True, kw_only=True)
 class Frontier:
-    """A certificate exists for every `rate < rate_limit`, and for none from there on.
+    """Exact limit of the contraction rate that any certificate can reach for a model. A certificate
+    exists for every `rate < rate_limit`, and for none from there on.
 
     `contraction_limit = sqrt(1 - rate_limit)` is the smallest certifiable factor per step; above
     one (a negative `rate_limit`) nothing is certifiable at all. `decided_by` names what sets the
@@ -49,8 +50,8 @@ class Frontier:
 
 
 def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
-    """The frontier of Theorem 1 for `x+ = A x + B S_u(u)`; that of Theorem 2 is the dual system's
-    (`problem.dual`).
+    """Largest certifiable rate of a state feedback. The frontier of Theorem 1 for `x+ = A x + B
+    S_u(u)`; that of Theorem 2 is the dual system's (`problem.dual`).
 
     With neurons it is the worst over frozen slopes, which no certificate goes beyond and few
     attain. Raises `BadRequest` for matrices that are not finite.
@@ -67,7 +68,8 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
 def frontier(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
 ) -> Frontier:
-    """Infimum of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
+    """Smallest contraction factor that any linear gain can reach for a ball of Jacobians. Infimum
+    of the `r` at which `beta/|alpha| < 1 / sqrt(1 + lambda_max(Bh^T S Bh))`.
 
     A ball that holds zero (`|alpha| <= beta`) leaves the open loop's own contraction; modes the
     input does not reach keep theirs. In between several inputs need a scalar search within
@@ -124,8 +126,8 @@ def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) 
 def energy_root(
     a: Float[np.ndarray, "k k"], b: Float[np.ndarray, "k m"]
 ) -> Float[np.ndarray, "k k"]:
-    """Lower triangular `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| >
-    1`.
+    """Square root of the Gramian of the inverse-time system, for unstable modes. Lower triangular
+    `L` with `L L^T = W`, `W = A^{-1} (W + B B^T) A^{-T}`, all `|lambda(A)| > 1`.
 
     Summed in factored form by doubling, so that small directions of W keep their relative accuracy.
     Raises `NoSolution` if the sum does not converge or the factor is singular (a mode out of
@@ -152,8 +154,8 @@ def energy_root(
 def largest_energy(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> float:
-    """`lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of
-    reach.
+    """Largest eigenvalue of the least control energy at a contraction factor. `lambda_max(Bh^T S
+    Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of reach.
 
     Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
     has orthogonal coordinates of it, so no eigenvector basis is ever inverted.
@@ -173,7 +175,8 @@ def largest_energy(
 
 
 def _product_limit(moduli: Float[np.ndarray, "n"], ratio: float) -> float:
-    """The `r` with `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
+    """Contraction factor at which the product of the unstable moduli reaches a ratio. The `r` with
+    `prod over |lambda_i| > r of r/|lambda_i| = ratio`; moduli in descending order.
 
     With the k largest modes faster than r, `r = (ratio prod |lambda_i|)^(1/k)`; the right k is the
     one whose r lies between its neighbours, and the largest candidate is that one.

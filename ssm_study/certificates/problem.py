@@ -19,16 +19,17 @@ DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h
 
 
 def dual(system: System) -> System:
-    """`(A^T, C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the
-    observer, transposed."""
+    """Dual (transposed) system, by which an observer is designed as a state feedback. `(A^T,
+    C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer,
+    transposed."""
     turned = {name: np.ascontiguousarray(getattr(system, DUAL[name]).T) for name in vars(system)}
     return type(system)(**turned)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Neurons:
-    """`w = phi(z) - phi(bias)`, slopes in [0, 1], beside the `a, b` of a problem; of an observer
-    the dual system's."""
+    """Neurons inside the recurrence of a synthesis problem. `w = phi(z) - phi(bias)`, slopes in
+    [0, 1], beside the `a, b` of a problem; of an observer the dual system's."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]
@@ -43,15 +44,15 @@ class Neurons:
 
     @property
     def units(self) -> Float[np.ndarray, "q"]:
-        """Powers of two `d` that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ
-        by many decades."""
+        """Scaling of each neuron that balances its input and output weights. Powers of two `d`
+        that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
         into = np.linalg.norm(self.e, axis=0)
         seen = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
         return np.exp2(np.round(np.log2(ratio) / 2))
 
     def scaled(self) -> "Neurons":
-        """The same neurons, `d w` for w and `d z` for z."""
+        """The same neurons in balanced units, `d w` for w and `d z` for z."""
         d = self.units
         return Neurons(
             e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes
@@ -60,8 +61,8 @@ class Neurons:
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """Find `K` and `P` such that `A + B J K` contracts by `r = sqrt(1 - rate)` for every `J` of the
-    ball.
+    """Synthesis problem of one gain and its contraction metric. Find `K` and `P` such that `A + B J
+    K` contracts by `r = sqrt(1 - rate)` for every `J` of the ball.
 
     Shapes: `a (n, n)`, `b (n, m)`; weights of the cost `x^T state_weight x + u^T input_weight u`,
     symmetric: `state_weight (n, n) >= 0`, `input_weight > 0`. Raises `BadRequest` for a rate
@@ -108,6 +109,7 @@ class Problem:
 
     @property
     def a_hat(self) -> Float[np.ndarray, "n n"]:
+        """`A` over the contraction factor."""
         return self.a / self.contraction
 
     @property
@@ -116,20 +118,21 @@ class Problem:
 
     @property
     def of_neurons(self) -> Neurons:
-        """The neurons; raises `ValueError` for a problem without any."""
+        """Neurons of the model in the problem's coordinates. The neurons; raises `ValueError`
+        for a problem without any."""
         if self.neurons is None:
             raise ValueError("this problem has no neurons")
         return self.neurons
 
     def at(self, rate: float) -> "Problem":
-        """The same at another rate."""
+        """The same problem at another rate."""
         return replace(self, rate=rate)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Matrices of Theorem 1 as a method found them, not yet verified: `p, y (n, n)`, `k (m, n)`,
-    `sigma`.
+    """Gain and metric that a synthesis method returns, not yet verified. Matrices of Theorem 1 as a
+    method found them, not yet verified: `p, y (n, n)`, `k (m, n)`, `sigma`.
 
     With neurons also their `multipliers (q,)`, the diagonal of Lambda, and `k_w (m, q)`, what an
     observer injects; `logs` is where a search over multipliers ended.
@@ -145,7 +148,7 @@ class Solution:
     logs: Float[np.ndarray, "s"] | None = None
 
     def of_neurons(self, neurons: Neurons) -> "Solution":
-        """From what was found for `neurons.scaled()` to what holds for themselves."""
+        """Undo the scaling of the neurons in a solution."""
         assert self.multipliers is not None
         assert self.k_w is not None
         d = neurons.units
@@ -154,19 +157,19 @@ class Solution:
 
 
 def symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Without what rounding has made of it."""
+    """Symmetric part of a matrix, free of rounding errors."""
     return (matrix + matrix.T) / 2
 
 
 class NoSolution(Exception):
-    """A method ended without matrices; the message says what the solver reported. Information, not
-    a verdict."""
+    """Raised when a synthesis method ends without a gain. A method ended without matrices; the
+    message says what the solver reported. Information, not a verdict."""
 
 
 @contextmanager
 def within_floats() -> Iterator[None]:
-    """A singular matrix, or eigenvalues that do not converge, end the attempt as `NoSolution` and
-    not the run."""
+    """Turn a failure of linear algebra inside the block into `NoSolution`, so that it ends one
+    attempt and not the run."""
     try:
         yield
     except np.linalg.LinAlgError as error:

@@ -30,8 +30,8 @@ Rows = Float[np.ndarray, "_ _"]
 
 
 def solved(program: cp.Problem, solver: str) -> str:
-    """Solve in place; the status, as information. Raises `NoSolution` when the solver returns no
-    matrices."""
+    """Solve a cvxpy program in place and return its status. Raises `NoSolution` when the solver
+    returns no matrices."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter(
@@ -49,8 +49,8 @@ def solved(program: cp.Problem, solver: str) -> str:
 def largest_mismatch(
     loop: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
 ) -> Iterator[dict[str, Any]]:
-    """`s, lambda_p, p, lambda_` of `theorems.structured_tolerance` from its matrices, each
-    `INSIDE_LARGEST` of s.
+    """Largest mismatch that a semidefinite program proves for a loop with neurons. `s, lambda_p, p,
+    lambda_` of `theorems.structured_tolerance` from its matrices, each `INSIDE_LARGEST` of s.
 
     In coordinates where every signal has unit size while all slopes are one half: the loop's own
     Gramian. Raises `NoSolution` where the solver ends without matrices, `LinAlgError` for a loop
@@ -105,8 +105,8 @@ def largest_mismatch(
 def _unit_sizes(
     middle: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
 ) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
-    """A root of the Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the
-    neurons see in it."""
+    """Sizes of the loop's signals, by which the program is scaled. A root of the Gramian of the
+    loop `[A B_p B_e]`, and the sizes of p, `W u` and what the neurons see in it."""
     order, width = middle.shape
     m = len(into_u)
     moved = 0.0  # of p: none at first, then what e alone makes of u

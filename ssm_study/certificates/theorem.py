@@ -44,7 +44,8 @@ Blocks = list[list[Any]]
 
 
 def full(upper: Blocks) -> Blocks:
-    """All blocks of the symmetric matrix, zeros as arrays of their size."""
+    """Fill the lower triangle of a symmetric block matrix. All blocks of the symmetric matrix,
+    zeros as arrays of their size."""
     sizes = [row[0].shape[0] for row in upper]
 
     def block(i: int, j: int) -> Any:
@@ -57,7 +58,8 @@ def full(upper: Blocks) -> Blocks:
 
 
 def stacked(rows: Blocks) -> Any:
-    """Blocks side by side as they are: `np.block`, exactly where one of them is exact."""
+    """Assemble a block matrix from rows of blocks. Blocks side by side as they are: `np.block`,
+    exactly where one of them is exact."""
     return (
         Exact.block(rows)
         if any(isinstance(block, Exact) for row in rows for block in row)
@@ -66,21 +68,21 @@ def stacked(rows: Blocks) -> Any:
 
 
 def diagonal(entries: Any) -> Any:
-    """The diagonal matrix of a stored vector, whose zeros nobody can alter: a multiplier
-    `Lambda`."""
+    """Build a diagonal matrix from a stored vector. The diagonal matrix of a stored vector,
+    whose zeros nobody can alter: a multiplier `Lambda`."""
     return entries.diagonal() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
 def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
-    """`D M D` with `D = diag(|M_ii|)^(-1/2)`: what definiteness and conditioning mean whatever the
-    units."""
+    """Scale a symmetric matrix to a unit diagonal. `D M D` with `D = diag(|M_ii|)^(-1/2)`: what
+    definiteness and conditioning mean whatever the units."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
     scaled = scale[:, None] * matrix * scale
     return (scaled + scaled.T) / 2
 
 
 def margin(matrix: Float[np.ndarray, "s s"]) -> float:
-    """Smallest eigenvalue: of a matrix scaled to unit diagonal at most one."""
+    """Smallest eigenvalue of a symmetric matrix: at most one if it is scaled to a unit diagonal."""
     return float(np.linalg.eigvalsh(matrix)[0])
 
 
@@ -106,8 +108,8 @@ class VerificationContext:
 
 @dataclass(frozen=True, kw_only=True)
 class Theorem(ABC):
-    """One certificate: the numbers of a theorem, whether they prove it, and information beside
-    them.
+    """Base class of a certificate: stored matrices and the inequalities that they must satisfy. One
+    certificate: the numbers of a theorem, whether they prove it, and information beside them.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
     eigenvalue of the first condition scaled to a unit diagonal, `condition` that of the metric's
@@ -147,33 +149,34 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """Named block matrices (upper triangles) that must be positive definite; `of` has every
-        field and product."""
+        """The matrix inequalities of the theorem. Named block matrices (upper triangles) that
+        must be positive definite; `of` has every field and product."""
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Fields that are not the theorem's but the model's, as the verifier knows them."""
+        """Fields of the certificate that come from the model, recomputed from the model file."""
 
     @staticmethod
     @abstractmethod
     def ball(context: VerificationContext) -> JacobianBall:
-        """The ball that `alpha, beta` must contain."""
+        """The ball of Jacobians that the certificate's `alpha, beta` must contain."""
 
     @classmethod
     @abstractmethod
     def rate_limit_of(cls, context: VerificationContext) -> float | None:
-        """The exact limit of the rate, if one is known; None where nothing can be said."""
+        """The exact limit of the rate that this theorem can prove. The exact limit of the rate,
+        if one is known; None where nothing can be said."""
 
     @classmethod
     def name(cls) -> str:
-        """The name of its file, by which a stored certificate finds its theorem."""
+        """Name of the theorem's file, by which a stored certificate is read back."""
         return cls.__module__.rpartition(".")[2]
 
     @classmethod
     def _evaluated(
         cls, read: Callable[[Any], Any], numbers: Mapping[str, Any]
     ) -> dict[str, Blocks]:
-        """All blocks of the conditions, in the numbers that `read` makes of the stored ones."""
+        """Blocks of the conditions, computed in floats or in exact numbers."""
         of = {label: read(value) for label, value in numbers.items()}
         of |= {label: of[left] @ of[right] for label, (left, right) in cls.products.items()}
         return {
@@ -196,15 +199,16 @@ class Theorem(ABC):
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Whether every condition is positive definite: decided, not estimated."""
+        """Decide the certificate in exact arithmetic. Whether every condition is positive
+        definite: decided, not estimated."""
         return all(is_positive_definite(matrix) for matrix in cls.exactly(**numbers).values())
 
     @classmethod
     def proved(
         cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
     ) -> Any:
-        """The certificate of these numbers: products rounded, verdict exact; `started` by
-        `time.perf_counter`."""
+        """Construct the certificate from its numbers and decide it exactly. The certificate of
+        these numbers: products rounded, verdict exact; `started` by `time.perf_counter`."""
         information |= {
             "certified": cls.holds(**numbers),
             "margin": margin(next(iter(cls.as_floats(**numbers).values()))),
@@ -216,7 +220,7 @@ class Theorem(ABC):
 
     @classmethod
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Exact, each entry rounded once to the nearest float."""
+        """Exact values of derived fields, each entry rounded once to the nearest float."""
         return {
             name: (Exact.of(of[left]) @ of[right]).rounded()
             for name, (left, right) in cls.products.items()
@@ -224,8 +228,7 @@ class Theorem(ABC):
 
     @property
     def variables(self) -> dict[str, Any]:
-        """The stored fields that are the theorem's own: all but the products and the information
-        beside them."""
+        """Stored fields that the theorem introduces itself, in contrast to those of the model."""
         return {
             name: value
             for name, value in vars(self).items()
@@ -233,8 +236,7 @@ class Theorem(ABC):
         }
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Sentences, one per claim of this certificate that does not hold beside what is known of
-        the model.
+        """Sentences on the claims of this certificate that do not hold for the model.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
         reverse.
@@ -265,8 +267,7 @@ class Theorem(ABC):
 
 
 def theorem_named(name: str) -> type[Theorem]:
-    """The theorem of a file in `theorems/`, or of a plug-in that is loaded; raises `BadRequest` for
-    any other name."""
+    """Find the class of a theorem by the name of its file, plug-ins included."""
     if (
         name.isidentifier()
         and not name.startswith("_")
@@ -284,8 +285,8 @@ def theorem_named(name: str) -> type[Theorem]:
 
 
 def value_of(where: str, kind: Any, value: Any) -> Any:
-    """A field of a certificate as its type has it; raises `BadRequest` for what is no such
-    thing."""
+    """Convert a stored field to the type that the certificate declares. A field of a certificate
+    as its type has it; raises `BadRequest` for what is no such thing."""
     if kind in (bool, str):
         require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
         return value

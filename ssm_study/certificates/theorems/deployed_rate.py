@@ -69,8 +69,8 @@ def largest_rate(
     k: Float[np.ndarray, "m n"],
     ball: JacobianBall,
 ) -> float:
-    """`1 - r^2` at the smallest such r, to a share of `RATE_TOLERANCE`; negative where even r = 1
-    is too small."""
+    """Largest contraction rate that a single metric proves for a given gain. `1 - r^2` at the
+    smallest such r, to a share of `RATE_TOLERANCE`; negative where even r = 1 is too small."""
     closed = a + ball.alpha * b @ k
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
     smallest = max(radius, np.finfo(float).eps)

@@ -62,8 +62,8 @@ SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
 def frequencies(words: Sequence[str]) -> dict[float, int]:
-    """How many modes there are at each frequency (Hz): `step` one at zero, `ramp` two,
-    `sine(0.5Hz)` one at 0.5.
+    """Read how many modes an internal model has at each frequency. How many modes there are at each
+    frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
@@ -85,8 +85,8 @@ def frequencies(words: Sequence[str]) -> dict[float, int]:
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
-    """`A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for
-    too fast ones."""
+    """State matrix of the internal model of a reference or disturbance. `A_z`: the modes of one
+    output, each state repeated for every output. Raises `BadRequest` for too fast ones."""
     blocks = []
     nyquist = 0.5 / step_s
     for hertz, count in frequencies(words).items():
@@ -107,8 +107,7 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[n
 
 
 def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1.0) -> System:
-    """The recurrence of `(x, z)`; its `c` reads the scaled output and `sqrt(weight) z`, for a cost
-    on both.
+    """Append an internal model to the identified model, with state `(x, z)`.
 
     Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
     steer them all, and where the inputs do not move every output at a mode.
@@ -167,7 +166,8 @@ def augmented(
 
 
 def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
-    """`G` of `S_y(v) = G v`. Raises `BadRequest` for any other output map."""
+    """Gain of a linear output map, required for an internal model. `G` of `S_y(v) = G v`. Raises
+    `BadRequest` for any other output map."""
     found = model.scaffold_out.portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"

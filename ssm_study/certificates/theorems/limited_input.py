@@ -56,8 +56,8 @@ class LimitedFeedback(StateFeedbackOfBall):
 
 
 def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
-    """The ball of `S_u(sat(.))`, its radius rounded up so that it holds zero and the ball of
-    `S_u`."""
+    """Ball of Jacobians of the input map behind a saturation. The ball of `S_u(sat(.))`, its
+    radius rounded up so that it holds zero and the ball of `S_u`."""
     half = math.nextafter((abs(ball.alpha) + ball.beta) / 2, math.inf)
     if inputs == 1:
         return JacobianBall(alpha=math.copysign(half, ball.alpha), beta=half)
@@ -67,7 +67,8 @@ def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
 
 
 def from_everywhere(part: StateFeedbackOfBall) -> LimitedFeedback | None:
-    """The part's gain near its largest rate with limits; None where none is proved."""
+    """Certificate of the same gain under input limits, from every initial state. The part's gain
+    near its largest rate with limits; None where none is proved."""
     ball = limited(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
     told = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
     found = at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))

@@ -119,7 +119,8 @@ class MeasuredDiscs(Theorem):
 
     @staticmethod
     def disc_form(of: Any, signals: Any) -> Any:
-        """`|e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
+        """Quadratic form that is negative where the mismatch lies in the measured disc. `|e - c
+        m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`."""
         deviation = signals.e - of.centre * signals.m
         reference = of.floor * of.floor * (signals.m.T @ signals.m)
         reference = reference + signals.w_m.T @ signals.w_m + signals.v_u.T @ signals.v_u
@@ -127,8 +128,9 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        """Each multiplier with the form of the static maps that it multiplies, which no signal of
-        the loop makes positive."""
+        """Quadratic forms of the static maps and the multipliers of each. Each multiplier with
+        the form of the static maps that it multiplies, which no signal of the loop makes
+        positive."""
         u = signals.u
         p = signals.p
         forms = [(of.lambda_p, p.T @ p - of.beta * of.beta * (u.T @ u))]
@@ -185,7 +187,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
-        """The next states with what neurons add to them; unchanged of one layer."""
+        """Add what the neurons contribute to the next states. The next states with what neurons
+        add to them; unchanged of one layer."""
         del of, rows
         return moved, error
 
@@ -199,7 +202,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
-        """Every field that is the model's, or a gain."""
+        """Matrices of the loop, from the model and the gains of the design."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
         loop = {
             name: getattr(context.system if name in OF_THE_OUTPUT else context.controlled, name)
@@ -214,16 +217,16 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """No rate is claimed."""
+        """None, because this theorem claims no rate."""
 
 
 def len_of(matrix: Any) -> int:
-    """The number of rows, of floats and of exact numbers alike."""
+    """Number of rows of a matrix, in floats or exact numbers."""
     return int(matrix.shape[0])
 
 
 def selectors(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
-    """Rows that pick each named part out of the whole vector."""
+    """Selection matrices that pick each named part out of a stacked vector."""
     ends = np.cumsum(list(sizes.values()))
     identity = np.eye(int(ends[-1]))
     pieces = np.split(identity, ends[:-1])

@@ -81,11 +81,14 @@ class StructuredObserver(OfProblem, Observer):
 
 
 def _looped(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:
+    """Whether injection into the neurons closes an algebraic loop, because they enter the
+    output."""
     return bool(np.any(h) and np.any(l_z))
 
 
 def inequality(of: Any, weights: Any, n: Any) -> Blocks:
-    """The statement with `N = Lambda L_z` as given; `weights` is the diagonal matrix Lambda."""
+    """Blocks of the theorem's inequality for given multipliers. The statement with `N = Lambda
+    L_z` as given; `weights` is the diagonal matrix Lambda."""
     neurons = -1.0 * (weights @ of.f + of.alpha * (n @ of.c)).T - of.eta * (of.c.T @ of.h)
     step = (of.u @ of.a + of.alpha * (of.v @ of.c)).T
     return [

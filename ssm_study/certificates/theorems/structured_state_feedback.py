@@ -73,7 +73,8 @@ class StructuredStateFeedback(OfProblem, StateFeedback):
 
 
 def inequality(of: Any, row: tuple[Any, Any, Any]) -> Blocks:
-    """The statement with the neurons' row scaled by any diagonal S: `row` is `(S, S T, S T S)`."""
+    """Blocks of the theorem's inequality, the neurons' row scaled by a diagonal matrix. The
+    statement with the neurons' row scaled by any diagonal S: `row` is `(S, S T, S T S)`."""
     scale, scaled_t, t = row
     one = np.eye(of.b.shape[1])
     step = (of.a @ of.y + of.alpha * (of.b @ of.x)).T

@@ -140,7 +140,8 @@ class Tolerance(Theorem):
 
     @staticmethod
     def seen(of: Any) -> Any:
-        """`C_W`: what the gain from e is measured to."""
+        """Output matrix of the weighted signal that the gain from the error e is measured to,
+        `C_W`."""
         n = of.c.shape[1]
         m = of.b.shape[1]
         w = of.weight.shape[0] - m
@@ -194,7 +195,7 @@ class Tolerance(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """No rate is claimed."""
+        """None, because this theorem claims no rate."""
 
 
 def largest_tolerance(
@@ -202,9 +203,9 @@ def largest_tolerance(
     weight: Float[np.ndarray, "v v"],
     theorem: type[Tolerance] = Tolerance,
 ) -> Tolerance | None:
-    """The largest s that is certified for this weight; None with a nonlinear output map, where none
-    is found, and where no mismatch has an effect (K or L is zero): no number is the largest then.
-    """
+    """Certificate with the largest tolerated mismatch for a weight. The largest s that is
+    certified for this weight; None with a nonlinear output map, where none is found, and where
+    no mismatch has an effect (K or L is zero): no number is the largest then."""
     started = time.perf_counter()
     if context.balls.output.beta > 0:
         return None
@@ -221,8 +222,8 @@ def largest_tolerance(
 
 
 def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple[float, float]:
-    """The multiplier, and the largest s that it allows: peaks on a grid of frequencies, refined
-    around the worst."""
+    """Search the multiplier that tolerates the largest mismatch. The multiplier, and the largest
+    s that it allows: peaks on a grid of frequencies, refined around the worst."""
     order = len(loop)
     m = len(into_u)
     outputs = np.vstack([into_u, into_w])
@@ -251,14 +252,14 @@ def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple
 
 
 def _neighbours(values: Float[np.ndarray, "K"], at: int) -> tuple[float, float]:
-    """The values before and after one of a row, or itself at an end."""
+    """The neighbours before and after an entry of a row, or the entry itself at an end."""
     last = len(values) - 1
     return values[max(at - 1, 0)], values[min(at + 1, last)]
 
 
 def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Float[np.ndarray, "F"]:
-    """`1 / s^2` at each frequency: the largest eigenvalue of `M_2 (I - M_1^* M_1)^{-1} M_2^*`,
-    infinite if that fails.
+    """Inverse squared tolerance at each frequency for a multiplier. `1 / s^2` at each frequency:
+    the largest eigenvalue of `M_2 (I - M_1^* M_1)^{-1} M_2^*`, infinite if that fails.
 
     `M_1` maps `(p, e)` to `beta u` and `M_2` to `W u`, scaled by the multiplier: `p /
     sqrt(lambda)`, `sqrt(lambda) u`.
@@ -284,8 +285,8 @@ def _adjoint(matrices: np.ndarray) -> np.ndarray:
 def _energy(
     loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into, lambda_p: float, slack: float
 ) -> Float[np.ndarray, "x x"] | None:
-    """`P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's
-    coordinates."""
+    """Solve the Riccati equation of the tolerance for a fixed multiplier. `P = A^T P A + A^T P B
+    (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's coordinates."""
     order = len(loop)
     m = len(into_u)
     a = loop[:, :order]

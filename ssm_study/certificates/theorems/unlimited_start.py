@@ -86,7 +86,8 @@ def unlimited(
     corners: Float[np.ndarray, "n j"],
     limits: Float[np.ndarray, "m two"],
 ) -> UnlimitedStart | None:
-    """The largest share of the `corners` that some part's metric proves; None without room, and for
+    """Certificate of the largest set of initial outputs from which no input limit acts. The
+    largest share of the `corners` that some part's metric proves; None without room, and for
     corners at rest."""
     started = time.perf_counter()
     room = np.minimum(-limits[:, 0], limits[:, 1])
