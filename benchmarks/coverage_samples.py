@@ -28,7 +28,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import model_from_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.robustness.coverage import Weights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import largest_kappa

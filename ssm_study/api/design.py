@@ -22,7 +22,8 @@ from ssm_study.evidence.metrics import withheld
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.models.stored import model_from_json
+from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
@@ -64,12 +65,11 @@ class Design:
         Raises `BadRequest` where the folder has no controller.
         """
         targets.load(folder)
-        content = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+        model = model_from_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
         record_file = folder / "record.json"
         record: dict[str, Any] = {}
         if record_file.is_file():
             record = json.loads(record_file.read_text(encoding="utf-8"))
-        model = model_from_json(content)
         assert isinstance(model, SSM | StructuredSSM)  # `targets.load` refuses every other
         certificate = Certificates.load(folder / "certificate.json")
         return cls(certificate=certificate, model=model, run_folder=folder, stored_record=record)

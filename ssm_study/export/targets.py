@@ -28,7 +28,8 @@ from ssm_study.export.onnx import onnx_model
 from ssm_study.export.portable import PortableController, as_floats, portable
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.structured import Model, model_from_json
+from ssm_study.models.stored import model_from_json
+from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
 from ssm_study.synthesis.deployed import within_limits

@@ -9,18 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.models import baselines
-from ssm_study.models.identified import (
-    SSM,
-    DelayLine,
-    Lifted,
-    Outputs,
-    ScaffoldedModel,
-    Simulator,
-    State,
-)
+from ssm_study.models.identified import SSM, DelayLine, Lifted, Outputs, ScaffoldedModel, State
+from ssm_study.models.matrix_shapes import shapes
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.refusal import one_of, require
+from ssm_study.refusal import require
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, StructuredSystem, System
 
@@ -82,13 +74,6 @@ def phi(
     for i, kind in enumerate(kinds):
         out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
     return out
-
-
-def shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
-    """Shape of each matrix of a recurrence with n states, m lifted inputs, p outputs and q
-    neurons."""
-    linear = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
-    return linear | {"e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}
 
 
 Matrix = Float[np.ndarray, "_ _"]  # `shapes` says which
@@ -241,15 +226,6 @@ class StructuredSSM(ScaffoldedModel):
         (n, m), p = parts["b"].shape, len(parts["c"])
         none: Any = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
         return cls(**none | parts, **plain, neurons=())
-
-
-def model_from_json(data: Mapping[str, Any]) -> Simulator:
-    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind
-    is refused."""
-    if data.get("kind") is None:
-        return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
-    one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
-    return kinds[data["kind"]].from_json(data)
 
 
 Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: what is certified

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.compilation import compiled
-from ssm_study.models.structured import shapes
+from ssm_study.models.matrix_shapes import shapes
 
 
 class Matrices(NamedTuple):

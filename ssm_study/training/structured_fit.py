@@ -10,8 +10,9 @@ import torch
 from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
+from ssm_study.models.matrix_shapes import shapes
 from ssm_study.models.spec import scaled_with_disturbances
-from ssm_study.models.structured import Model, StructuredSSM, phi, shapes
+from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, Trajectories, fit_of_error
 from ssm_study.training.metrics import mean_fit

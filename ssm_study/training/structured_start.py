@@ -6,8 +6,9 @@ from jaxtyping import Float
 from scipy import linalg
 
 from ssm_study.models.contracting import Core, in_metric, parameters, projected
+from ssm_study.models.matrix_shapes import shapes
 from ssm_study.models.spec import arx, impulse_response, realise
-from ssm_study.models.structured import phi, shapes
+from ssm_study.models.structured import phi
 from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
 
 ARX_LAGS = 10  # of a start with at most half as many states

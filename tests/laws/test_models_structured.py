@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json, phi
+from ssm_study.models.stored import model_from_json
+from ssm_study.models.structured import NEURONS, StructuredSSM, phi
 from ssm_study.models.structured_kernel import bend
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale

@@ -14,7 +14,7 @@ from models_cases import data_set
 
 from ssm_study.models.baselines.solved import SolvedSpec
 from ssm_study.models.spec import ModelSpec
-from ssm_study.models.structured import model_from_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.training.choice import with_defaults

@@ -21,7 +21,8 @@ from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import equilibrium
-from ssm_study.models.structured import NEURONS, StructuredSSM, model_from_json
+from ssm_study.models.stored import model_from_json
+from ssm_study.models.structured import NEURONS, StructuredSSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 SAMPLES = 300

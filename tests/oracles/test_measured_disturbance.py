@@ -25,7 +25,8 @@ from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.models.structured import StructuredSSM, model_from_json
+from ssm_study.models.stored import model_from_json
+from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale, Trajectory

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.members import member_facts
 from ssm_study.models.metrics import size_facts
-from ssm_study.models.structured import model_from_json
+from ssm_study.models.stored import model_from_json
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.training.metrics import training_facts

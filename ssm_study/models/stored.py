@@ -1,0 +1,18 @@
+"""Any model that was written as explicit numbers, read again."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ssm_study.models import baselines
+from ssm_study.models.identified import SSM, Simulator
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.refusal import one_of
+
+
+def model_from_json(data: Mapping[str, Any]) -> Simulator:
+    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind
+    is refused."""
+    if data.get("kind") is None:
+        return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
+    one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
+    return kinds[data["kind"]].from_json(data)
