@@ -35,8 +35,8 @@ def sized_candidates(search: Search) -> list[Candidate]:
     candidates = [] if search.integrates else static_input_sizes(search)
     sizes = INTEGRATING_SIZES if search.integrates else SIZES
     candidates += [search.structured("size", size) for size in sizes]
-    first_order = candidates[0].settings.get("order", TRIED_SIZE["order"])  # or it is given
-    needs_order = int(first_order) > int(TRIED_SIZE["order"])
+    first_order = candidates[0].settings.get("order")  # None where the order is given
+    needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
     for larger in LARGER:
         if first_not_behind(candidates) is not candidates[-1] and not needs_order:
             break

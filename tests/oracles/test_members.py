@@ -31,7 +31,7 @@ def data() -> DataSet:
 
 @pytest.fixture(scope="module")
 def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the model's stage leaves of two members."""
+    """Files that the model's stage leaves of two members."""
     there = tmp_path_factory.mktemp("members")
     spec = StructuredSpec(starts=1, members=2, **SMALL)  # type: ignore[arg-type]
     settings = {"model": spec, "training": training(3), "seed": 0, "progress": False}
