@@ -173,7 +173,7 @@ def sampled(lines: list[str]) -> list[str]:
 def split_cells(line: str, separator: str) -> list[str]:
     """The cells of one line, without the spaces around them."""
     if separator == " ":
-        return line.split()
+        return [cell.strip('"') for cell in line.split()]
     if '"' not in line:
         return [cell.strip() for cell in line.split(separator)]
     try:
@@ -199,11 +199,12 @@ def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
     separators = SEPARATORS if settings.mark is None else (settings.mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sampled(lines)
+    is_quoted = any('"' in row for row in rows)  # then a comma may stand in and between numbers
     best = (",", ".")
     best_score = -1.0
     for separator in separators:
         for decimal in decimals:
-            if separator == decimal:
+            if separator == decimal and not is_quoted:
                 continue
             score = table_score([split_cells(row, separator) for row in rows], decimal)
             # A space between date and time is no separator where another mark divides as well.

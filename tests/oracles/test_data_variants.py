@@ -2,6 +2,7 @@
 in a sentence, never wrong in silence."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,16 @@ MILLISECONDS = Variant(
 def test_every_spelling_is_read(tmp_path: Path, variant: Variant) -> None:
     end, said = outcome(variant, tmp_path)
     assert end == "read", said
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+def test_quotes_tell_a_comma_between_numbers_from_one_within(
+    tmp_path: Path, separator: str
+) -> None:
+    changes = {"separator": separator, "names": "plain", "clock": "ms", "quoted": True}
+    plain = {"holes": 1, "missing": 0, "encoding": "utf-8"}
+    variant = replace(MILLISECONDS, **changes, **plain)  # type: ignore[arg-type]
+    assert outcome(variant, tmp_path) == ("read", "")
 
 
 def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
