@@ -264,15 +264,15 @@ def model(run: RunFiles) -> Claims:
 def fits(run: RunFiles) -> Claims:
     """Check that the stored model reproduces the stored simulations, and that the recorded errors
     are theirs."""
-    replayed = []
+    replayed: dict[str, Simulation] = {}
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
         start_up = stored.start_up_samples
         replay = Simulation.of(run.model, stored.records, start_up, stored.starts)
         pairs = numbered_pairs(stored.simulated, replay.simulated)
         yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
-        replayed.append(replay)
-    yield Derived(fit_facts(*replayed))
+        replayed[split] = replay
+    yield Derived(fit_facts(replayed["validation"], replayed["test"]))
 
 
 def loop(run: RunFiles) -> Claims:

@@ -23,7 +23,7 @@ def unreached_numbers(run: RunFiles) -> dict[str, str]:
     scale = run.model.scale
     simulated = (run.simulated.validation, run.simulated.test)
     inputs = [*run.inputs, *(record.u for record in run.trials)]
-    outputs = []
+    outputs: list[np.ndarray] = []
     for part in simulated:
         inputs += [record.u for record in part.records]
         outputs += part.simulated
