@@ -18,7 +18,8 @@ ON_AXIS = 1e-4
 def frequency_response(
     system: StateSpace, angles: Float[np.ndarray, "F"]
 ) -> Complex[np.ndarray, "F p m"]:
-    """`C (e^{j angle} I - A)^{-1} B + D`, angles in radians per sample."""
+    """Frequency response matrix of a discrete-time system at the given angles. `C (e^{j angle} I
+    - A)^{-1} B + D`, angles in radians per sample."""
     shifted = np.exp(1j * angles)[:, None, None] * np.eye(system.order) - system.a
     return (
         system.c
@@ -33,8 +34,8 @@ def gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarra
 
 
 def hinf_norm(system: StateSpace) -> float:
-    """`sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`; infinite if `A` is not stable, or not by what
-    floats resolve.
+    """H-infinity norm of a discrete-time system. `sup_w sigma_max(C (e^{jw} I - A)^{-1} B + D)`;
+    infinite if `A` is not stable, or not by what floats resolve.
 
     A bilinear map carries the unit circle to the imaginary axis and leaves the norm; there, `gamma`
     exceeds the norm iff the Hamiltonian of `gamma` has no imaginary eigenvalue, and between
@@ -50,6 +51,8 @@ def hinf_norm(system: StateSpace) -> float:
 
 
 def _peak(system: StateSpace) -> float:
+    """Largest gain over all frequencies of a stable system, by raising a level until no
+    frequency crosses it."""
     poles = np.linalg.eigvals(system.a)
     angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
     best = float(gains(system, angles).max())

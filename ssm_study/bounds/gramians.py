@@ -21,8 +21,8 @@ RANK_FLOOR = (
 def gramian(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], horizon: int | None = None
 ) -> Float[np.ndarray, "n n"]:
-    """`W = sum_k A^k B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W =
-    A W A^T + B B^T`.
+    """Controllability Gramian of a pair `(A, B)`. `W = sum_k A^k B B^T (A^T)^k`, over `horizon`
+    samples or, for a stable model, over all: `W = A W A^T + B B^T`.
 
     Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
     horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
@@ -48,15 +48,15 @@ def gramian(
 
 
 def hankel_singular_values(linear: StateSpace) -> Float[np.ndarray, "n"]:
-    """`sqrt(eig(W_c W_o))`, descending: how much each balanced state carries from past input to
-    future output."""
+    """Hankel singular values of a linear system. `sqrt(eig(W_c W_o))`, descending: how much each
+    balanced state carries from past input to future output."""
     root_c, root_o = _roots(linear)
     return np.asarray(scipy.linalg.svdvals(root_o.T @ root_c))
 
 
 def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
-    """`z = T^+ x` by square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel
-    singular values.
+    """Balancing transformation of a linear system. `z = T^+ x` by square roots (Laub et al. 1987):
+    both Gramians are diagonal with the Hankel singular values.
 
     Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the
     H-infinity norm of what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a
@@ -90,7 +90,8 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
 
 
 def _roots(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
-    """`R` with `R R^T = W` of both Gramians, by eigenvalues, so that a singular one is no error."""
+    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T =
+    W` of both Gramians, by eigenvalues, so that a singular one is no error."""
     both = (
         np.linalg.eigh(gramian(*pair)) for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
     )
@@ -99,8 +100,9 @@ def _roots(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
 
 @dataclass(frozen=True, kw_only=True)
 class LocalProperty:
-    """`mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any trajectory
-    of n steps.
+    """Two-sided bound on how strongly a nonlinear model's inputs reach its states (or states its
+    outputs). `mu^2 W' <= W <= nu^2 W'` for the Gramian W of the variational dynamics along any
+    trajectory of n steps.
 
     `lower = mu^2 lambda_min(W')` and `upper = nu^2 lambda_max(W')`, W' the Gramian of the linear
     part over as many steps as it has states. `holds`: no mode is out of reach, within rounding, and
@@ -116,8 +118,8 @@ class LocalProperty:
 def local_property(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
 ) -> LocalProperty:
-    """Along any input the states can be steered both ways, if `(A, B)` is controllable and `mu_u >
-    0`.
+    """Bounds on local controllability of the model along any input. Along any input the states can
+    be steered both ways, if `(A, B)` is controllable and `mu_u > 0`.
 
     Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
     and `mu_y > 0`.

@@ -40,7 +40,8 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
 
 
 def _selections(network: Network) -> list[Exact]:
-    """Matrices that pick `v`, then each layer's `d_l`, from the stacked `(v, d_1, ..., d_L)`."""
+    """Selection matrices that pick `v`, then each layer's `d_l`, from the stacked `(v, d_1, ...,
+    d_L)`."""
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])

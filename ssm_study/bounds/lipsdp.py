@@ -34,9 +34,9 @@ ENLARGED = (0.0, 1e-8, 1e-6, 1e-4, 1e-2)
 def lipsdp_ball(
     network: Network, scalar_centre: bool = False
 ) -> tuple[Float[np.ndarray, "k m"], float]:
-    """Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any centre or
-    (`scalar_centre`) of those that are `alpha I`. Refuses as above.
-    """
+    """Smallest ball of matrices that semidefinite programming proves to hold every Jacobian of a
+    network. Centre and least radius with `|J(v) - centre|_2 <= radius` for every v, of any
+    centre or (`scalar_centre`) of those that are `alpha I`. Refuses as above."""
     hidden = [len(b) for b in network.biases]
     multipliers = [cp.Variable(h, nonneg=True) for h in hidden]
     shape = (network.outputs, network.inputs)
@@ -79,8 +79,9 @@ def lipsdp_ball(
 def _radius(
     network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]
 ) -> float:
-    """The least L for these multipliers and this centre: the Schur complement onto v of all else.
-    Infinite if none."""
+    """Smallest radius that given multipliers prove for a ball around a given centre. The least L
+    for these multipliers and this centre: the Schur complement onto v of all else. Infinite if
+    none."""
     m = network.inputs
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
     kept = [
@@ -108,7 +109,8 @@ def _select(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
 
 
 def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
-    """`-2 sum_l (d - lo q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
+    """Quadratic constraint of the slopes of all neurons of a network. `-2 sum_l (d - lo q)^T T
+    (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
         low, high = np.sort(

@@ -22,13 +22,15 @@ def leaky_relu(
     negative: Float[np.ndarray, "h"],
     positive: Float[np.ndarray, "h"],
 ) -> Float[np.ndarray, "*batch h"]:
-    """`phi(z) = positive z` for `z >= 0`, `negative z` below."""
+    """Leaky ReLU with one slope for positive and one for negative arguments. `phi(z) = positive
+    z` for `z >= 0`, `negative z` below."""
     return np.where(z >= 0, positive, negative) * z
 
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """`N(v) = W_{L+1} d_L,  d_l = phi_l(W_l d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
+    """Leaky-ReLU network whose value at zero is exactly zero. `N(v) = W_{L+1} d_L,  d_l = phi_l(W_l
+    d_{l-1} + b_l) - phi_l(b_l),  d_0 = v`.
 
     Any multilayer perceptron minus its value at zero has this form, with `b_l` the pre-activations
     at zero; here the subtraction happens before rounding can enter, so `N(0) = 0` exactly. `L =
@@ -69,7 +71,8 @@ class Network:
         return d @ self.weights[-1].T
 
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """`W_{L+1} Phi_L W_L ... Phi_1 W_1` with the slopes active at `v`."""
+        """Jacobian matrix of the network at a point. `W_{L+1} Phi_L W_L ... Phi_1 W_1` with the
+        slopes active at `v`."""
         d = v
         product = np.eye(self.inputs)
         for w, b, low, high in self.hidden():
@@ -81,7 +84,7 @@ class Network:
         return self.weights[-1] @ product
 
     def hidden(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
-        """Weight, bias, negative and positive slopes of each hidden layer."""
+        """Iterate over the hidden layers: weight, bias, negative and positive slopes of each."""
         return list(
             zip(
                 self.weights[:-1],
@@ -98,7 +101,8 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableMap:
-    """`S(v) = linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear
+    """Static map of a scaffolding as plain matrices, which no framework is needed to evaluate.
+    `S(v) = linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear
     (k, m)`."""
 
     linear: Float[np.ndarray, "k m"]
@@ -146,7 +150,8 @@ Row = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True)
 class _Piece:
-    """On `(low, high)` the layer's output is `(slope t + offset) / 2^bits`, vectors of integers."""
+    """One affine piece of a scalar network in exact integer arithmetic. On `(low, high)` the
+    layer's output is `(slope t + offset) / 2^bits`, vectors of integers."""
 
     low: End
     high: End
@@ -156,8 +161,8 @@ class _Piece:
 
 
 def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
-    """The exact `[mu, nu]`: the least and the greatest slope. Raises `BadRequest` for more than one
-    channel.
+    """Exact smallest and largest slope of a network with one input and one output. The exact `[mu,
+    nu]`: the least and the greatest slope. Raises `BadRequest` for more than one channel.
 
     Between break points the network is affine; sorting them and listing the pieces gives all
     slopes. Weights are floats, hence dyadic rationals: slopes and offsets are integers over one
@@ -173,8 +178,8 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
 
 
 def break_points(network: Network) -> list[Fraction]:
-    """Where the slope changes, in order; points between pieces of one slope may be among them.
-    Refuses as above."""
+    """Points at which the slope of a scalar network changes. Where the slope changes, in order;
+    points between pieces of one slope may be among them. Refuses as above."""
     return [piece.low for piece in _pieces(network) if isinstance(piece.low, Fraction)]
 
 
@@ -232,8 +237,8 @@ def _between(low: End, high: End) -> Fraction:
 
 @dataclass(frozen=True, kw_only=True)
 class Inverse:
-    """`v = matrix w`, or per channel, with its points, slopes and offsets, `v = slopes[j] w +
-    offsets[j]`.
+    """Inverse of a static map, linear or piecewise linear per channel. `v = matrix w`, or per
+    channel, with its points, slopes and offsets, `v = slopes[j] w + offsets[j]`.
 
     j is the count of `points <= w`.
     """
@@ -252,8 +257,8 @@ class Inverse:
 
 
 def inverse_of(portable: PortableMap) -> Inverse | None:
-    """The inverse, as exact as its slopes; None for a map that couples its channels or is not
-    strictly monotone.
+    """Invert a static map. The inverse, as exact as its slopes; None for a map that couples its
+    channels or is not strictly monotone.
 
     A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
     Source: docs/theory.md, "With neurons".
@@ -268,7 +273,8 @@ def inverse_of(portable: PortableMap) -> Inverse | None:
 
 
 def _channels(portable: PortableMap) -> list[PortableMap]:
-    """One scalar map per channel; none if a neuron sees or moves two of them."""
+    """Split a map into scalar maps, one per channel. One scalar map per channel; none if a
+    neuron sees or moves two of them."""
     net = portable.network
     gains = np.diagonal(portable.linear)
     if portable.linear.shape == (1, 1):

@@ -10,8 +10,8 @@ from ssm_study.refusal import at_least, require
 
 @dataclass(frozen=True, kw_only=True)
 class Reduction:
-    """`x = T z` with equal, diagonal Gramians; then keep the states that carry something:
-    conf/reduction/balanced.yaml.
+    """Order reduction of a model by balanced truncation. `x = T z` with equal, diagonal Gramians;
+    then keep the states that carry something: conf/reduction/balanced.yaml.
 
     `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates
     that floats do not hold. `absorb` is `SSM.absorbed`, done first.
@@ -37,8 +37,8 @@ class Reduction:
         )
 
     def reduce(self, model: Any) -> Any:
-        """The same model (`with_driven_system`, perhaps `absorbed`) in balanced coordinates, with
-        the kept states only.
+        """Truncate a model (`with_driven_system`, perhaps `absorbed`) to its largest states in
+        balanced coordinates.
 
         A model with neurons stays as it is: no state of its linear part can be dropped by itself
         (`BadRequest`).

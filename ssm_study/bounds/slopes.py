@@ -19,8 +19,8 @@ ROUNDING_SHARE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """The ball `J = alpha I + beta Delta` that holds every Jacobian; the least and the greatest
-    slope, with sign.
+    """Proved ball of Jacobians of a static map, with the method that proved it. The ball `J = alpha
+    I + beta Delta` that holds every Jacobian; the least and the greatest slope, with sign.
 
     In several dimensions these are the ends `alpha -+ beta` of the ball.
     """
@@ -32,8 +32,8 @@ class SlopeBound:
 
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
-    """Both ends rounded outwards to floats; the ball encloses the rational interval, not its
-    rounded picture."""
+    """Bound from a lower and an upper slope. Both ends rounded outwards to floats; the ball
+    encloses the rational interval, not its rounded picture."""
     least = _rounded_down(lower)
     most = -_rounded_down(-upper)
     ball = enclosing_ball(lower, upper)
@@ -41,13 +41,14 @@ def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeB
 
 
 def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
-    """`lower, upper = alpha -+ beta`, with sign: `alpha < 0` is a decreasing map."""
+    """Bound from the centre and radius of a ball of Jacobians. `lower, upper = alpha -+ beta`,
+    with sign: `alpha < 0` is a decreasing map."""
     return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method)
 
 
 def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
-    """The smallest ball of floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact
-    arithmetic."""
+    """Ball of Jacobians in floats that encloses an interval of slopes. The smallest ball of
+    floats with `alpha - beta <= lower` and `upper <= alpha + beta` in exact arithmetic."""
     require(
         lower <= upper, "slopes", (float(lower), float(upper)), "lower exceeds upper", "swap them"
     )
@@ -76,7 +77,8 @@ def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> Jac
 
 
 def network_bound(network: Network) -> SlopeBound:
-    """Exact for one channel, otherwise the narrower of LipSDP and interval arithmetic."""
+    """Tightest proved ball of Jacobians of a network. Exact for one channel, otherwise the
+    narrower of LipSDP and interval arithmetic."""
     if network.inputs == 1:
         return bound_from_interval(*slope_interval(network), "break_points")
     interval = interval_bound(network)
@@ -93,8 +95,8 @@ def network_bound(network: Network) -> SlopeBound:
 
 
 def lipsdp_bound(network: Network) -> SlopeBound:
-    """The ball around `alpha I` with the least radius LipSDP can prove. Raises `BadRequest` if the
-    solver fails."""
+    """The ball of Jacobians around `alpha I` with the least radius LipSDP can prove. Raises
+    `BadRequest` if the solver fails."""
     from ssm_study.bounds.lipsdp import lipsdp_ball  # CVXPY takes a second to import
 
     centre, radius = lipsdp_ball(network, scalar_centre=True)
@@ -102,8 +104,8 @@ def lipsdp_bound(network: Network) -> SlopeBound:
 
 
 def interval_bound(network: Network) -> SlopeBound:
-    """`|J(v) - centre| <= radius` entrywise for every v, by interval products `W_{L+1} Phi_L W_L
-    ... Phi_1 W_1`.
+    """Ball of Jacobians of a network by interval arithmetic. `|J(v) - centre| <= radius` entrywise
+    for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
 
     So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
     Refuses a network that is not square. Source: Moore 1966 (interval arithmetic).
@@ -133,8 +135,9 @@ def interval_bound(network: Network) -> SlopeBound:
 
 
 def spectral_norm_bound(network: Network) -> tuple[float, float]:
-    """`prod ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure,
-    [Z26] section IV.
+    """Bounds on the slopes of a network by products of its weights' singular values. `prod
+    ||W_l||_2 max|phi'|` above, `prod sigma_min(W_l) min|phi'|` below: the paper's figure, [Z26]
+    section IV.
 
     The upper figure is sound. The lower one is not: `W1 = [1, 1]^T, W2 = [1, -1]` is the zero map,
     yet the product is positive. Neither says where the Jacobians lie: figures to print, never to

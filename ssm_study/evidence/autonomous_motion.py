@@ -19,7 +19,7 @@ FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves bo
 
 
 def findings(case: Case) -> list[Finding]:
-    """Nothing is judged of an output that the input moves less than it moves by itself."""
+    """Findings about an output that moves by itself more than by its input."""
     shares = shares_predicted(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
@@ -36,8 +36,8 @@ def findings(case: Case) -> list[Finding]:
 
 
 def shares_predicted(case: Case) -> tuple[float, float] | None:
-    """`1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those that validate or test
-    behind others.
+    """Share of the output's power that the model predicts in each piece. `1 - |y - y_hat|^2 /
+    |y|^2`, about the means of each piece, over those that validate or test behind others.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
     beginning of the log. Means are taken off, for an integrator keeps an offset. None where no

@@ -57,8 +57,7 @@ Rows = Float[np.ndarray, "_ _"]
 
 
 def findings(case: Case) -> Iterator[Finding]:
-    """Whether a loop, or an answer within the sample, ties input to output; whether it runs
-    away."""
+    """Findings about a log that was recorded in a closed loop, or whose plant runs away."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
         told = (
@@ -96,8 +95,8 @@ def findings(case: Case) -> Iterator[Finding]:
 
 
 def answers_at_once(data: DataSet) -> bool:
-    """Whether what input and output share within a sample is the plant's answer, not a
-    controller's.
+    """Whether the plant itself answers its input within one sample, rather than a controller its
+    output.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -118,14 +117,13 @@ def answers_at_once(data: DataSet) -> bool:
 
 
 def is_closed(data: DataSet, earlier: float, present: float) -> bool:
-    """Whether a share, without or with the present output, is more than an open-loop log and chance
-    give."""
+    """Whether the statistics show that a log was recorded in a closed loop."""
     samples = sum(len(record) for record in data.training)
     return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
 
 def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Iterator[Finding]:
-    """Whether models of three lengths agree on a mode that grows.
+    """Whether ARX models of three lengths agree on an unstable mode.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
     `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
@@ -161,8 +159,9 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
 
 
 def integrated_share(data: DataSet) -> float | None:
-    """Share of the output's changes that its one input's mean explains, where the longest stretch
-    of a log shows an integrator; None elsewhere."""
+    """Share by which a log looks like an integrator. Share of the output's changes that its one
+    input's mean explains, where the longest stretch of a log shows an integrator; None
+    elsewhere."""
     stretches = log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -172,7 +171,8 @@ def integrated_share(data: DataSet) -> float | None:
 
 
 def growth(data: DataSet) -> tuple[float, float]:
-    """Share of the output's rise that the input explains, and whether the output grows with itself.
+    """Share of the output's growth that the input explains. Share of the output's rise that the
+    input explains, and whether the output grows with itself.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -199,8 +199,8 @@ def growth(data: DataSet) -> tuple[float, float]:
 
 
 def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
-    """Regression rows: what the input added over a stride and the one before, the output's rise,
-    and its past."""
+    """Regression rows that relate the output's growth to its input and its own level: what the
+    input added over a stride and the one before, the output's rise, and its past."""
     hats: list[np.ndarray] = []
     for column, at in zip(u.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
@@ -225,7 +225,8 @@ def _standard_errors(
 
 
 def own_mode(data: DataSet, lags: int) -> float:
-    """The largest modulus of a mode of the ARX model; arbitrary without a reference in the log."""
+    """Largest modulus of a mode of an ARX model fitted to the log; arbitrary without a reference
+    in the log."""
     a = arx(scaled(data), lags, feedthrough=False)[0]
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
@@ -234,8 +235,9 @@ def own_mode(data: DataSet, lags: int) -> float:
 
 
 def fed_back(data: DataSet, first: int) -> float:
-    """The largest share of any input's `w` that `v`, from `first` samples ago on, explains in the
-    other half."""
+    """Share of the input's innovations that earlier innovations of the output explain. The
+    largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other
+    half."""
     halves = [half for u, y in scaled(data) for half in _halves(u, y, first)]
     if not halves:
         return 0.0
@@ -253,8 +255,8 @@ def _joined_rows(halves: list[list[Rows]]) -> list[Rows]:
 
 
 def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v` leaves of
-    that."""
+    """Residual powers of a regression on fresh data. Powers in the scored half: of the input, of
+    `w`, of `w` clipped, and of what `v` leaves of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
     on_u = np.linalg.lstsq(past, u, rcond=ROUNDING)[0]
@@ -273,8 +275,8 @@ def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
 
 
 def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
-    """Past inputs (and one), outputs of `first` to `OUTPUTS` samples ago, the input: of each half
-    of a record."""
+    """Regression arrays of both halves of the log. Past inputs (and one), outputs of `first` to
+    `OUTPUTS` samples ago, the input: of each half of a record."""
     rows = len(u) - PAST
     if len(u) < SHORTEST * PAST:
         return

@@ -20,8 +20,8 @@ CANNOT_JUDGE = "cannot judge"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """A `note` leaves the evidence sound, a `doubt` qualifies a prediction, `cannot judge` forbids
-    one.
+    """One sentence about the records with its severity. A `note` leaves the evidence sound, a
+    `doubt` qualifies a prediction, `cannot judge` forbids one.
 
     Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness
     test.
@@ -39,7 +39,8 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Case to be judged: the records, and the model's free runs of validation and test."""
+    """Data set, model and records whose evidence is judged. Case to be judged: the records, and
+    the model's free runs of validation and test."""
 
     data: DataSet
     model: Model
@@ -47,20 +48,21 @@ class Case:
     test: Simulation
 
     def scaled(self, record: Trajectory) -> ScaledRecord:
-        """Input and output about the equilibrium, in scales."""
+        """Input and output of a record as deviations from the equilibrium, scaled."""
         scale = self.data.scale
         return scale.scaled_input(record.u), scale.scaled_output(record.y)
 
     def driven(self, record: Trajectory) -> ScaledRecord:
-        """`scaled`, with measured disturbances beside the input: all that moves the output."""
+        """Scaled record with measured disturbances as further inputs. `scaled`, with measured
+        disturbances beside the input: all that moves the output."""
         scale = self.data.scale.with_disturbances_as_inputs()
         return scale.scaled_input(record.driven_by), scale.scaled_output(record.y)
 
     def regression(
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
-        """Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than
-        twice the lags."""
+        """Regression of the output on past inputs. Rows `(u[k], ..., u[k - lags], 1)` beside
+        `y[k]`, scaled, of the records longer than twice the lags."""
         scale = self.data.scale
         inputs = [np.empty((lags, scale.inputs))]  # of these no row follows
         outputs = [np.empty((lags, scale.outputs))]
@@ -84,17 +86,18 @@ class Case:
 
 
 def note(sentence: str) -> Finding:
-    """A finding of level `note`."""
+    """Construct a finding of level `note`."""
     return Finding(level="note", sentence=sentence)
 
 
 def doubt(sentence: str) -> Finding:
-    """A finding of level `doubt`."""
+    """Construct a finding of level `doubt`."""
     return Finding(level="doubt", sentence=sentence)
 
 
 def graded(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
-    """A doubt from `doubtful` on, `cannot judge` from `hopeless` on, nothing below."""
+    """Finding whose level depends on the size of a number. A doubt from `doubtful` on, `cannot
+    judge` from `hopeless` on, nothing below."""
     if size >= hopeless:
         return [Finding(level="cannot judge", sentence=sentence)]
     return [doubt(sentence)] if size >= doubtful else []

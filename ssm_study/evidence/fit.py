@@ -1,5 +1,5 @@
-"""Does the model predict? Free runs of validation and test against predictors that know nothing, or
-are linear."""
+"""Findings about how well the model predicts. Does the model predict? Free runs of validation
+and test against predictors that know nothing, or are linear."""
 
 import numpy as np
 from jaxtyping import Float
@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def findings(case: Case) -> list[Finding]:
-    """Fit by itself, between the parts, against a linear filter, and what the residual still owes
-    to the input."""
+    """Findings about the fit: by itself, between the parts, against a linear filter, and the
+    input's trace in the residual."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     found = poor_fit(case)
@@ -72,7 +72,8 @@ def poor_fit(case: Case) -> list[Finding]:
 
 
 def starts_apart(case: Case) -> list[Finding]:
-    """A doubt with both fits where the start of a test record decides by more than ten points."""
+    """Doubt about a test record whose fit depends on its estimated initial state by more than
+    ten points."""
     other = other_start(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []
@@ -88,8 +89,8 @@ def starts_apart(case: Case) -> list[Finding]:
 
 
 def linear_fit(case: Case) -> float:
-    """Fit in percent on the test records of the filter of `LAGS` taps that least squares takes from
-    the training.
+    """Fit in percent of a linear FIR filter on the test records, estimated on the training records
+    (`LAGS` taps).
 
     Minus infinity where no record is long enough for one.
     """
@@ -139,8 +140,8 @@ def error_share(case: Case) -> float:
 
 
 def owed_to_input(case: Case) -> float:
-    """Share of the output's power by which a filter from u, fitted to one half of the residual,
-    predicts the other.
+    """Share of the residual that past inputs still explain. Share of the output's power by which a
+    filter from u, fitted to one half of the residual, predicts the other.
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """

@@ -1,5 +1,5 @@
-"""All findings together: one level, and why; the columns they fill, and what they do to a
-prediction."""
+"""Judgement of the evidence and its columns in a record. All findings together: one level, and
+why; the columns they fill, and what they do to a prediction."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -25,7 +25,8 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """The worst level of the findings: `sound` (notes at most), `doubt` or `cannot judge`."""
+    """Collected findings about the evidence for one model. The worst level of the findings:
+    `sound` (notes at most), `doubt` or `cannot judge`."""
 
     findings: tuple[Finding, ...]
 
@@ -59,7 +60,7 @@ class Judgement:
 def judge(
     data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch
 ) -> Judgement:
-    """Every finding about these records, this model and the mismatch that they show."""
+    """Collect all findings about the records, the model and the measured mismatch."""
     case = Case(data=data, model=model, validation=validation, test=test)
     found = [
         *fit.findings(case),
@@ -105,12 +106,13 @@ def clock_doubts(reading: str) -> list[Finding]:
 
 
 def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
-    """`evidence` is sound, doubt or cannot judge; notes leave it sound."""
+    """Columns of the evidence. `evidence` is sound, doubt or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 
 
 def withheld(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """The facts of a design with no prediction where the evidence allows none."""
+    """Columns of a prediction that the evidence does not allow. The facts of a design with no
+    prediction where the evidence allows none."""
     if level != CANNOT_JUDGE:
         return facts
     predictions = ("predicted_stable", "predicted_faster")

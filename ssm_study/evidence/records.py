@@ -44,21 +44,22 @@ UNTRAINED = 0.2  # share of the test input's power in bands that training did no
 
 
 def findings(case: Case, shown: Mismatch) -> list[Finding]:
-    """All of them, each with its own sentence; those on rest and on what is unknown of the mismatch
-    come last."""
+    """Findings about what the records contain. All of them, each with its own sentence; those on
+    rest and on what is unknown of the mismatch come last."""
     looks = (_range, _levels, _length, _drift, _same, _spectrum)
     doubts = [doubt(sentence) for look in looks for sentence in look(case)]
     return [*doubts, *_limits(case), *_rest(case, shown)]
 
 
 def _joined(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
-    """Scaled inputs and outputs of all these records."""
+    """Concatenated scaled inputs and outputs of several records."""
     parts = [case.scaled(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
     return inputs, np.concatenate([y for _, y in parts])
 
 
 def _range(case: Case) -> Iterator[str]:
+    """Doubt where the test inputs leave the range of the training inputs."""
     trained = _joined(case, case.data.training)
     for name, index in (("input", 0), ("output", 1)):
         low = trained[index].min(axis=0)
@@ -104,7 +105,8 @@ def _levels(case: Case) -> Iterator[str]:
 
 
 def input_changes(data: DataSet) -> int:
-    """How often the input changes in the training records, and where they were cut from their log.
+    """Number of input changes in the training records, and where the records were cut from their
+    log.
 
     A log that is cut at its steps has none within its pieces.
     """
@@ -277,7 +279,8 @@ def _spectrum(case: Case) -> Iterator[str]:
 
 
 def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
-    """A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
+    """Finding about a plant that does not come to rest. A plant that does not rest is judged,
+    and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
     rests = [after_motion(*case.driven(record), response) for record in case.data.test]
     offsets = [left(y) for y in rests if len(y)]

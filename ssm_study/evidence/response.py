@@ -45,13 +45,13 @@ ENOUGH = 200  # samples of a response: too few, more than a design gains from, w
 
 
 def findings(case: Case) -> list[Finding]:
-    """The doubt on coherence, the dead time, and the sampling time of a log."""
+    """Findings about coherence, dead time and sampling time of the records."""
     return [*_coherence(case), *_dead_time(case), *_sampling(case)]
 
 
 def kept_over(case: Case) -> float:
-    """Share of the model's slowest mode that remains after the longest training record: 1 for an
-    integrator."""
+    """Fraction of the model's slowest mode that remains after the longest training record: 1 for
+    an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
@@ -80,8 +80,8 @@ def _coherence(case: Case) -> Iterator[Finding]:
 
 
 def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
-    """The multiple coherence of the output that has the least, at equal steps from 0 to half the
-    sampling rate.
+    """Multiple coherence between inputs and output, for the output with the least, at equal steps
+    from 0 to half the sampling rate.
 
     Spectra are averaged over all records: where the input rests in one of them, the others tell.
     Zero without power.
@@ -138,8 +138,8 @@ def _dead_time(case: Case) -> Iterator[Finding]:
 
 
 def dead_time(case: Case) -> int:
-    """Samples beyond the first by which every input is clearly not seen in any output; 0 where that
-    is not clear."""
+    """Dead time of the plant in samples. Samples beyond the first by which every input is
+    clearly not seen in any output; 0 where that is not clear."""
     x, y = case.regression(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0

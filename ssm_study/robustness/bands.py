@@ -11,26 +11,26 @@ ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 
 
 def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
-    """Summed over the channels."""
+    """Power of each spectral line, summed over the channels."""
     return (np.abs(spectrum) ** 2).sum(axis=1)
 
 
 def divided(
     values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
 ) -> Inexact[np.ndarray, "F"]:
-    """Quotient of values and a power that may vanish."""
+    """Ratio of values to a power that may vanish."""
     return values / np.maximum(by, np.finfo(float).tiny)
 
 
 def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
-    """The band of `ANGLES` of each line of a spectrum, the mean left out, and how many lines a band
-    has."""
+    """Sort the lines of a spectrum into the bands of `ANGLES`, the mean left out, and count the
+    lines of each."""
     bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
     return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
 
 
 def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
-    """The mean over each band of `ANGLES`."""
+    """Mean of a spectrum over each band of `ANGLES`."""
     bands, counts = bands_of(len(lines))
     return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
 

@@ -47,8 +47,8 @@ NO_MISMATCH = "the records show no mismatch at all, so there is nothing to compa
 
 @dataclass(frozen=True, kw_only=True)
 class Weights:
-    """`floor`, `W = [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the input, one
-    channel each.
+    """Weights of the measured disc: how large a model error each frequency may have. `floor`, `W =
+    [A_W, B_W; C_W, D_W]` on the model's output and V likewise on the input, one channel each.
 
     Stable, with poles and zeros inside the circle.
     """
@@ -58,34 +58,37 @@ class Weights:
     input: Float[np.ndarray, "v2 v2"]
 
     def on_output(self, angles: Powers) -> Powers:
-        """`floor^2 + |W|^2`."""
+        """Squared weight of the model's output at each angle, `floor^2 + |W|^2`."""
         return self.floor**2 + squared_gain(self.output, angles)
 
     def on_input(self, angles: Powers) -> Powers:
-        """`|V|^2`."""
+        """Squared weight of the input at each angle, `|V|^2`."""
         return squared_gain(self.input, angles)
 
     def need(self, items: Sequence[Item]) -> tuple[float, str]:
-        """The least kappa at which every item holds, and where it is needed; infinite where a
-        reference vanishes."""
+        """Smallest radius of the disc at which every requirement of the records is met. The
+        least kappa at which every item holds, and where it is needed; infinite where a reference
+        vanishes."""
         needs = [(self.need_of_item(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
     def need_of_item(self, item: Item) -> float:
-        """The least kappa at which this item holds."""
+        """Smallest radius `kappa` of the disc at which one requirement of the records is met."""
         if item.seen <= 0:
             return 0.0
         reference = self.reference_power(item)
         return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
 
     def reference_power(self, item: Item) -> float:
-        """`sum over the item's lines of (X model + Y input)`."""
+        """Power that a requirement's error is compared with. `sum over the item's lines of (X
+        model + Y input)`."""
         of_output = self.on_output(item.angles) @ item.model_power
         return float(of_output + self.on_input(item.angles) @ item.input_power)
 
 
 def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
-    """`|C (e^{jw} - A)^{-1} B + D|^2` of a filter of one channel, `[A, B; C, D]`."""
+    """Squared gain of a weighting filter at each angle. `|C (e^{jw} - A)^{-1} B + D|^2` of a
+    filter of one channel, `[A, B; C, D]`."""
     order = len(weight) - 1
     b = weight[:order, order:]
     c = weight[order:, :order]
@@ -97,16 +100,16 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Mismatch spectra of all records; `reason` is the sentence that says why nothing can be
-    covered, None where it can."""
+    """Measured premise of a proof about the plant. Mismatch spectra of all records; `reason` is
+    the sentence that says why nothing can be covered, None where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
     reason: str | None = None
 
     def items(self, centre: float) -> list[Item]:
-        """Every requirement around this centre; the largest repeating record counts without
-        doubt."""
+        """Every requirement of the records on a disc around this centre; the largest repeating
+        record counts without doubt."""
         largest = max((record.amplitude for record in self.repeating), default=0.0)
         items = list[Item]()
         for record in self.repeating:
@@ -162,8 +165,8 @@ def running_sum(
     m: Float[np.ndarray, "T p"],
     e: Float[np.ndarray, "T p"],
 ) -> Float[np.ndarray, "T"]:
-    """`sum to T of |e - c m|^2 - kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero
-    before the record."""
+    """Running sum of the quadratic constraint along a record. `sum to T of |e - c m|^2 - kappa^2
+    (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
     deviation = ((e - centre * m) ** 2).sum(axis=1)
     reference = weights.floor**2 * (m**2).sum(axis=1)
     reference += (filtered(weights.output, m) ** 2).sum(axis=1)
@@ -174,7 +177,7 @@ def running_sum(
 def filtered(
     weight: Float[np.ndarray, "v v"], signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
-    """The filter of one channel applied to each channel, from rest."""
+    """Apply a single-channel filter to each channel of a signal, from rest."""
     order = len(weight) - 1
     system = StateSpace(
         a=weight[:order, :order],

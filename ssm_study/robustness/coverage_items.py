@@ -25,8 +25,8 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """One requirement on the weights: `seen <= sum over lines of (X model + Y input)` at its
-    angles.
+    """A requirement that one part of a record's spectrum puts on the weights. One requirement on
+    the weights: `seen <= sum over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -49,7 +49,8 @@ class Item:
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatingPower:
-    """Powers of `e - c m` in the lines of a record with two periods.
+    """Spectral powers of the model error in a record with two periods. Powers of `e - c m` in the
+    lines of a record with two periods.
 
     `repeats` is the product of both periods, `measured` their mean power, noise included,
     `variance` that of `repeats`. `bands` holds the band of each line; `dark` says of each band
@@ -93,7 +94,7 @@ class RepeatingPower:
     def seen(
         self, lines: Bool[np.ndarray, "L"], *, is_doubtful: bool, is_dark: bool = False
     ) -> float:
-        """Power that counts as mismatch in these lines."""
+        """Power of the lines that counts as mismatch, beyond the noise."""
         if is_dark:
             return float(self.measured[lines].sum())
         error = SURE * np.sqrt(self.variance[lines].sum()) if is_doubtful else 0.0
@@ -108,7 +109,7 @@ class RepeatingPower:
         is_dark: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """The requirement of these lines together."""
+        """Combine the given lines into one requirement on the weights."""
         record = self.record
         return Item(
             record=record.name,
@@ -123,8 +124,8 @@ class RepeatingPower:
 
 
 def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Bands, groups of bands and the total of a record with two periods; in one that is `sure`
-    whatever repeats counts."""
+    """Requirements on the weights from a record with two periods. Bands, groups of bands and the
+    total of a record with two periods; in one that is `sure` whatever repeats counts."""
     powers = RepeatingPower.of(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
@@ -139,7 +140,7 @@ def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> l
 
 
 def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
-    """The requirements of `size` neighbouring bands each."""
+    """Requirements of groups of `size` neighbouring bands."""
     items = list[Item]()
     for start in range(0, len(ANGLES), size):
         lines = (powers.bands >= start) & (powers.bands < start + size)
@@ -153,7 +154,8 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
 
 
 def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Bins and the total of a record that does not repeat."""
+    """Requirements on the weights from a record that does not repeat. Bins and the total of a
+    record that does not repeat."""
     seen = record.deviation_power(centre)
     dark = record.input_power < EXCITED * record.input_power.mean()
     items = list[Item]()

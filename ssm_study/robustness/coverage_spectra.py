@@ -38,7 +38,7 @@ class MismatchSpectrum:
     noise: Powers
 
     def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
-        """Both periods of `e - c m`."""
+        """Spectrum of the error less the disc's centre, `e - c m`, in both periods."""
         return self.error - centre * self.model
 
     @property
@@ -78,7 +78,7 @@ def power_of(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
 
 
 def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchSpectrum:
-    """Both periods of a record whose input repeats, line by line."""
+    """Line spectra of both periods of a record whose input repeats."""
     assert run.period is not None
     angles = 2 * np.pi * np.arange(run.period // 2 + 1) / run.period
     alone = np.isclose(angles, 0.0) | np.isclose(angles, np.pi)
@@ -95,7 +95,8 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
 
 
 def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
-    """Welch's powers of a record in open loop: its noise counts as mismatch."""
+    """Power spectra of a record in open loop. Welch's powers of a record in open loop: its noise
+    counts as mismatch."""
     powers = _welch_powers(run)
     count = len(powers["angles"])
     return AveragedSpectrum(
@@ -106,9 +107,9 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
 def averaged_spectrum_in_loop(
     run: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Welch's powers of a record in closed loop, which the noise drives too: as `noise` says, which
-    records in open loop show; without any it is taken for white, as strong as e in its quietest
-    bands."""
+    """Power spectra of a record in closed loop. Welch's powers of a record in closed loop, which
+    the noise drives too: as `noise` says, which records in open loop show; without any it is
+    taken for white, as strong as e in its quietest bands."""
     powers = _welch_powers(run)
     angles = powers["angles"]
     samples = len(run.u)
@@ -128,7 +129,7 @@ def averaged_spectrum_in_loop(
 
 
 def _welch_powers(run: RecordErrors) -> dict[str, Powers]:
-    """Angles, and powers of model, error and input and the cross power at them."""
+    """Welch's power spectra of model, error and input of a record, and their cross powers."""
     segment = 2 * (len(ANGLES) - 1)
     even = max(min(segment, len(run.u)) // 2 * 2, 2)
     pairs = {

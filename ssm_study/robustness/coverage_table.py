@@ -17,7 +17,8 @@ from ssm_study.robustness.coverage_items import Item
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageBand:
-    """One band of one record beside the disc around `c m` that the proof allows there.
+    """Row of the coverage table. One band of one record beside the disc around `c m` that the proof
+    allows there.
 
     `record` names the record by its input's rms; `frequency` is the band's middle in rad/sample.
     `measured` is the deviation `|e - c m|` that the record shows and `proved_radius` the largest
@@ -39,7 +40,8 @@ class CoverageBand:
 def coverage_table(
     premise: Premise, weights: Weights, centre: float, kappa: float
 ) -> list[CoverageBand]:
-    """Rows of all bands, record by record, in the order of frequency.
+    """Tabulate the proved and the needed radius of the disc in every band of every record. Rows of
+    all bands, record by record, in the order of frequency.
 
     Groups of bands, means and totals have no row, so the largest `need` of the rows may be smaller
     than the need that `coverage` is taken over.

@@ -57,7 +57,8 @@ def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -
 def _counted_gain(
     condition: AmplitudeCondition, by_frequency: Float[np.ndarray, "F"], loop: LoopResponse
 ) -> Float[np.ndarray, "K"]:
-    """Loop gain of one amplitude at the loop's angles, by the condition that counts there."""
+    """Loop gain of one amplitude at each angle, by the less conservative of the two stability
+    conditions."""
     plain = np.interp(loop.angles, ANGLES, by_frequency) * loop.size
     if condition.is_exempt:
         return np.zeros_like(plain)
@@ -88,7 +89,8 @@ class _WorstCurve:
             self.angle = float(angles[peak])
 
     def as_margin(self, amplitude: float | None) -> MarginCurve:
-        """The inverse: infinite where nothing was measured."""
+        """Stability margin over frequency from the largest loop gain. The inverse: infinite
+        where nothing was measured."""
         with np.errstate(divide="ignore"):
             margin = 1 / self.gain
         smallest = 1 / self.largest if self.largest else float("inf")

@@ -53,8 +53,8 @@ MISSED = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
-    """All views, the smallest amplitude first. `spread`: standard error of the largest's `ln g`,
-    from blocks.
+    """Measured error of a model over frequency and amplitude. All views, the smallest amplitude
+    first. `spread`: standard error of the largest's `ln g`, from blocks.
 
     `left_at_rest`: the most that is left of the output at rest input, as a share of its scale; None
     without such a record. `unexcited`: bands without input power in the largest record. `loop`:
@@ -82,38 +82,39 @@ class Mismatch:
 
     @property
     def band(self) -> float:
-        """Band of settling, in output scales."""
+        """Width of the settling band, in output scales."""
         return BAND * self.farthest
 
     @property
     def gain(self) -> float:
-        """Total gain at the largest amplitude."""
+        """Gain from the input to the model error at the largest amplitude."""
         return self.views[-1].gain
 
     @property
     def rests(self) -> bool:
-        """Whether the plant comes to rest by itself, as far as a record says."""
+        """Whether the plant is at rest whenever its input is, as far as the records show."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property
     def seen(self) -> float:
-        """The largest gain of any record: from below, what the incremental gain of the mismatch
-        is."""
+        """Largest gain of the model error in any record. The largest gain of any record: from
+        below, what the incremental gain of the mismatch is."""
         return max(view.gain for view in self.everywhere) if self.rests else float("inf")
 
     @property
     def everywhere(self) -> tuple[View, ...]:
-        """The views, and what the trials in closed loop show."""
+        """Mismatch of all amplitudes, records in closed loop included. The views, and what the
+        trials in closed loop show."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """`g(w)` at the largest amplitude, or in closed loop."""
+        """Gain of the mismatch in each band, `g(w)`, at the largest amplitude or in closed loop."""
         largest = self.views[-1].by_frequency
         return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)
 
     def at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-        """`g(w)` of `by_frequency`, linear between the bands."""
+        """Gain of the mismatch `g(w)` at given angles, linear between the bands."""
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
@@ -182,7 +183,8 @@ def _rests_after_motion(
 
 
 def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """The list with the larger greatest offset of two kinds of rests: one rest counts once."""
+    """Select the list with the larger greatest offset, of two kinds of rests: one rest counts
+    once."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 

@@ -71,8 +71,8 @@ class Prediction:
 
 
 def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
-    """Margins of one controller and observer: zero if the loop is unstable at a slope, infinite
-    without any mismatch."""
+    """Stability margins that are predicted for one controller and observer on the plant: zero if
+    the loop is unstable at a slope, infinite without any mismatch."""
     peak = sensitivity_peak(model.system, pair, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
     measure = robustness_measure(model, pair, balls, mismatch)
@@ -92,8 +92,9 @@ def robustness_measure(
     shared: Responses | None = None,
     refused: float = float("inf"),
 ) -> float:
-    """The largest number that must stay below one, over amplitudes, mixtures and slopes; infinite
-    for an unstable loop. Its inverse is the stability margin.
+    """Robust-stability measure of a loop under the measured mismatch. The largest number that must
+    stay below one, over amplitudes, mixtures and slopes; infinite for an unstable loop. Its inverse
+    is the stability margin.
 
     It is taken on `FINE_ANGLES`, or those of `shared`, where what pairs share is computed once (the
     same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
@@ -116,7 +117,7 @@ def robustness_measure(
 def tested_loops(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
-    """Every loop of constant slopes, with the records that speak of it."""
+    """Every loop of constant slopes, with the records whose mismatch applies to it."""
     for met_balls, records in _balls_of_records(model, balls, mismatch):
         for linear, own_gains, slope_in, slope_out in ends(model.system, pair, met_balls):
             yield linear, own_gains, (slope_in, slope_out), records
@@ -149,8 +150,8 @@ def _balls_of_records(
 
 @dataclass(frozen=True, kw_only=True)
 class LoopResponse:
-    """`|T_ue|` at `angles (K,)` of one loop of constant slopes, and `M` where there is one input
-    and one output.
+    """Closed-loop response from an output error to the input. `|T_ue|` at `angles (K,)` of one loop
+    of constant slopes, and `M` where there is one input and one output.
 
     `gain_of_constants` is `sigma_max(I + M)` at rest.
     """
@@ -169,7 +170,8 @@ class LoopResponse:
         slopes: tuple[float, float],
         shared: Responses | None = None,
     ) -> "LoopResponse | None":
-        """The responses on the grid and at the loop's own modes; None if the loop is unstable."""
+        """Compute the responses of a loop on the grid and at its own modes; None if the loop is
+        unstable."""
         loop = sensitivity(linear, pair, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -198,11 +200,12 @@ class LoopResponse:
         )
 
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
-        """`max_w g(w) |T_ue(w)|`."""
+        """Small-gain bound of the loop, `max_w g(w) |T_ue(w)|`."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
     def returned(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
-        """`1 - M Q`: the return difference of the linear part, closed into the loop."""
+        """Return difference of the loop with the linear part of the mismatch. `1 - M Q`: the
+        return difference of the linear part, closed into the loop."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
@@ -236,7 +239,8 @@ class AmplitudeCondition:
 
     @classmethod
     def of(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
-        """The condition of one amplitude; where the plant held still no remainder counts."""
+        """Evaluate the small-gain condition for the records of one amplitude. The condition of
+        one amplitude; where the plant held still no remainder counts."""
         held_still = view.response < HOLDS
         return cls(
             linear_part=view.linear,
@@ -246,8 +250,8 @@ class AmplitudeCondition:
         )
 
     def loop_gain(self, loop: LoopResponse) -> float:
-        """The smaller of two sufficient conditions: plain small gain, and small gain with a
-        phase."""
+        """Loop gain of the mismatch at one amplitude, below one if stability is proved. The
+        smaller of two sufficient conditions: plain small gain, and small gain with a phase."""
         return min(self.small_gain, loop.gain_with_phase(self.linear_part, self.remainder))
 
 
@@ -293,8 +297,9 @@ def _largest_gain_of_mixtures(
 
 
 def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """The peak of what the noise does to the output at rest, in bands of settling; zero where the
-    noise was not measured, or the plant holds still under that input."""
+    """Largest output that the measured noise causes at rest. The peak of what the noise does to
+    the output at rest, in bands of settling; zero where the noise was not measured, or the plant
+    holds still under that input."""
     if not mismatch.noise:
         return 0.0
     linear, own_gains = _at_rest(model, pair, balls)

@@ -53,9 +53,9 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordErrors:
-    """One record: scaled input, the model's output, what it misses; `period` samples repeat from
-    `start`, twice. `moving`: the input, and measured disturbances beside it; `name` tells the
-    record by its input's rms."""
+    """Free-run errors of the model on one record. One record: scaled input, the model's output,
+    what it misses; `period` samples repeat from `start`, twice. `moving`: the input, and
+    measured disturbances beside it; `name` tells the record by its input's rms."""
 
     name: str
     moving: Float[np.ndarray, "T j"]
@@ -67,7 +67,7 @@ class RecordErrors:
 
     @classmethod
     def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
-        """Simulate the model on the record and take what it misses, scaled."""
+        """Simulate the model on a record and collect its scaled errors."""
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         start, period = repetition(record.driven_by[scored]) or (0, None)
@@ -99,8 +99,8 @@ class RecordErrors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of `ln(||e|| / ||u||)` of the whole, from the deviation among `BLOCKS`
-        pieces."""
+        """Standard error of the logarithmic gain `ln(||e|| / ||u||)` of the record, from the
+        deviation among `BLOCKS` pieces."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -149,14 +149,14 @@ def moving_loop_errors(
 
 
 def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Samples at the beginning of a trial in closed loop that tell its initial state: a third,
-    `IN_LOOP` at most."""
+    """Number of samples at the beginning of a record in closed loop that estimate its initial
+    state: a third, `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
 def view_of_averages(records: list[RecordErrors]) -> View:
-    """Records whose input does not repeat, taken together: noise counts as mismatch, and nothing is
-    split off."""
+    """Mismatch from records whose input does not repeat. Records whose input does not repeat,
+    taken together: noise counts as mismatch, and nothing is split off."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
@@ -171,7 +171,7 @@ def view_of_averages(records: list[RecordErrors]) -> View:
 
 
 def _sizes(records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float) -> View:
-    """The view of records of which only sizes are known."""
+    """Mismatch from records of which only the total gain is known."""
     amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
     linear = np.zeros(len(ANGLES), dtype=complex)
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
@@ -225,8 +225,8 @@ def noise_of(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
 
 
 def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
-    """With two periods `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias:
-    noise is independent.
+    """Mismatch from records with two equal periods. With two periods `E_1, E_2`, `Re(E_1 conj E_2)`
+    is the power that repeats, without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
@@ -271,8 +271,8 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
 def _linear_part(
     error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
 ) -> Complex[np.ndarray, "F"]:
-    """`S_(e, y_model) / S_(y_model)` in each band; e is the mean of both periods, which halves the
-    noise's variance."""
+    """Linear part of the mismatch in each band, `S_(e, y_model) / S_(y_model)`; e is the mean of
+    both periods, which halves the noise's variance."""
     cross = (error * model.conj()).sum(axis=1)
     banded_cross = banded(cross.real) + 1j * banded(cross.imag)
     return divided(banded_cross, banded(power(model)))

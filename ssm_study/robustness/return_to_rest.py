@@ -40,7 +40,8 @@ def is_return(record: Trajectory) -> bool:
 def after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
-    """Motions that go on after returns to rest, and the offsets above `AT_REST`, in output scales.
+    """Swings and offsets of the output, in output scales, that remain after the input has returned
+    to rest.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -63,8 +64,8 @@ def after_returns(
 
 
 def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
-    """How far a return ends from the mean of the others at its input, output scales, if none still
-    moves there."""
+    """Largest distance, in output scales, between the end of one return to rest and the mean of
+    the others at the same input, if none still moves there."""
     offsets = list[float]()
     for outputs in _by_input(scale, records).values():
         if max(map(swing, outputs)) < AT_REST:
@@ -86,14 +87,15 @@ def _by_input(
 
 
 def _far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
-    """Whether one of them started `FAR` from where it ended."""
+    """Whether an output started `FAR` from where it ended."""
     ends = [_tail(y)[0].mean(axis=0) for y in outputs]
     distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
     return any(distance >= FAR for distance in distances)
 
 
 def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
-    """How far each rests from the equilibrium, or from the mean of the others, noise removed."""
+    """Distance of each resting output from the equilibrium, or from the mean of the others,
+    noise removed."""
     tails = [_tail(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])
@@ -111,8 +113,8 @@ def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[fl
 def after_motion(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
 ) -> Float[np.ndarray, "K p"]:
-    """The output from where the input has come to rest; nothing unless that outlasts the
-    response."""
+    """Select the part of the output after the input has come to rest; nothing unless that
+    outlasts the response."""
     nothing = y[:0]
     if not u.any():
         return nothing
@@ -133,7 +135,7 @@ def left(y: Float[np.ndarray, "T p"]) -> float:
 
 
 def swing(y: Float[np.ndarray, "T p"]) -> float:
-    """The amplitude of the output's motion there."""
+    """Amplitude of the output's motion in the last quarter of its record at rest input."""
     tail, noise = _tail(y)
     most_noise = (1 + SURE * np.sqrt(8 / len(tail))) * noise
     variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
@@ -141,8 +143,8 @@ def swing(y: Float[np.ndarray, "T p"]) -> float:
 
 
 def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
-    """The output there, and the variance of its noise: the mean of `median(S) / ln 2`, each over
-    `NEIGHBOURS` lines.
+    """Last quarter of an output at rest input, and the variance of its noise: the mean of
+    `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a
     loop has fed back and coloured is broad, and does. The relative variance is about 6/T, that of

@@ -31,7 +31,8 @@ End = tuple[StateSpace, Gains, float, float]
 
 
 def slopes(ball: JacobianBall) -> tuple[float, ...]:
-    """The slopes the peak is taken over: both ends of the ball and its centre."""
+    """Slopes of a map at which the sensitivity is evaluated: both ends of the ball and its
+    centre."""
     if ball.beta > 0:
         return ball.lower, ball.alpha, ball.upper
     return (ball.alpha,)
@@ -40,8 +41,8 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
 def ends(
     system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
 ) -> Iterator[End]:
-    """Every combination of slopes; those of neurons at the corners unless given (`at`), where L is
-    `L + E S L_z`."""
+    """Combinations of extreme slopes of maps and neurons; those of neurons at the corners unless
+    given (`at`), where L is `L + E S L_z`."""
     slopes_in = slopes(balls.input)
     slopes_out = slopes(balls.output)
     for linear, own_gains in _at_frozen_neurons(system, pair, at):
@@ -66,8 +67,8 @@ def _at_frozen_neurons(
 
 
 def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:
-    """`T_ue` at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal
-    model."""
+    """Closed-loop transfer function from an output error to the input at constant slopes. `T_ue`
+    at constant slopes, from `e (p)` to `u (m)`, state `(x, eps, z)`, z of the internal model."""
     order, outputs = pair.l.shape
     modes = pair.modes
     on_state = pair.k[:, :order]
@@ -112,13 +113,13 @@ def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
 
 
 def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
-    """`max ||T_ue||_inf` over the slopes of balls and neurons; infinite if one of these loops is
-    unstable."""
+    """Largest gain of the closed loop from an output error to the input. `max ||T_ue||_inf` over
+    the slopes of balls and neurons; infinite if one of these loops is unstable."""
     return max(hinf_norm(sensitivity(*end)) for end in ends(system, pair, balls))
 
 
 def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller by itself, the largest over the slopes, its internal model
+    """Spectral radius of each controller alone, the largest over the slopes, its internal model
     left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
@@ -140,8 +141,8 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Responses:
-    """`T_ue` of pairs of many controllers and observers at `angles`; what pairs share is computed
-    once.
+    """Cached frequency responses for many pairs of controllers and observers. `T_ue` of pairs of
+    many controllers and observers at `angles`; what pairs share is computed once.
 
     `T_ue = (I - J_u F G)^{-1} (K_z Z - K_x (z I - A - L J_y C)^{-1} L)`, `F = K_x + K_z Z J_y C`,
     `G = (z I - A)^{-1} B`, `Z = (z I - A_z)^{-1} E` (integrators: `1 / (z - 1)`), separates a pair
@@ -154,7 +155,7 @@ class Responses:
     def to_state(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]
     ) -> Complex[np.ndarray, "F n k"]:
-        """`(z I - a)^{-1} b`, kept for the next pair that asks."""
+        """Frequency response from input to state, `(z I - a)^{-1} b`, cached for the next pair."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
             system = StateSpace(a=a, b=b, c=np.eye(len(a)), d=np.zeros_like(b))
@@ -197,8 +198,9 @@ def peaks_on_grid(
     l_zs: Float[np.ndarray, "O q p"] | None = None,
     internal: Float[np.ndarray, "z z"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """The largest `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0,
-    1/2 and 1, all alike.
+    """Peak sensitivity of every pair of controllers and observers on a frequency grid. The largest
+    `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all
+    alike.
 
     From below: a peak between two frequencies is missed, an unstable loop is not seen.
     """

@@ -34,8 +34,8 @@ FEWEST_LINES = 4  # periods of the sine in one period of the record, at least
 
 @dataclass(frozen=True, kw_only=True)
 class SineMismatch:
-    """Upper limit `gain` of the mismatch over the input at one `angle` (rad/sample) and one
-    `amplitude`, the input's rms (scaled)."""
+    """Mismatch measured with a single sine. Upper limit `gain` of the mismatch over the input at
+    one `angle` (rad/sample) and one `amplitude`, the input's rms (scaled)."""
 
     angle: float
     amplitude: float
@@ -43,7 +43,8 @@ class SineMismatch:
 
 
 def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
-    """Lines of a period at the largest local peaks of `|T_ue|`, over all frozen slopes."""
+    """Frequencies for single-sine experiments, as lines of a period: the largest local peaks of
+    `|T_ue|` over all frozen slopes."""
     size = np.zeros(len(FINE_ANGLES))
     for end in ends(model.system, pair, balls):
         response = frequency_response(sensitivity(*end), FINE_ANGLES)
@@ -88,7 +89,7 @@ def measure_sines(
 
 
 def with_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
-    """The mismatch with what single sines show beside the record of the nearest amplitude; sines
+    """Add the results of single-sine experiments to a mismatch, at the nearest amplitudes; sines
     well below the smallest have a view of their own, which is else the smallest one's."""
     views = list(mismatch.views)
     smallest = views[0]
@@ -104,8 +105,7 @@ def with_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
 
 
 def with_sine(view: View, sine: SineMismatch) -> View:
-    """The view with the sine's gain in the bands on both sides of its frequency, where it is
-    larger."""
+    """Raise the gain of a mismatch near the frequency of one sine, where the sine shows more."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
     shown = float(np.interp(sine.angle, ANGLES, view.by_frequency))
