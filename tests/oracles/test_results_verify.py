@@ -116,6 +116,7 @@ WORDS = (
     *PARTS,
 )
 ABSENT = (
+    "disturbances",
     "benchmark",
     "fold",
     "excitation_warning",
