@@ -23,7 +23,8 @@ LATEST = 0.5  # periods by which a time of an index may be off an even clock
 
 @dataclass(frozen=True)
 class LoggedArrays:
-    """Files that arrays became, and the names of their columns."""
+    """Log files written from arrays, with the names of their columns. Files that arrays became,
+    and the names of their columns."""
 
     paths: list[str]
     inputs: list[str]
@@ -34,8 +35,8 @@ class LoggedArrays:
 def logged(
     u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
 ) -> LoggedArrays:
-    """Each experiment as `logs/<digest>.parquet`, so that equal numbers are the same run; its
-    columns by name."""
+    """Write arrays of experiments to log files. Each experiment as `logs/<digest>.parquet`, so
+    that equal numbers are the same run; its columns by name."""
     several = isinstance(u, list | tuple) and len(u) > 0 and np.ndim(u[0]) > 0
     signals = {"u": u, "y": y}
     if disturbance is not None:
@@ -58,7 +59,7 @@ def logged(
 
 
 def _table(signals: dict[str, Any], step_s: float | None) -> tuple[dict[str, list[str]], Any]:
-    """Columns of one experiment by signal, and the table of all."""
+    """Combine the columns of all signals of one experiment into one table."""
     first, *others = signals.values()
     for other in others:
         check_index(first, other, step_s)
@@ -80,7 +81,8 @@ def _table(signals: dict[str, Any], step_s: float | None) -> tuple[dict[str, lis
 def signal(
     values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
 ) -> tuple[list[str], Float[np.ndarray, "T c"]]:
-    """Names and numbers of one signal; a frame's columns in the order of `columns`, by name.
+    """Convert one signal, array, series or frame, to numbers and channel names. Names and numbers
+    of one signal; a frame's columns in the order of `columns`, by name.
 
     Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
     channels.
@@ -119,7 +121,7 @@ def disturbance_values(
 
 
 def in_order(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """The frame's columns in the order of the model's channels.
+    """Select a frame's columns in the order of the model's channels.
 
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.
     """
@@ -133,8 +135,8 @@ def in_order(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataF
 
 
 def numbers(values: Any, name: str) -> Float[np.ndarray, "T c"]:
-    """A table of real numbers; refuses complex numbers, dates, masked samples and tables on their
-    side."""
+    """Convert values to a two-dimensional array of real numbers. A table of real numbers;
+    refuses complex numbers, dates, masked samples and tables on their side."""
     remedy = "give an array (T, channels)"
     masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
     first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
@@ -158,7 +160,7 @@ def numbers(values: Any, name: str) -> Float[np.ndarray, "T c"]:
 
 
 def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
-    """Refuse a number that is not finite, in words of the array: `y[1999] is NaN`."""
+    """Refuse an array with a number that is not finite, naming its place: `y[1999] is NaN`."""
     bad = np.argwhere(~np.isfinite(table))
     if not len(bad):
         return

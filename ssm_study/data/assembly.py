@@ -33,8 +33,9 @@ TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside 
 def assemble(
     parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **told: Any
 ) -> DataSet:
-    """`scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or
-    `(u, y, d)` with measured disturbances; `channels` likewise.
+    """Assemble a data set with its scaling from the records of each part. `scale = rms(training -
+    rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or `(u, y, d)` with measured
+    disturbances; `channels` likewise.
 
     `parts` are training, validation and test, `told` the other fields of the data set. Raises
     `BadRequest` for a part without records, differing sampling times, a record no longer than the
@@ -89,8 +90,8 @@ def assemble(
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Arrays `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and
-    periods in the dictionary."""
+    """Convert a data set to named arrays for storage. Arrays `part/i/u`, `part/i/y` (and `d`)
+    and the vectors of the scale; names, units and periods in the dictionary."""
     arrays = {name: values for name, values in vars(data.scale).items() if values.size}
     about: dict[str, Any] = {
         "start_up_samples": data.start_up_samples,
@@ -111,7 +112,7 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
 def dataset_from_tensors(
     arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]
 ) -> DataSet:
-    """The inverse of `dataset_to_tensors`."""
+    """Rebuild a data set from the named arrays of `dataset_to_tensors`."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
     for part, stored in PARTS.items():
         records = []

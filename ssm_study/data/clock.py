@@ -23,7 +23,8 @@ HELD = 0.5  # share of samples at which a held input does not change
 
 @dataclass(frozen=True, kw_only=True)
 class EvenRows:
-    """Rows on an even clock: stretches of values, where each starts in samples, and the period.
+    """Rows of a log on an even clock, cut into pieces. Rows on an even clock: stretches of values,
+    where each starts in samples, and the period.
 
     `remarks` state holes, missing values and interpolation, in words.
     """
@@ -53,7 +54,7 @@ def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) 
 
 
 def lateness(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
-    """The mean period, and by how many of it each sample is off."""
+    """Mean period of the times, and how many periods each sample is early or late."""
     mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     even = time_s[0] + mean_s * np.arange(len(time_s))
     return mean_s, np.abs(time_s - even) / mean_s
@@ -90,7 +91,8 @@ def on_even_clock(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """The rows on an even clock, cut at holes and at missing values.
+    """Put the rows of a log on an even clock. The rows on an even clock, cut at holes and at
+    missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a
@@ -117,8 +119,8 @@ def on_even_clock(
 def rounded_rows(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], tolerance: float
 ) -> EvenRows | None:
-    """Rows on the even clock that explains times written with few digits, None where none does
-    or the times are even as they stand."""
+    """Recover an even clock from times that were rounded. Rows on the even clock that explains
+    times written with few digits, None where none does or the times are even as they stand."""
     steps = np.diff(time_s)
     forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
     if not forwards or (steps.all() and lateness(time_s)[1].max() <= tolerance):
@@ -137,8 +139,9 @@ def rounded_rows(
 def rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
 ) -> EvenRows:
-    """Rows with times that were rounded, on the sampling time that is given; refuses another one
-    than the first rows show."""
+    """Check rounded times against a stated sampling time and give the rows an even clock. Rows
+    with times that were rounded, on the sampling time that is given; refuses another one than
+    the first rows show."""
     refuse_backwards(time_s[np.append(True, np.diff(time_s) != 0)], where)
     span_s = float(time_s[-1] - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
@@ -167,7 +170,8 @@ def cut_at_holes(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Stretches between the holes of a clock; interpolated where the clock wanders."""
+    """Cut a log into pieces where its clock has holes. Stretches between the holes of a clock;
+    interpolated where the clock wanders."""
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
     holes = np.flatnonzero(steps > HOLE * median_s)
@@ -197,7 +201,7 @@ def cut_at_holes(
 def hole_remarks(
     steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
 ) -> list[str]:
-    """How many holes there are, and how long, in words."""
+    """Sentences on the holes of a log. How many holes there are, and how long, in words."""
     if not len(holes):
         return []
     missing_s = float(steps[holes].sum()) - len(holes) * period_s
@@ -208,7 +212,7 @@ def hole_remarks(
 def refuse_wandering(
     steps: Float[np.ndarray, "T"], median_s: float, where: str, resample: bool
 ) -> None:
-    """Refuse rows that no clock has made, unless resampling is requested."""
+    """Refuse a log whose times are unevenly spaced, unless resampling is requested."""
     low, high = np.percentile(steps, [5, 95])
     spread = float(high - low) / median_s
     problem = f"the periods differ by {spread:.0%} of their median, {median_s:.4g} s: no clock"
@@ -227,7 +231,8 @@ def interpolated(
     period_s: float,
     remarks: list[str],
 ) -> EvenRows:
-    """Stretches on a clock of that period: outputs on lines between rows, held inputs held."""
+    """Resample pieces of a log by interpolation. Stretches on a clock of that period: outputs on
+    lines between rows, held inputs held."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     between = 0
@@ -267,7 +272,8 @@ def held_or_linear(
     column: Float[np.ndarray, "T"],
     is_input: bool,
 ) -> Float[np.ndarray, "K"]:
-    """A column at other times: an input that holds levels is held, anything else is on lines."""
+    """Interpolate a column at other times: an input that holds levels is held, anything else is
+    on lines."""
     if is_input and (np.diff(column) == 0).mean() > HELD:
         last = np.searchsorted(times, clock * (1 + 1e-12) + 1e-12, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]
@@ -275,7 +281,7 @@ def held_or_linear(
 
 
 def without_missing(pieces: EvenRows) -> EvenRows:
-    """The pieces cut where a value is missing; stretches of one or two rows are left out."""
+    """Cut pieces of a log where a value is missing; stretches of one or two rows are left out."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     missing = 0

@@ -1,4 +1,5 @@
-"""Column of a log that is its clock: by name, unit and place; its times in seconds."""
+"""Find the column of a log that is its clock. Column of a log that is its clock: by name, unit
+and place; its times in seconds."""
 
 import re
 from collections.abc import Collection
@@ -56,7 +57,8 @@ MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clo
 
 
 def clock_unit(title: str, stated: str) -> float | None:
-    """Seconds of one unit of a clock, as its name or its column states; None without a unit.
+    """Unit of a clock in seconds. Seconds of one unit of a clock, as its name or its column states;
+    None without a unit.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
     none of time.
@@ -97,7 +99,8 @@ def words_of(title: str) -> list[str]:
 
 
 def find_clock(table: Table, signals: Collection[str]) -> str | None:
-    """The column that is the clock: named like one, or without a name and first; else None.
+    """Find the clock among the columns of a log. The column that is the clock: named like one, or
+    without a name and first; else None.
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
     clock's word beside others, `t_now`, they must not stand still either. The first column of
@@ -129,7 +132,8 @@ def find_clock(table: Table, signals: Collection[str]) -> str | None:
 
 
 def runs_forwards(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
-    """Whether the times never run backwards (strictly: nor stand still), and are mostly known."""
+    """Whether times increase. Whether the times never run backwards (strictly: nor stand still),
+    and are mostly known."""
     known = times[np.isfinite(times)]
     enough = len(known) >= max(3, 0.5 * len(times))
     if not enough or known[-1] <= known[0]:
@@ -155,7 +159,8 @@ def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
 def clock_seconds(
     title: str, table: Table, *, is_stated: bool = False
 ) -> tuple[Float[np.ndarray, "T"], str]:
-    """The times of a column in seconds, and in words what unit was read.
+    """Convert the times of a clock column to seconds. The times of a column in seconds, and in
+    words what unit was read.
 
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.

@@ -14,8 +14,8 @@ APART = 2  # samples between two experiments: none follows the other
 
 
 def clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Rows at which a clock that runs forwards begins again at its first time; none of a clock
-    that runs backwards elsewhere too."""
+    """Find the rows at which a clock starts again, where a file holds several experiments; none
+    of a clock that runs backwards elsewhere too."""
     known = time_s[np.isfinite(time_s)]
     if len(known) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
@@ -64,7 +64,8 @@ def on_even_clocks(
 
 
 def one_behind_the_other(experiments: Sequence[EvenRows], where: str) -> EvenRows:
-    """Experiments of one sampling time as pieces of one log, none of which follows another."""
+    """Join the experiments of one file into one log. Experiments of one sampling time as pieces
+    of one log, none of which follows another."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s

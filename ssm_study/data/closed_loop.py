@@ -29,7 +29,8 @@ Rows = Float[np.ndarray, "_ r"]
 def from_set_points(
     logs: Sequence[Trajectory], references: Sequence[Rows]
 ) -> tuple[list[Trajectory], float]:
-    """The logs with `u_r` for u, one filter for all, and the share of the input's power that it is.
+    """Replace the input of closed-loop logs by its part that the set point explains, `u_r`, with
+    one filter for all, and return that part's share of the input's power.
 
     Raises `BadRequest` for logs that are too short.
     """
@@ -52,8 +53,8 @@ def from_set_points(
 
 
 def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
-    """`r = y + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it
-    rested at the start.
+    """Reconstruct the set point of a loop from the settings of its PI controller. `r = y + e`, `e =
+    (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it rested at the start.
 
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
     hides e.

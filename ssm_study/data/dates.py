@@ -17,7 +17,8 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDates(ValueError):
-    """Days and months could be told apart in two ways, and the two give different clocks."""
+    """Raised when the order of day and month is ambiguous and the two readings give different
+    clocks."""
 
 
 def is_date(cell: str) -> bool:
@@ -43,7 +44,7 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
 
 
 def clock_seconds(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
-    """Seconds of the day."""
+    """Seconds since midnight of a time of day."""
     hours = parts["hour"].fillna("0").astype(float)
     minutes = parts["minute"].fillna("0").astype(float)
     seconds = parts["second"].fillna("0").str.replace(",", ".").astype(float)
@@ -56,7 +57,7 @@ def clock_seconds(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
 
 
 def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Times of day that go on over midnight."""
+    """Make times of day continue over midnight."""
     steps = np.diff(np.nan_to_num(seconds, nan=0.0), prepend=seconds[:1])
     days = np.cumsum(steps < -DAY_S / 2)
     return seconds + DAY_S * days
@@ -110,7 +111,7 @@ def the_reading_that_increases(readings: list[np.ndarray], samples: int) -> Floa
 
 
 def known_steps(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
-    """Time from one date to the next, the missing ones left out."""
+    """Time differences between successive dates, the missing ones left out."""
     return np.diff(seconds[np.isfinite(seconds)])
 
 

@@ -28,7 +28,8 @@ DOWNLOADERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedExperiments(AroundRest):
-    """`training`, `validation` and `test` recordings, with paths relative to a folder.
+    """Data set from separate recordings for training, validation and test. `training`, `validation`
+    and `test` recordings, with paths relative to a folder.
 
     `folder` null searches for the `benchmark` (`benchmark_folder`). `score`: see
     `data.metrics.SCORES`. A `fold` is held out of every training recording and scored in place of
@@ -98,8 +99,8 @@ class RecordedExperiments(AroundRest):
 
 
 def benchmark_folder(benchmark: str) -> Path:
-    """The folder of a benchmark (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the
-    official package's.
+    """Folder of a public benchmark's files, downloaded if needed. The folder of a benchmark
+    (`DOWNLOADERS`): in $SSM_STUDY_DATA, in ../shared/data, or the official package's.
 
     That package downloads it; it needs the extra `benchmarks` and a network. Raises `BadRequest`
     where it is nowhere.
@@ -123,8 +124,8 @@ def benchmark_folder(benchmark: str) -> Path:
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """The file of that name, or of its stem as CSV or MAT: records are distributed as both. Refuses
-    without."""
+    """Find a file in a folder by its name, or by its stem as CSV or MAT: records are distributed
+    as both. Refuses without."""
     exact = folder / name
     twins = sorted(
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")

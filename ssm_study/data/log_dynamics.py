@@ -48,7 +48,8 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the output sums what the input moves: it changes by it, and forgets nothing."""
+        """Whether the plant integrates its input, judged by these shares: it changes by it, and
+        forgets nothing."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
@@ -81,19 +82,20 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
 
 
 def same_sample_sentence() -> str:
-    """Say what an answer within the sample means in a loop, in words."""
+    """Sentence on an output that answers within the same sample, as it does in a loop."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
 def rest_sentence(rests: int) -> str:
-    """How often the input rests where the log ends, in words."""
+    """Sentence on how often the input returns to its last value."""
     if not rests:
         return "no rest at the input at which the log ends"
     return f"{rests} {'rest' if rests == 1 else 'rests'} at the input at which the log ends"
 
 
 def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
-    """After how many samples the output answers; of an integrator, its change from row to row."""
+    """Sentence on the delay of the output's answer. After how many samples the output answers;
+    of an integrator, its change from row to row."""
     rate = np.diff(y)
     answering = rate if shares.is_integrator else y[1:]
     word = "the output's change" if shares.is_integrator else "the output"
@@ -122,7 +124,7 @@ def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
 
 
 def lag_sentence(lag: int, word: str) -> str:
-    """A lag of the answer, in samples, in words."""
+    """Sentence on the lag of the answer, in samples."""
     if lag == 0:
         return f"{word} answers within the same sample ({FEEDTHROUGH})"
     if lag == 1:
@@ -133,7 +135,7 @@ def lag_sentence(lag: int, word: str) -> str:
 
 
 def slow_sentence(lag: int, stride: int, word: str) -> str:
-    """A lag of the answer, found in steps of several samples, in words."""
+    """Sentence on a lag that was found in steps of several samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -158,7 +160,8 @@ def first_answer(u: Signal, y: Signal) -> int | None:
 
 
 def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
-    """Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]` and `dy[k]`, scaled."""
+    """Regression of output increments on past increments: regressors `du[k - 0 ... LAGS],
+    dy[k - 1], dy[k - 2]` and `dy[k]`, scaled."""
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
     columns = [du[LAGS - lag : len(du) - lag] for lag in range(LAGS + 1)]
@@ -167,7 +170,8 @@ def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np
 
 
 def fed_back_share(u: Signal, y: Signal) -> float:
-    """Share of what earlier inputs leave of the input's changes that earlier outputs explain.
+    """Share of the input's changes that earlier outputs explain, beyond what earlier inputs
+    explain.
 
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
@@ -190,7 +194,8 @@ def fed_back_share(u: Signal, y: Signal) -> float:
 
 
 def input_shares(u: Signal, y: Signal) -> InputShares:
-    """Shares that the input's mean over a window explains, by a polynomial of degree three.
+    """Shares of the output's level and change that the input's mean over a window explains, by a
+    polynomial of degree three.
 
     The window is the shortest over which the input explains most of the output's changes: over a
     long one a plant with an integrator is turned round (a position must come back), a plant without
@@ -243,7 +248,8 @@ def explained_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"])
 
 
 def noise_sentence(y: Signal) -> str:
-    """Resolution of the output, and its noise by second differences."""
+    """Sentence on the sensor's resolution and noise. Resolution of the output, and its noise by
+    second differences."""
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
     resolution = float(moving.min()) if len(moving) else 0.0

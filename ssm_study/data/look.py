@@ -42,7 +42,8 @@ SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desir
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnFacts:
-    """One column: its unit, range, how many values it takes, how many are missing."""
+    """Range, levels and gaps of one column of a log. One column: its unit, range, how many
+    values it takes, how many are missing."""
 
     name: str
     unit: str
@@ -96,7 +97,7 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """The settings that are stated, as words of a command."""
+        """The stated settings as words of a command."""
         words = [f"data.time={quoted(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         for name, value in vars(self.text).items():
@@ -106,7 +107,8 @@ class LogSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class LogLook:
-    """Contents of a log: facts of its columns, sentences, the command, and the signals if read."""
+    """Result of examining a log. Contents of a log: facts of its columns, sentences, the
+    command, and the signals if read."""
 
     path: Path
     columns: list[ColumnFacts]
@@ -126,7 +128,8 @@ class LogLook:
 
 
 def skipped_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines on what was skipped and why; of a long list, those with numbers, and how many more."""
+    """Lines of text on columns that were skipped. Lines on what was skipped and why; of a long
+    list, those with numbers, and how many more."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         worth = {name: why for name, why in skipped.items() if "samples" in why}
@@ -235,7 +238,7 @@ def examine(
 
 
 def column_facts(name: str, table: Table) -> ColumnFacts:
-    """Range, levels, missing values of one column."""
+    """Compute range, levels and missing values of one column."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     held = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
@@ -291,7 +294,8 @@ def other_columns(
 
 
 def place_in(titles: Sequence[str], name: str | None) -> int | None:
-    """Which column a name of the command means; None for a name of none of them."""
+    """Find the column that a name means. Which column a name of the command means; None for a
+    name of none of them."""
     if name is None or name in titles:
         return None if name is None else titles.index(name)
     plain = [folded(title_without_unit(title)) for title in titles]
@@ -301,8 +305,9 @@ def place_in(titles: Sequence[str], name: str | None) -> int | None:
 
 
 def input_score(column: ColumnFacts) -> float:
-    """How much a column looks like an input: by its name, by how it holds few levels, and by how
-    far it moves. Columns that are alike in this are taken in their order."""
+    """Score of how much a column looks like an input. How much a column looks like an input: by
+    its name, by how it holds few levels, and by how far it moves. Columns that are alike in this
+    are taken in their order."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
@@ -311,7 +316,8 @@ def input_score(column: ColumnFacts) -> float:
 
 
 def word_score(name: str, words: tuple[str, ...]) -> float:
-    """One if a word of the name is among the words, a half if one begins with them."""
+    """Score of how well a column's title matches a word. One if a word of the name is among the
+    words, a half if one begins with them."""
     parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
     if any(part in words for part in parts):
         return 1.0
@@ -352,7 +358,8 @@ def run_command(
 
 
 def quoted(text: str) -> str:
-    """A value as shell and configuration read it back: letters and digits need no quotes."""
+    """Quote a value for shell and configuration. A value as shell and configuration read it
+    back: letters and digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
         return text
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")

@@ -49,8 +49,8 @@ DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error,
 
 @dataclass(frozen=True, kw_only=True)
 class SignalGroup:
-    """Signals sampled together: `values (T, c)` of the `channels`, at `time_s (T,)`, under one
-    topic such as `/output`.
+    """Signals sampled at common times, as one topic of a recording. Signals sampled together:
+    `values (T, c)` of the `channels`, at `time_s (T,)`, under one topic such as `/output`.
 
     Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf
     fields.
@@ -180,8 +180,8 @@ def _open_channel(
 
 
 def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """A message of zeros, each double behind its tag, and where the bytes of the doubles lie: of a
-    fixed size."""
+    """Byte layout of a protobuf message of doubles. A message of zeros, each double behind its
+    tag, and where the bytes of the doubles lie: of a fixed size."""
     message = b""
     at = list[int]()
     for number, channels in enumerate(counts, start=1):
@@ -254,8 +254,8 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 
 def _records(path: Path) -> Iterator[records.McapRecord]:
-    """Yield the records of the file and of its chunks; raises `BadRequest` before more than
-    `LARGEST` bytes are unpacked."""
+    """Iterate over the records of an MCAP file and of its chunks; raises `BadRequest` before
+    more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         reader = StreamReader(
@@ -285,8 +285,7 @@ def _records(path: Path) -> Iterator[records.McapRecord]:
 def _groups(
     channel: records.Channel, messages: list[records.Message], schema: records.Schema | None
 ) -> Iterator[SignalGroup]:
-    """The number fields of one topic, those of each message within its messages as a topic below
-    it."""
+    """Signal groups of one topic, those of nested messages as topics below it."""
     contents = [message.data for message in messages]
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
     names: list[Names] = []
@@ -316,8 +315,8 @@ def _object(message: Any) -> dict[str, Any]:
 
 
 def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """All rows at once where every message is laid out as this project writes it, one by one
-    otherwise."""
+    """Decode the protobuf messages of a topic. All rows at once where every message is laid out
+    as this project writes it, one by one otherwise."""
     fields = decode(contents[0]).DESCRIPTOR.fields
     nested = all(one.message_type is not None for one in fields)
     parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
@@ -338,7 +337,8 @@ def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np
 
 
 def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Fields that are a number in the first message, and must be in all others."""
+    """Columns of the number fields of messages. Fields that are a number in the first message,
+    and must be in all others."""
     names = [
         name
         for name, value in messages[0].items()

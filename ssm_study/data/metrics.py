@@ -36,8 +36,8 @@ COLUMNS = (
 
 
 def data_facts(data: DataSet) -> dict[str, Any]:
-    """Where the records come from and how much of the input's range they visit; no output
-    enters."""
+    """Columns of a record that describe the data. Where the records come from and how much of
+    the input's range they visit; no output enters."""
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
@@ -49,8 +49,8 @@ def data_facts(data: DataSet) -> dict[str, Any]:
 
 
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
-    """One RMSE per test record, after the start-up samples: in the unit of
-    `data.metadata["score"]`."""
+    """Root mean square errors as a public benchmark scores them. One RMSE per test record, after
+    the start-up samples: in the unit of `data.metadata["score"]`."""
     require(
         len(y_hat) == len(data.test),
         "y_hat",
@@ -69,8 +69,9 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
 def position_rmse_mm(
     record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
 ) -> float:
-    """`1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured
-    position `q[s]`.
+    """Root mean square error of the position that a simulated velocity integrates to, in mm. `1000
+    rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured position
+    `q[s]`.
 
     The recorded velocity is the position's backward difference, so its running sum is the measured
     position exactly; `s` is the last start-up sample. Velocities in m/s.
@@ -81,8 +82,8 @@ def position_rmse_mm(
 
 
 class SlopesNotIdentifiable(UserWarning):
-    """The training inputs visit so few amplitudes that the slopes of S_u between them come from
-    initialisation."""
+    """Warning that the training inputs visit too few amplitudes to identify the slopes of S_u
+    between them."""
 
 
 def input_coverage(data: DataSet) -> float:
@@ -122,8 +123,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
 
 
 def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
-    """The largest L <= `HIGHEST_ORDER` for which the block Hankel matrix of L rows of u has full
-    row rank `m L`.
+    """Order of persistent excitation of an input. The largest L <= `HIGHEST_ORDER` for which the
+    block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
     al. 2005). Judged on the first 2000 samples.

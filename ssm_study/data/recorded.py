@@ -1,4 +1,5 @@
-"""Data from files: one or several logs, each cut into training, validation and test."""
+"""Data sets from recorded logs. Data from files: one or several logs, each cut into training,
+validation and test."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -38,13 +39,13 @@ class RecordedSource(ABC):
 
     @abstractmethod
     def build(self, seed: int) -> DataSet:
-        """The data set; `seed` only names the run, for nothing here is random."""
+        """Build the data set; `seed` only names the run, for nothing here is random."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AroundRest(RecordedSource):
-    """Records about an equilibrium: "zero" or "mean" (of the training samples), or one number per
-    channel, as given.
+    """Base class of recorded data around an equilibrium. Records about an equilibrium: "zero" or
+    "mean" (of the training samples), or one number per channel, as given.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
@@ -242,7 +243,7 @@ class RecordedData(Columns, AroundRest):
         return replace(data, mismatch_records=self._mismatch_records(logs))
 
     def _mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """The rests of whole logs, and periods that repeat where every log is made of such."""
+        """Records for the mismatch alone: the rests of whole logs, and repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
@@ -289,7 +290,8 @@ class RecordedData(Columns, AroundRest):
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read as `Columns` does; disturbances are read, held and averaged as inputs are."""
+        """Read one log as pieces without holes. Read as `Columns` does; disturbances are read,
+        held and averaged as inputs are."""
         if self.disturbance is None:
             return super().read_pieces(path, output_path, first=first, last=last)
         columns = [*listed(self.input), *listed(self.disturbance)]
@@ -300,7 +302,7 @@ class RecordedData(Columns, AroundRest):
         return apart, remark
 
     def _by_set_point(self, logs: "list[_Log]") -> "list[_Log]":
-        """The logs with the input that the set point alone would make."""
+        """Replace the input of closed-loop logs by the part that the set point explains."""
         pieces = [piece for log in logs for piece in log.pieces]
         count = len(self.inputs)
         if self.controller is not None:
@@ -320,7 +322,7 @@ class RecordedData(Columns, AroundRest):
         ]
 
     def _split(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
-        """The parts of every log, and in words how they were cut."""
+        """Split every log into training, validation and test, and describe the cuts in words."""
         splitter, words = self._splitter(logs)
         cuts = [self._cut(log, splitter) for log in logs]
         samples = sum(len(piece) for log in logs for piece in log)

@@ -28,14 +28,15 @@ LOOK = "`ssm-study look {}` shows what is in the file"
 
 
 def listed(names: Names) -> tuple[str, ...]:
-    """One name or several, as several; a column without a name goes by its number."""
+    """Return one name as a list of one. One name or several, as several; a column without a name
+    goes by its number."""
     return (str(names),) if isinstance(names, str | int) else tuple(map(str, names))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Columns `input` and `output` of a file, or of a file each, and the clock of their rows
-    (docs/data.md).
+    """Settings that read input and output signals from files. Columns `input` and `output` of a
+    file, or of a file each, and the clock of their rows (docs/data.md).
 
     Without `time` the clock is found by its name, or as the nameless first column. `separator`,
     `decimal` and `header` state what is otherwise found in a text. `decimate` n keeps every n-th
@@ -97,8 +98,8 @@ class Columns:
 
     @property
     def measured(self) -> tuple[Channel, ...]:
-        """Channels that stand in the files: the `outputs`, unless `differentiate` makes those
-        rates, in the unit per second."""
+        """Channels that are read from the files: the `outputs`, unless `differentiate` makes
+        those rates, in the unit per second."""
         return read_channels(self.output, self.output_unit, "output", self.apart)
 
     @property
@@ -159,7 +160,7 @@ class Columns:
         return records, "; ".join(remarks)
 
     def _record(self, values: Float[np.ndarray, "T c"], period_s: float, path: Path) -> Trajectory:
-        """Rows on an even clock as one experiment, decimated and differentiated."""
+        """Construct one experiment from rows on an even clock, decimated and differentiated."""
         u, y = np.split(values, [len(self.inputs)], axis=1)
         u, y = decimated(u, y, self.decimate)
         step_s = period_s * self.decimate
@@ -310,7 +311,7 @@ def pieces_end(pieces: EvenRows) -> int:
 
 
 def with_look(error: BadRequest, path: Path) -> BadRequest:
-    """The refusal, ending with the command that shows what is in the file."""
+    """Extend a refusal by the command that shows what is in the file."""
     remedy = error.remedy.rstrip(".")
     is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
     if "look" in remedy or is_foreign or not path.is_file():
@@ -331,7 +332,8 @@ def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Recording(Columns):
-    """Samples `first` to before `last` of the columns of the file at `path`."""
+    """One experiment to be read from a file. Samples `first` to before `last` of the columns of
+    the file at `path`."""
 
     path: str
     first: int = 0
@@ -351,22 +353,24 @@ class Recording(Columns):
 
 
 def is_among(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
-    """Whether a column holds the numbers of one of these."""
+    """Whether a column repeats the numbers of another. Whether a column holds the numbers of one
+    of these."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
 
 def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Every n-th output, and the mean input of the samples from there to the next: what a hold
-    would have applied."""
+    """Decimate a record: every n-th output, and the mean input of the samples from there to the
+    next: what a hold would have applied."""
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]
 
 
 def read_channels(names: Names, units: Names, side: str, apart: bool) -> tuple[Channel, ...]:
-    """Recordings store signals under plain names: `Motor voltage (V)` becomes `Motor_voltage_V`.
+    """Name the channels of a recording. Recordings store signals under plain names: `Motor voltage
+    (V)` becomes `Motor_voltage_V`.
 
     A number says which side it is of, `input_0`; so does every name of files apart, where two may
     be equal.

@@ -21,7 +21,8 @@ DIGITS = 12  # of a written time; the rest is arithmetic
 
 
 def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | None:
-    """Period of the even clock that explains rounded times, and its relative uncertainty.
+    """Estimate the sampling time of rounded times. Period of the even clock that explains rounded
+    times, and its relative uncertainty.
 
     The period is the shortest decimal number among the possible ones. None where no even clock
     explains the times, or clocks of clearly different periods do.

@@ -47,12 +47,12 @@ FRESH = 11  # marks the seeds of fresh data sets
 
 
 class TrainingAlone(UserWarning):
-    """An amplitude of the excitation's own moves the training records, and no others."""
+    """Warning that an excitation's own amplitude changes the training records only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshRecords:
-    """The records of a further data set that show its mismatch; nothing is fitted to it."""
+    """Further simulated records that measure the mismatch; nothing is fitted to it."""
 
     validation: Trajectories
     mismatch_records: Trajectories
@@ -60,8 +60,8 @@ class FreshRecords:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedData:
-    """`y = h(x) + e`, `e ~ N(0, noise_variance)` on training and validation records; the test
-    record is noise-free.
+    """Data set simulated with a plant of this project. `y = h(x) + e`, `e ~ N(0, noise_variance)`
+    on training and validation records; the test record is noise-free.
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
@@ -129,7 +129,8 @@ class SimulatedData:
     def simulate_sines(
         self, plant: Plant, seed: int, lines: Sequence[int]
     ) -> tuple[Trajectory, ...]:
-        """Single sines at these lines of a period, for a design that is most sensitive there."""
+        """Simulate single-sine experiments at these lines of a period, where a design is most
+        sensitive."""
         return sine_records(
             plant, np.random.default_rng([seed, SINES]), self.deviation(plant), lines
         )
@@ -170,8 +171,8 @@ class SimulatedData:
 def mismatch_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"]
 ) -> tuple[Trajectory, ...]:
-    """Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`; noise of
-    that `deviation`.
+    """Simulate records that measure the mismatch. Two periods at each of `SHARES` and then rest;
+    free decays from each of `DECAYS`; noise of that `deviation`.
 
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
@@ -217,8 +218,9 @@ def _named_records(
 def sine_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"], lines: Sequence[int]
 ) -> tuple[Trajectory, ...]:
-    """Single sines at these lines of `PERIOD`, at each of `SINE_SHARES` of the amplitude: one
-    period of lead-in and two that count; every input moves alike."""
+    """Simulate single-sine experiments at chosen frequencies. Single sines at these lines of
+    `PERIOD`, at each of `SINE_SHARES` of the amplitude: one period of lead-in and two that
+    count; every input moves alike."""
     rest = plant.equilibrium()
     amplitude = np.array(plant.input_amplitude)
     inputs = []
@@ -236,7 +238,7 @@ def sine_records(
 
 
 def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Levels uniform in [-1, 1], held from one sample to `longest`, short and long equally often on
-    a log scale."""
+    """Random levels with random holding times. Levels uniform in [-1, 1], held from one sample
+    to `longest`, short and long equally often on a log scale."""
     holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
     return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

@@ -25,7 +25,8 @@ UNLIKE = 1.0
 def over_pieces(
     pieces: Sequence[Trajectory], split: Callable[[Trajectory], Pieces], shortest: int
 ) -> Pieces:
-    """Cut a log that has holes as one without would be cut, its samples counted over the holes.
+    """Split a log with holes into training, validation and test. Cut a log that has holes as one
+    without would be cut, its samples counted over the holes.
 
     Parts of a piece that are shorter than `shortest` samples are left out.
     """
@@ -46,14 +47,16 @@ def over_pieces(
 
 
 def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
-    """Contiguous pieces, in the order of time: training first."""
+    """Split a record in the order of time. Contiguous pieces, in the order of time: training
+    first."""
     first = round(len(record) * (1 - validation - test))
     second = round(len(record) * (1 - test))
     return [record[:first]], [record[first:second]], [record[second:]]
 
 
 def in_blocks(record: Trajectory) -> Pieces:
-    """`BLOCKS` equal pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
+    """Split a record into interleaved blocks. `BLOCKS` equal pieces: 1, 2, 3 train, 4 validates,
+    5 tests, and so on."""
     edges = np.linspace(0, len(record), BLOCKS + 1).round().astype(int)
     blocks = [record[a:b] for a, b in pairwise(edges)]
     training = [block for k, block in enumerate(blocks) if k % 5 < 3]
@@ -61,8 +64,8 @@ def in_blocks(record: Trajectory) -> Pieces:
 
 
 def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
-    """`named` holds intervals in seconds for `validation` and `test`; the rest, piece by piece,
-    trains.
+    """Split a record at stated intervals of time. `named` holds intervals in seconds for
+    `validation` and `test`; the rest, piece by piece, trains.
 
     Raises `BadRequest` for an interval that is empty, outside the log, or shared by two parts.
     """
@@ -104,8 +107,9 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Every stretch at the input at which the record ends, with the sample before it; none where it
-    ends moving. Measured disturbances count as inputs: while they move nothing rests.
+    """Cut out every stretch at rest input, which is the input at which the record ends, with the
+    sample before it; none where it ends moving. Measured disturbances count as inputs: while they
+    move nothing rests.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
@@ -114,8 +118,8 @@ def rest_segments(record: Trajectory) -> list[Trajectory]:
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """The stretches between such rests, half of the rest before and all behind, if the input of
-    each repeats itself.
+    """Cut out the segments between two rests whose input repeats itself, with half of the rest
+    before and all behind.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
@@ -132,8 +136,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
 
 
 def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Where the input is that at which the record ends, from the sample before; `first`: at its
-    beginning, too."""
+    """Stretches of samples at the input at which the record ends, from the sample before; `first`:
+    at its beginning, too."""
     moving = record.driven_by
     moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
@@ -144,7 +148,8 @@ def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
 
 
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Samples of one part that follow each other are one record; 0 trains, 1 validates, 2 tests."""
+    """Records of one part of a split, one for each run of consecutive samples; 0 trains, 1
+    validates, 2 tests."""
     pieces: Pieces = ([], [], [])
     edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
     for a, b in pairwise(edges):
@@ -153,7 +158,7 @@ def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
 
 
 def end_is_unlike(parts: Pieces) -> bool:
-    """Whether the output of the last piece has another mean or deviation than the training's."""
+    """Whether the last piece's output differs in mean or deviation from the training output."""
     if not parts[0] or not parts[2]:
         return True
     trained = np.concatenate([record.y for record in parts[0]])

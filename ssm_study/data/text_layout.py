@@ -66,7 +66,8 @@ class TextSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class TextLayout:
-    """A text taken apart: `rows` of text with their `line_numbers`, and what they mean.
+    """Detected layout of a text file, and its rows. A text taken apart: `rows` of text with their
+    `line_numbers`, and what they mean.
 
     `names` are the header's cells, None where the file has none; `units` those of a row of units.
     """
@@ -92,7 +93,8 @@ class TextLayout:
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
-    """The text and the name of its encoding; refuses bytes that are no text."""
+    """Decode the bytes of a text file. The text and the name of its encoding; refuses bytes that
+    are no text."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             try:
@@ -112,7 +114,8 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
 
 
 def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
-    """Take a text apart; raises `BadRequest` where no row of numbers is found."""
+    """Detect the layout of a text file. Take a text apart; raises `BadRequest` where no row of
+    numbers is found."""
     text, encoding = decode_text(path, content)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
@@ -164,7 +167,7 @@ def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayou
 
 
 def sampled(lines: list[str]) -> list[str]:
-    """At most `SAMPLED_ROWS` lines, from all over the file but its first ones."""
+    """Sample at most `SAMPLED_ROWS` lines from all over the file but its first ones."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]
@@ -216,7 +219,8 @@ def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
 
 
 def table_score(rows: list[list[str]], decimal: str) -> float:
-    """How nearly the rows are a table: share of rows of the usual length, times share of values.
+    """Score of how well separated rows form a table. How nearly the rows are a table: share of rows
+    of the usual length, times share of values.
 
     Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
     are the digits behind a decimal comma, not whole numbers.
@@ -258,7 +262,8 @@ def first_row_of_numbers(
 
 
 def counted(number: int, noun: str) -> str:
-    """A number with its noun: `1 line`, `2 lines`."""
+    """Write a number with its noun in singular or plural. A number with its noun: `1 line`, `2
+    lines`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 

@@ -1,5 +1,5 @@
-"""Signals that walk through a range: a chirp through frequencies, a staircase through
-amplitudes."""
+"""Deterministic excitations that sweep frequency or level. Signals that walk through a range: a
+chirp through frequencies, a staircase through amplitudes."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,8 @@ from ssm_study.refusal import at_least, require
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Excitation):
-    """`u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`: frequency rises linearly from f0 to f1
-    over the record.
+    """Sine whose frequency rises linearly. `u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`:
+    frequency rises linearly from f0 to f1 over the record.
 
     Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
     record, `high_hz` None is `0.5 / clock_s`.
@@ -53,8 +53,8 @@ class Chirp(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase(Excitation):
-    """`levels` values spaced uniformly over `[-A, A]`, climbed and descended, each held for
-    `hold_clocks` clocks.
+    """Ascending and descending steps over the input range. `levels` values spaced uniformly over
+    `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
 
     Shows the static map: long holds let each level settle. Every channel starts at a random point
     of the climb.

@@ -1,4 +1,5 @@
-"""Signals that make a system show itself: the interface, and the two the study trains on."""
+"""Base class and random-level excitation signals. Signals that make a system show itself: the
+interface, and the two the study trains on."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -14,8 +15,8 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """`samples` every `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at
-    least `clock_s`."""
+    """Length, sampling time and amplitude of a signal to be generated. `samples` every `step_s`,
+    offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
 
     samples: int
     step_s: float
@@ -43,8 +44,8 @@ class SignalRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation(ABC):
-    """`|u_i - u_eq,i| <= amplitude_i`: offsets `(T, m)` in physical units; equal generators give
-    equal signals.
+    """Base class of excitation signals around an equilibrium. `|u_i - u_eq,i| <= amplitude_i`:
+    offsets `(T, m)` in physical units; equal generators give equal signals.
 
     `amplitude` and `clock_s` None take the plant's own. Every channel gets a signal of its own.
     """
@@ -65,9 +66,11 @@ class Excitation(ABC):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        """The signal for amplitude one: values in [-1, 1]."""
+        """Generate the signal with amplitude one. The signal for amplitude one: values in [-1,
+        1]."""
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
+        """Generate the input signal in physical units."""
         asked = self._asked(request)
         return self.unit_signal(asked, rng) * np.array(asked.amplitude)
 
@@ -107,8 +110,8 @@ def check_band(low_hz: float | None, high_hz: float | None, name: str = "") -> N
 
 @dataclass(frozen=True, kw_only=True)
 class PRBS(Excitation):
-    """`u in {-A, +A}`: a maximum-length shift register of `register_bits` bits, clocked every
-    `clock_s`.
+    """Pseudo-random binary sequence. `u in {-A, +A}`: a maximum-length shift register of
+    `register_bits` bits, clocked every `clock_s`.
 
     Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel
     starts the register elsewhere. Two levels show a static input nonlinearity at two points only:
@@ -147,8 +150,8 @@ class PRBS(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class APRBS(Excitation):
-    """Levels uniform in `[-A, A]`, each held for a whole number of clocks uniform in `1 ..
-    longest_hold_clocks`.
+    """Amplitude-modulated pseudo-random sequence. Levels uniform in `[-A, A]`, each held for a
+    whole number of clocks uniform in `1 .. longest_hold_clocks`.
 
     A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity
     can be identified.

@@ -17,8 +17,8 @@ CLIP_AT = 0.85
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Excitation):
-    """`u(t) = A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power,
-    T the record.
+    """Random-phase multisine with equal power in all lines of a band. `u(t) = A sum_k cos(2 pi k t
+    / T + phi_k) / peak`, all lines k of the band with equal power, T the record.
 
     Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat
     spectrum, which lowers the crest factor peak/rms (random phases: about 3; afterwards about 1.6).

@@ -11,7 +11,8 @@ from ssm_study.refusal import BadRequest
 
 
 class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
-    """The first sheet, taken apart as a text with tabs is: names, units, dates, missing values."""
+    """Reader of the first sheet of a spreadsheet. The first sheet, taken apart as a text with
+    tabs is: names, units, dates, missing values."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         return self._as_text(path).read(path, names)

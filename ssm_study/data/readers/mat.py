@@ -61,12 +61,14 @@ class Text(str):
 
 
 def _must(condition: bool, otherwise: str) -> None:
+    """Raise `ValueError` unless the condition on the file's bytes holds."""
     if not condition:
         raise ValueError(otherwise)
 
 
 class MatReader(Reader, names=(".mat",)):
-    """Vectors by name, columns of matrices as `data:1`, fields of structs as `log.u`.
+    """Reader of MATLAB files. Vectors by name, columns of matrices as `data:1`, fields of structs
+    as `log.u`.
 
     Where the file has one matrix and nothing else, its columns also go by their numbers from 0. An
     object that is no real numbers is named in the refusal, and never makes the others unreadable;
@@ -122,15 +124,15 @@ def stated_step_s(
 
 
 def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
-    """Whether all columns are of one matrix."""
+    """Whether all columns belong to one matrix."""
     return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
 
 
 def numbers_of(
     path: Path,
 ) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
-    """Vectors by name, matrices by columns, why other objects were skipped, and texts; raises
-    `BadRequest` where the file is not whole."""
+    """Read all numbers of a MATLAB file. Vectors by name, matrices by columns, why other objects
+    were skipped, and texts; raises `BadRequest` where the file is not whole."""
     try:
         contents = parse(path)
     except BadRequest:
@@ -158,7 +160,8 @@ def numbers_of(
 
 
 def parse(path: Path) -> dict[str, Value]:
-    """The variables of a file; raises, of whatever type, what is wrong with its bytes."""
+    """Parse the bytes of a MATLAB file. The variables of a file; raises, of whatever type, what
+    is wrong with its bytes."""
     content = path.read_bytes()
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_hdf5(path, MOST_BYTES)
@@ -188,8 +191,8 @@ def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
 
 
 def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Tagged elements: `(type, length)` and the data, padded to 8 bytes; or both in 8 bytes when
-    they fit."""
+    """Iterate over the tagged elements of a MATLAB 5 file. Tagged elements: `(type, length)` and
+    the data, padded to 8 bytes; or both in 8 bytes when they fit."""
     at = 0
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)

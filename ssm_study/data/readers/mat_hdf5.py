@@ -20,7 +20,8 @@ OWN = "#"  # first letter of MATLAB's own groups
 
 
 def parse_hdf5(path: Path, most_bytes: int) -> dict[str, np.ndarray | str]:
-    """Variables by name, fields of structs as `log.u`; what is no real matrix, as a word.
+    """Read the variables of a MATLAB 7.3 file. Variables by name, fields of structs as `log.u`;
+    what is no real matrix, as a word.
 
     Raises `BadRequest` where h5py is not installed, and whatever h5py raises of a damaged file.
     """

@@ -13,8 +13,8 @@ MOST_BYTES = 1 << 28  # of the named columns, unpacked
 
 
 class ParquetReader(Reader, names=(".parquet",)):
-    """The named columns; page checksums are verified where the file has them. Refuses a file that
-    is not whole."""
+    """Reader of Parquet files. The named columns; page checksums are verified where the file has
+    them. Refuses a file that is not whole."""
 
     def read(self, path: Path, names: list[str]) -> Table:
         where = f"{path.name} (column)"

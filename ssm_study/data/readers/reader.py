@@ -31,7 +31,8 @@ FOREIGN = {
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Columns of one length; row k is `row_word` number `first_row + k`, or `row_numbers[k]`.
+    """Columns that a reader read from a file. Columns of one length; row k is `row_word` number
+    `first_row + k`, or `row_numbers[k]`.
 
     `columns[name] (T,)`, NaN where a value is missing; `units[name]` where the file states one.
     `time_s` are the times the file itself gives its samples (MCAP), `step_s` the sampling time that
@@ -58,13 +59,13 @@ class Table:
 
 
 class Reader(Family):
-    """One file format; `names` are its suffixes."""
+    """Base class of the readers of file formats. One file format; `names` are its suffixes."""
 
     settings: TextSettings = TextSettings()
 
     @abstractmethod
     def read(self, path: Path, names: list[str]) -> Table:
-        """The named columns. Raises `BadRequest` for a file that is not whole, a missing or
+        """Read the named columns. Raises `BadRequest` for a file that is not whole, a missing or
         ambiguous column."""
 
     def contents(self, path: Path) -> Table:
@@ -97,7 +98,8 @@ def read_table(
     missing: bool = False,
     reader: "Reader | None" = None,
 ) -> Table:
-    """The wanted columns, of one length; each with the unit it is declared in, or "".
+    """Read the requested columns of a file. The wanted columns, of one length; each with the unit
+    it is declared in, or "".
 
     `missing` allows NaN, where the file has no value. Raises `BadRequest` for a missing or
     malformed file, a missing column, values that are no finite numbers, unequal lengths, or a unit
@@ -135,7 +137,7 @@ def refuse_values(path: Path, name: str, table: Table, missing: bool) -> None:
 
 
 def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None = None) -> bool:
-    """Whether the file can be read and has these."""
+    """Whether the file can be read and has these columns."""
     try:
         return bool(read_table(path, dict.fromkeys(names, ""), settings, missing=True))
     except BadRequest:
@@ -169,7 +171,8 @@ def folded(title: str) -> str:
 
 
 def place_of(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
-    """Which column a name means: as written, without its unit, by letters alone, or by number.
+    """Find the column that a name means. Which column a name means: as written, without its unit,
+    by letters alone, or by number.
 
     A number counts the columns from 0. Where it is a title too, and of another column, the request
     is refused with both readings; `header` true says that it is the title.

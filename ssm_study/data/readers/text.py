@@ -22,7 +22,8 @@ INFINITE = r"^[-+]?(inf|infinity)$"
 
 
 class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", ".prn", "")):
-    """Columns by the names of the first line, or by their numbers from 0.
+    """Reader of delimited text files. Columns by the names of the first line, or by their numbers
+    from 0.
 
     A header cell `speed [rad/s]` or `speed (rad/s)` is also column `speed`, and states its unit; so
     does a row of units below the names. Dates and times become seconds since the first. An empty
@@ -166,12 +167,12 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
 
 
 def trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Cells without the spaces around them."""
+    """Strip the spaces around the cells of a column."""
     return pc.utf8_trim_whitespace(column)
 
 
 def is_missing(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Which cells say that there is no value."""
+    """Mark the cells that state a missing value."""
     return pc.is_in(pc.utf8_lower(cells), value_set=pa.array(sorted(MISSING)))
 
 
@@ -195,7 +196,7 @@ def column_values(
 def date_values(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray
 ) -> tuple[Float[np.ndarray, "T"] | None, str]:
-    """Seconds since the first date, or None and what is in the way."""
+    """Convert dates to seconds since the first, or return None and the obstacle."""
     first = pc.filter(cells, pc.invert(missing)).slice(0, 1).to_pylist()
     if not first or not is_date(first[0]):
         return None, "no number"
@@ -223,7 +224,8 @@ def dated_columns(table: pa.Table, places: dict[str, int]) -> frozenset[str]:
 def not_a_number(
     path: Path, name: str, column: pa.ChunkedArray, layout: TextLayout, problem: str
 ) -> BadRequest:
-    """The refusal of a column, at its first cell that is no number (or no date among dates)."""
+    """Construct the refusal of a column, at its first cell that is no number (or no date among
+    dates)."""
     cells = trimmed(column).to_pylist()
     dated = problem.startswith("no date")
     for cell, line in zip(cells, layout.line_numbers, strict=True):
