@@ -217,7 +217,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """None, because this theorem claims no rate."""
+        """No rate, which is None: this theorem claims none."""
 
 
 def len_of(matrix: Any) -> int:

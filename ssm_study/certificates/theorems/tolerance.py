@@ -195,7 +195,7 @@ class Tolerance(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """None, because this theorem claims no rate."""
+        """No rate, which is None: this theorem claims none."""
 
 
 def largest_tolerance(

@@ -17,7 +17,7 @@ from ssm_study.table.columns import column, text
 
 
 @dataclass(frozen=True, kw_only=True)
-class Panel:
+class PeerPanel:
     """One number by controller, with what its axis is set to."""
 
     values: pd.Series
@@ -53,7 +53,7 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def panels_of(table: pd.DataFrame) -> list[Panel]:
+def panels_of(table: pd.DataFrame) -> list[PeerPanel]:
     """Share settled, settling time over the uncontrolled one, and peak input."""
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
     ratio = ratio.where(ratio > 0)  # without: starts that were at rest
@@ -61,9 +61,9 @@ def panels_of(table: pd.DataFrame) -> list[Panel]:
     share = column(table, "stable_fraction")
     peak = column(table, "input_peak_v")
     return [
-        Panel(values=share, label=words("stable_fraction"), scale={"xlim": (-0.05, 1.05)}),
-        Panel(values=ratio, label="Settling time / uncontrolled (–)", scale=logarithmic),
-        Panel(values=peak, label=words("input_peak_v"), scale={"xlim": (0, None)}),
+        PeerPanel(values=share, label=words("stable_fraction"), scale={"xlim": (-0.05, 1.05)}),
+        PeerPanel(values=ratio, label="Settling time / uncontrolled (–)", scale=logarithmic),
+        PeerPanel(values=peak, label=words("input_peak_v"), scale={"xlim": (0, None)}),
     ]
 
 
