@@ -67,13 +67,15 @@ class Column:
 
     @property
     def label(self) -> str:
-        """`Mean settling time (s)`."""
+        """Printed name of the column with its unit. `Mean settling time (s)`."""
         word = self.word or self.name.replace("_", " ")
         return f"{word} ({self.unit})" if self.unit else word
 
     @property
     def is_pattern(self) -> bool:
+        """Whether the column's name stands for several columns."""
         return "*" in self.name
 
     def covers(self, name: str) -> bool:
+        """Whether a column of this name belongs to this definition."""
         return fnmatchcase(name, self.name)

@@ -1,4 +1,5 @@
-"""Compiled loops over numbers: machine code by numba, kept on disk where that is possible."""
+"""Compilation of numeric loops by Numba. Compiled loops over numbers: machine code by numba,
+kept on disk where that is possible."""
 
 import warnings
 from collections.abc import Callable
@@ -9,7 +10,8 @@ from numba import njit
 
 
 class NoCompiledCode(UserWarning):
-    """Compiled code cannot be kept: every process compiles its own."""
+    """Warning that compiled code cannot be cached. Compiled code cannot be kept: every process
+    compiles its own."""
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:

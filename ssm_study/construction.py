@@ -1,4 +1,5 @@
-"""Objects from plain settings: `_target_` names a class, and its constructor is the schema.
+"""Construct objects from plain settings. Objects from plain settings: `_target_` names a class, and
+its constructor is the schema.
 
 A setting is refused in one sentence where a constructor has no such field, where its value has
 another type, or where a number is so large that memory would run out before anything is said.
@@ -68,7 +69,8 @@ def construct(path: str, node: Any) -> Any:
 
 
 def import_target(target: str) -> Any:
-    """Import what a dotted name means, `package.module.Class`. Raises `ImportError`."""
+    """Import the class or function that a dotted name means, `package.module.Class`. Raises
+    `ImportError`."""
     module, _, name = target.rpartition(".")
     try:
         return getattr(import_module(module), name)

@@ -1,5 +1,5 @@
-"""Old version whole or new version whole: writes that survive kills and full disks, locks that die
-with us."""
+"""Files that are replaced atomically, sealed with a digest, and locked. Old version whole or new
+version whole: writes that survive kills and full disks, locks that die with us."""
 
 import errno
 import hashlib
@@ -33,8 +33,8 @@ FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is
 
 
 def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
-    """Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of
-    the folder.
+    """Write a file so that a reader sees the old or the new content, never a part. Replace `path`
+    by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of the folder.
 
     Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
     survives every kill but not a power loss; for what is synchronised later, or counts as absent
@@ -65,8 +65,8 @@ def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """`target` has the content of `source`, sharing its bytes where the file system can: cloned,
-    else linked.
+    """Give a file's content a second name, by a hard link or a copy. `target` has the content of
+    `source`, sharing its bytes where the file system can: cloned, else linked.
 
     Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of
     both, and that is seen.
@@ -84,7 +84,8 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """The one text of a sealed object: `unsealed` knows no other."""
+    """Serialise a value as the canonical JSON text of a sealed object: `unsealed` knows no
+    other."""
     strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
@@ -97,8 +98,8 @@ def json_bytes(value: Any) -> bytes:
 
 
 def sync(path: Path) -> None:
-    """`fsync` of a file; of a folder, renames in it become durable where its file system can do
-    that."""
+    """Flush a file to the disk. `fsync` of a file; of a folder, renames in it become durable
+    where its file system can do that."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -110,7 +111,8 @@ def sync(path: Path) -> None:
 
 
 def opened(path: Path) -> io.BufferedReader:
-    """For reading; raises `OSError` for a pipe or a device, which may never end."""
+    """Open a regular file for reading. For reading; raises `OSError` for a pipe or a device,
+    which may never end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -119,8 +121,8 @@ def opened(path: Path) -> io.BufferedReader:
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:
-    """The whole file; raises `OSError` as `opened`, and for one of more than `most` bytes before
-    any are read."""
+    """Read a whole file as bytes. The whole file; raises `OSError` as `opened`, and for one of
+    more than `most` bytes before any are read."""
     with opened(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
@@ -134,14 +136,14 @@ def sha256_of_file(path: Path) -> str:
 
 
 def sealed(body: dict[str, Any]) -> dict[str, Any]:
-    """`body` with its own `sha256`, so that a flipped bit in the JSON text itself is noticed by
-    `unsealed`."""
+    """Add to a JSON object its own `sha256`, so that a flipped bit in the text itself is noticed
+    by `unsealed`."""
     return {**body, "sha256": _body_digest(body)}
 
 
 def unsealed(content: bytes) -> dict[str, Any] | None:
-    """The sealed object that `write_json_atomically` wrote as `content`; None if a single byte
-    differs from that."""
+    """Read a sealed JSON object and check its digest. The sealed object that
+    `write_json_atomically` wrote as `content`; None if a single byte differs from that."""
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
@@ -198,7 +200,8 @@ def is_locked(path: Path) -> bool:
 
 
 def _obtain(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
-    """Try for `patience_s` to lock the open file; a name is held until `held_name` is closed."""
+    """Lock an open file within a time limit. Try for `patience_s` to lock the open file; a name
+    is held until `held_name` is closed."""
     try:
         if math.isinf(patience_s):
             fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
@@ -233,7 +236,7 @@ def _refuse_other_than_missing_locks(error: OSError) -> None:
 
 
 def _take_name(descriptor: int, held_name: ExitStack) -> bool:
-    """Take the machine's name for the open file, if no living process has it.
+    """Acquire a lock by name, where the file system knows no locks, if no living process has it.
 
     The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
     process dies. On another system nobody can have it.
@@ -254,6 +257,7 @@ def _take_name(descriptor: int, held_name: ExitStack) -> bool:
 
 
 def refuse_link(folder: Path) -> None:
-    """Raise `BadRequest` for a folder that is a link: what is written into it lands elsewhere."""
+    """Refuse a folder that is a symbolic link. Raise `BadRequest` for a folder that is a link:
+    what is written into it lands elsewhere."""
     problem = "is a link to another place, where nothing is written"
     require(not folder.is_symlink(), "folder", folder, problem, "remove the link")

@@ -1,4 +1,5 @@
-"""The verdict on a certificate: exact arithmetic on the stored floats, no tolerance anywhere.
+"""Exact rational matrices and the decision whether one is positive definite. The verdict on a
+certificate: exact arithmetic on the stored floats, no tolerance anywhere.
 
 By halves, in balls that hold the exact number; where one contains zero with twice as many digits,
 and where `BITS` do not decide by the fraction-free LDL^T (Sylvester). Why: docs/theory.md, "The
@@ -20,7 +21,7 @@ BITS = (
 
 
 class Exact:
-    """A matrix of rationals, which is what floats are and what their sums and products stay.
+    """Matrix of exact rationals, which is what floats are and what their sums and products stay.
 
     `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number.
     """
@@ -33,7 +34,7 @@ class Exact:
 
     @classmethod
     def of(cls, value: Any) -> "Exact":
-        """The very rationals that floats are. Raises `ValueError` or `OverflowError` for NaN or
+        """Convert floats exactly to rationals. Raises `ValueError` or `OverflowError` for NaN or
         infinity."""
         if isinstance(value, cls):
             return value
@@ -72,7 +73,8 @@ class Exact:
         return Exact._of_entries(np.diagflat(self._entries()[0]))
 
     def rounded(self) -> Float[np.ndarray, "r c"]:
-        """Each entry rounded once to the nearest float: the same bits on every machine."""
+        """Round an exact matrix to floats. Each entry rounded once to the nearest float: the
+        same bits on every machine."""
         return np.array(
             [[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()]
         )

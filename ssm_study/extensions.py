@@ -1,4 +1,5 @@
-"""Other people's code: what is trusted besides this package, and where it lies.
+"""Extension packages of users: which are trusted, where they lie, and how they are loaded. Other
+people's code: what is trusted besides this package, and where it lies.
 
 Trusted are installed packages that register an entry point of the group `ssm_study`, and the one
 folder that is named on the command line by `--with`. Nothing else is imported, and no configuration
@@ -24,8 +25,8 @@ FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on
 
 
 def taken_from(arguments: list[str]) -> list[str]:
-    """The arguments without `--with FOLDER`, which is trusted from here on. Raises `BadRequest` for
-    another folder."""
+    """Remove `--with FOLDER` from command-line arguments and trust that folder's package from
+    here on. Raises `BadRequest` for another folder."""
     if OPTION not in arguments:
         return arguments
     place = arguments.index(OPTION)
@@ -70,7 +71,7 @@ def packages() -> dict[str, Path]:
 
 
 def configurations() -> list[Path]:
-    """The folders of yaml files that are searched after ours."""
+    """Folders of yaml files of the trusted packages, searched after ours."""
     return [folder / "conf" for folder in packages().values() if (folder / "conf").is_dir()]
 
 
@@ -86,7 +87,7 @@ def modules(room: str) -> dict[str, str]:
 
 
 def load() -> None:
-    """Import the trusted packages, so that their kinds are known."""
+    """Import the trusted packages, so that their classes are registered."""
     for name in packages():
         import_module(name)
 

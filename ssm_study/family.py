@@ -1,5 +1,5 @@
-"""A family: one question, one room, one file a member; members are found by their names, from no
-list."""
+"""Registry of classes of one kind, found by name in the files of a folder. A family: one
+question, one room, one file a member; members are found by their names, from no list."""
 
 import pkgutil
 from abc import ABC
@@ -11,8 +11,8 @@ from ssm_study.extensions import load
 
 
 class Family(ABC):
-    """`class Reader(Family)`, then `class Csv(Reader, names=(".csv",))` in a file of the family's
-    room.
+    """Base class that registers its subclasses by name. `class Reader(Family)`, then `class
+    Csv(Reader, names=(".csv",))` in a file of the family's room.
 
     A member that leaves a question of its family open is refused where it is defined (`TypeError`).
     Members outside the room count from when their module is imported. Its one name is a member's

@@ -1,4 +1,5 @@
-"""How this project says no: one sentence naming the field, the value and the remedy."""
+"""Refusals of bad input in one form, with field, value, problem and remedy. How this project
+says no: one sentence naming the field, the value and the remedy."""
 
 import math
 from collections.abc import Iterable
@@ -7,7 +8,7 @@ from typing import Any
 
 
 class BadRequest(ValueError):
-    """`<field> = <value>: <problem>; <remedy>.`
+    """Error for bad input. `<field> = <value>: <problem>; <remedy>.`
 
     Raised while specifications are built, before any long work; the command line prints it and
     exits with status 2.
@@ -33,7 +34,7 @@ class BadRequest(ValueError):
 
 
 def printable(text: str) -> str:
-    """Control characters are shown as their escapes."""
+    """Text with its control characters replaced by their escapes."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
@@ -58,6 +59,7 @@ def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
 
 
 def one_of(known: Iterable[Any], field: str, value: Any) -> None:
-    """Refuse what is not among the known, and list them."""
+    """Refuse a value outside a list of allowed values. Refuse what is not among the known, and
+    list them."""
     *others, last = map(str, names := tuple(known))
     require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

@@ -32,7 +32,7 @@ CHANGELOG = "CHANGELOG.md, version 0.2.0"
 
 
 class OldName(FutureWarning):
-    """An old name was used; it is read for one version."""
+    """Warning that a name of an earlier version was used; it is read for one version."""
 
 
 # Modules, below `ssm_study`. An entry of a package counts for the modules in it as well, except for
@@ -140,9 +140,9 @@ COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """Entry of something withdrawn: since which version, and what to do instead. `neutral` is the
-    value of a setting that changed nothing: a stored configuration that has it is read without
-    it."""
+    """Description of a setting or class that was withdrawn: since which version, and what to do
+    instead. `neutral` is the value of a setting that changed nothing: a stored configuration
+    that has it is read without it."""
 
     since: str
     remedy: str
@@ -242,7 +242,7 @@ def withdrawn_target(target: Any) -> Withdrawn | None:
 
 
 def warn(old: str, new: str) -> None:
-    """Say once that a name is old."""
+    """Warn once that a name is old, with the new one."""
     if old not in _WARNED:
         _WARNED.add(old)
         message = f"{old} is now {new}; the old name is read in version 0.2 alone."
@@ -363,7 +363,7 @@ def with_both_columns(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class OldModules(MetaPathFinder):
-    """Finds an old module by its new name, and gives modules their old names and methods."""
+    """Import hook that finds an old module by its new name, and restores old names in it."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
@@ -400,7 +400,7 @@ def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
 
 
 class Alias(Loader):
-    """Loads a module under its old name: the module of the new name itself."""
+    """Module loader that loads a module under its old name: the module of the new name itself."""
 
     def __init__(self, present: str) -> None:
         self.present = present
@@ -417,7 +417,7 @@ class Alias(Loader):
 
 @cache
 def _renamed_in() -> frozenset[str]:
-    """Modules in which something was renamed."""
+    """Names of the modules in which something was renamed."""
     return frozenset(name.rpartition(".")[0] for name in (*NAMES, *METHODS))
 
 

@@ -1,5 +1,5 @@
-"""The signals everyone shares: channels, trajectories, data sets, and the two numbers that score a
-simulation."""
+"""Signals, scaling and data sets. The signals everyone shares: channels, trajectories, data
+sets, and the two numbers that score a simulation."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,8 +21,8 @@ class Channel:
 
 @dataclass(frozen=True, kw_only=True)
 class Trajectory:
-    """One experiment: `u[k]` is held over `[k, k+1) step_s`, `y[k]` is sampled at `k step_s`,
-    before `u[k]` acts.
+    """Measured or simulated signals of one experiment. One experiment: `u[k]` is held over `[k,
+    k+1) step_s`, `y[k]` is sampled at `k step_s`, before `u[k]` acts.
 
     Shapes: `u (T, m)`, `y (T, p)`, both in physical units; `d (T, k)` are measured disturbances,
     held as `u` is, None where there are none. In a `closed_loop` the input answers the output. A
@@ -66,12 +66,13 @@ class Trajectory:
 
     @property
     def driven_by(self) -> Float[np.ndarray, "T j"]:
-        """Everything measured that moves the system: `u`, and `d` beside it where there is one."""
+        """Inputs and measured disturbances side by side. Everything measured that moves the
+        system: `u`, and `d` beside it where there is one."""
         return self.u if self.d is None else np.hstack([self.u, self.d])
 
     @classmethod
     def joined(cls, pieces: "Sequence[Trajectory]") -> "Trajectory":
-        """Records that follow one another as one, which begins where the first does."""
+        """Join records that follow one another into one, which begins where the first does."""
         disturbances = [piece.d for piece in pieces if piece.d is not None]
         return replace(
             pieces[0],
@@ -95,8 +96,8 @@ SHORTEST_PERIOD = (
 
 
 def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """`(start, period)`: the last two equal pieces `u[start : start + period]` that follow each
-    other; None if none do.
+    """Find where the input begins to repeat, and its period. `(start, period)`: the last two equal
+    pieces `u[start : start + period]` that follow each other; None if none do.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """
@@ -115,15 +116,16 @@ def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
 
 
 def lagged(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
-    """Rows `(u[k], ..., u[k - lags], 1)` from sample `lags` on."""
+    """Regression matrix of past inputs. Rows `(u[k], ..., u[k - lags], 1)` from sample `lags`
+    on."""
     columns = [u[lags - lag : len(u) - lag] for lag in range(lags + 1)]
     return np.concatenate([*columns, np.ones((len(u) - lags, 1))], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """`u = u_eq + s_u v,  y = y_eq + s_y w`: physical outside, scaled inside, by pure gains around
-    the equilibrium.
+    """Offsets and scales between physical and dimensionless signals. `u = u_eq + s_u v,  y = y_eq +
+    s_y w`: physical outside, scaled inside, by pure gains around the equilibrium.
 
     So zero stays zero, and a model with `S_u(0) = S_y(0) = 0` rests at the equilibrium. Shapes:
     `input_* (m,)`, `output_* (p,)`, and `disturbance_* (k,)` of measured disturbances, empty where
@@ -152,7 +154,7 @@ class Scale:
 
     @classmethod
     def unit(cls, inputs: int, outputs: int) -> "Scale":
-        """`v = u`, `w = y`."""
+        """Identity scaling. `v = u`, `w = y`."""
         m = np.ones(inputs)
         p = np.ones(outputs)
         return cls(input_scale=m, output_scale=p, input_equilibrium=0 * m, output_equilibrium=0 * p)
@@ -199,7 +201,8 @@ class Scale:
     def with_rest(
         self, inputs: Iterable[Float[np.ndarray, "_ m"]]
     ) -> list[Float[np.ndarray, "_ m"]]:
-        """These inputs and the one that holds rest: what a log is known to have visited."""
+        """Append to inputs the one that holds the plant at equilibrium: what a log is known to
+        have visited."""
         return [*inputs, self.input_equilibrium[None]]
 
 
@@ -249,7 +252,7 @@ class DataSet:
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
-        """The inputs of the training records, and the one that holds rest."""
+        """Inputs of the training records, with the one that holds the plant at equilibrium."""
         return self.scale.with_rest(record.u for record in self.training)
 
     @property
@@ -274,8 +277,9 @@ class DataSet:
         )
 
     def shift_out_dead_time(self, samples: int) -> "DataSet":
-        """Each output beside the input that many samples before it: the records of a fit without
-        their dead time. Measured disturbances act without it."""
+        """Remove a dead time by shifting the outputs. Each output beside the input that many
+        samples before it: the records of a fit without their dead time. Measured disturbances
+        act without it."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem = f"the shortest record has {shortest} samples"
         remedy = "log longer records, or a shorter dead time"
@@ -298,21 +302,22 @@ class DataSet:
 def fit_percent(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)`, Frobenius norms over all channels, after the
-    start-up samples."""
+    """Fit of a simulated output in percent. `100 (1 - ||y - y_hat|| / ||y - mean(y)||)`,
+    Frobenius norms over all channels, after the start-up samples."""
     y = y[start_up_samples:]
     y_hat = y_hat[start_up_samples:]
     return fit_of_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
 
 
 def fit_of_error(share: float | np.floating) -> float:
-    """`100 (1 - share)`, percent, of an error that is this share of the output's own deviation from
-    its mean."""
+    """Convert a relative error to a fit in percent. `100 (1 - share)`, percent, of an error that
+    is this share of the output's own deviation from its mean."""
     return float(100.0 * (1.0 - share))
 
 
 def rmse(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """`sqrt(mean((y - y_hat)^2))` in the unit of y, after the start-up samples."""
+    """Root mean square error. `sqrt(mean((y - y_hat)^2))` in the unit of y, after the start-up
+    samples."""
     return float(np.sqrt(np.mean((y[start_up_samples:] - y_hat[start_up_samples:]) ** 2)))

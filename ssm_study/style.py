@@ -1,5 +1,5 @@
-"""One look for every figure: widths of a two-column paper, colours that survive colour blindness
-and grey print."""
+"""Look of all figures: sizes, fonts and how they are saved. One look for every figure: widths of
+a two-column paper, colours that survive colour blindness and grey print."""
 
 import io
 from collections.abc import Iterator
@@ -53,14 +53,15 @@ _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
 def is_narrow() -> bool:
-    """Whether figures are asked for as wide as one column of a paper."""
+    """Whether figures are drawn as wide as one column of a paper."""
     return _PAGE.get() == COLUMN_IN
 
 
 @contextmanager
 def paper(width: Width = "page") -> Iterator[None]:
-    """Everything drawn and saved inside has the look of this project; the caller's own settings
-    come back after. `width="column"`: figures that know how are drawn for one column."""
+    """Context in which figures take the style of the project. Everything drawn and saved inside
+    has the look of this project; the caller's own settings come back after. `width="column"`:
+    figures that know how are drawn for one column."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
@@ -88,8 +89,8 @@ def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
 
 
 def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
-    """The legend in one row over the axes, with what only the `others` show: never on top of the
-    data."""
+    """Place the legend in one row above the axes. The legend in one row over the axes, with what
+    only the `others` show: never on top of the data."""
     shown: dict[str, Any] = {}
     for part in (axes, *others):
         handles, labels = part.get_legend_handles_labels()
@@ -101,7 +102,7 @@ def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> No
 def save(
     figure: "Figure", folder: Path, name: str, kinds: tuple[str, ...] = ("png", "pdf")
 ) -> list[Path]:
-    """Write `folder/name.png` and `folder/name.pdf`, or one of them.
+    """Save a figure as PNG and PDF. Write `folder/name.png` and `folder/name.pdf`, or one of them.
 
     The same data give the same bytes: no creation date is written.
     """

@@ -1,5 +1,5 @@
-"""The systems everyone shares: a discrete-time linear state space, balls of Jacobians, a pair of
-gains."""
+"""Linear and structured state-space systems, balls of Jacobians and gains. The systems everyone
+shares: a discrete-time linear state space, balls of Jacobians, a pair of gains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class _Recurrence:
 
 @dataclass(frozen=True, kw_only=True)
 class StateSpace(_Recurrence):
-    """`x+ = a x + b u,  y = c x + d u` in discrete time.
+    """Linear discrete-time state-space system. `x+ = a x + b u,  y = c x + d u` in discrete time.
 
     Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, real. Raises `BadRequest` for entries
     that are not finite.
@@ -53,14 +53,15 @@ class StateSpace(_Recurrence):
 
     @property
     def integrates(self) -> bool:
-        """Whether one is an eigenvalue: constant inputs hold no state."""
+        """Whether the system has an eigenvalue at one. Whether one is an eigenvalue: constant
+        inputs hold no state."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 
     def held(
         self,
     ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
-        """`X = A X + B V` and `C X + D V`: states, inputs and outputs of a basis of all rest
-        points.
+        """Steady states and outputs under constant inputs. `X = A X + B V` and `C X + D V`: states,
+        inputs and outputs of a basis of all rest points.
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
@@ -77,8 +78,8 @@ class StateSpace(_Recurrence):
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
-        """Step through `u` from `x0` (default 0); returns the outputs and the state after the last
-        sample."""
+        """Simulate the system for an input sequence. Step through `u` from `x0` (default 0);
+        returns the outputs and the state after the last sample."""
         batch = u.shape[:-2]
         samples = u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
@@ -91,8 +92,8 @@ class StateSpace(_Recurrence):
         return states @ self.c.T + u @ self.d.T, x
 
     def response_samples(self, most: int = 4000, remainder: float = 0.1) -> int:
-        """Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the
-        system answers.
+        """Length of the impulse response in samples. Samples, at most `most`, after which
+        `remainder` of `sum |C A^k B|` is left: how long the system answers.
 
         By default the bulk of it, not the tail of a mode that no record filled. One run for each
         input, since the answers to several at once may cancel.
@@ -105,8 +106,8 @@ class StateSpace(_Recurrence):
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSystem(_Recurrence):
-    """`x+ = a x + b v + e w,  y = c x + d v + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes
-    of phi in [0, 1].
+    """State-space system with neurons inside its recurrence. `x+ = a x + b v + e w,  y = c x + d v
+    + h w,  w = phi(f x + g v + bias) - phi(bias)`, slopes of phi in [0, 1].
 
     What the theorems need of a structured model: the neurons act one by one and are known by their
     slopes alone. Shapes: `a (n, n)`, `b (n, m)`, `c (p, n)`, `d (p, m)`, `e (n, q)`, `f (q, n)`, `g
@@ -128,16 +129,16 @@ class StructuredSystem(_Recurrence):
         return self.e.shape[1]
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Slopes that are all zero or one: every such choice of up to `most` neurons, else a few,
-        one per row."""
+        """Combinations of neuron slopes that are all zero or one: every such choice of up to
+        `most` neurons, else a few, one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
         return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
 
     def at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
-        """The linear system with the neurons' slopes frozen: `a + e S f`, `b + e S g`, `c + h S f`,
-        `d + h S g`."""
+        """Linear system that results with the neurons' slopes frozen: `a + e S f`, `b + e S g`,
+        `c + h S f`, `d + h S g`."""
         driven = self.e * slopes
         seen = self.h * slopes
         a = self.a + driven @ self.f
@@ -150,8 +151,8 @@ System = StateSpace | StructuredSystem
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianBall:
-    """All Jacobians `J = alpha I + beta Delta`, `||Delta||_2 <= 1`: what the theorems really need
-    of a scaffolding.
+    """Ball of matrices that contains every Jacobian of a static map. All Jacobians `J = alpha I +
+    beta Delta`, `||Delta||_2 <= 1`: what the theorems really need of a scaffolding.
 
     `alpha` keeps its sign; for a scalar map with slopes in `[mu, nu]`, `alpha = (nu + mu)/2`, `beta
     = (nu - mu)/2`. Source: docs/theory.md, "The ball of Jacobians"; [Z26] has singular values,
@@ -181,14 +182,15 @@ class JacobianBall:
 
     @property
     def relative_radius(self) -> float:
-        """`beta / |alpha|`: what the exact frontier is stated in."""
+        """Radius of the ball relative to its centre. `beta / |alpha|`: what the exact frontier
+        is stated in."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balls:
-    """The balls that the theorems are applied with: `input` holds the Jacobians of `S_u`, `output`
-    those of `S_y`."""
+    """Balls of Jacobians of the input and the output map. The balls that the theorems are
+    applied with: `input` holds the Jacobians of `S_u`, `output` those of `S_y`."""
 
     input: JacobianBall
     output: JacobianBall
@@ -196,8 +198,8 @@ class Balls:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Controller and observer gains of `u = K xh,  xh+ = A xh + B S_u(u) + L (yh - y)`, scaled;
-    many, if batched.
+    """Gains of a controller with its observer. Controller and observer gains of `u = K xh,  xh+ = A
+    xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
 
     `s` is the model's order, and that of an internal model `z+ = internal z + error_input_matrix(y
     - y*)` where there is one: None
@@ -212,32 +214,32 @@ class Gains:
 
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
-        """The internal model's matrix, of width zero where there is none."""
+        """State matrix of the internal model, of width zero where there is none."""
         return (
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
 
     def at(self, which: int | Int[np.ndarray, "N"]) -> "Gains":
-        """One of many, or some."""
+        """Select one controller and observer, or several, from a stack of gains."""
         l_z = None if self.l_z is None else self.l_z[which]
         return Gains(k=self.k[which], l=self.l[which], l_z=l_z, internal=self.internal)
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
-    """How the error enters an internal model: each output enters every state of its own copy
-    alike."""
+    """Input matrix by which the control error drives an internal model: each output enters every
+    state of its own copy alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """Modes of an internal model while a limit acts: integrators (ones on the diagonal) rest,
-    oscillators go on."""
+    """State matrix of an internal model while a limit of the input acts: integrators (ones on
+    the diagonal) rest, oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 
 def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:
-    """`data[key]` as a finite float64 array of that many dimensions; raises `BadRequest`
-    otherwise."""
+    """Read a numeric array from JSON. `data[key]` as a finite float64 array of that many
+    dimensions; raises `BadRequest` otherwise."""
     require(key in data, key, "missing", "the stored model lacks this entry", AGAIN)
     try:
         values = np.asarray(data[key], dtype=np.float64)

@@ -1,4 +1,5 @@
-"""Certify gains that somebody else designed: the largest provable rate, decided exactly."""
+"""Certify the gains of an existing controller or observer. Certify gains that somebody else
+designed: the largest provable rate, decided exactly."""
 
 import time
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 @dataclass(frozen=True, kw_only=True)
 class GainCertificate:
-    """Guarantee for one gain: its certified rate, the theorem's certificate, and the rates
-    possible.
+    """Result of certifying one gain. Guarantee for one gain: its certified rate, the theorem's
+    certificate, and the rates possible.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
     there is none; `certificate` holds its matrices. `rate_of_gain` is the supremum for this gain
@@ -87,7 +88,7 @@ class Certification:
 
 
 def _limit_words(rate: float) -> str:
-    """Words for the largest rate that is possible."""
+    """Sentence on the largest rate that is possible."""
     return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
 
 
@@ -189,7 +190,8 @@ def _prove_at(
     limit: float,
     theorem: type[Side],
 ) -> Side | None:
-    """The theorem's certificate at the problem's rate; None where floats find no metric."""
+    """Try to prove the theorem at one rate. The theorem's certificate at the problem's rate;
+    None where floats find no metric."""
     started = time.perf_counter()
     factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
     try:
@@ -210,7 +212,8 @@ def _prove_at(
 def _coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
-    """Cholesky factor of the loop's own Gramian at the mean slope: well-scaled coordinates."""
+    """Coordinates in which the certification is well conditioned. Cholesky factor of the loop's
+    own Gramian at the mean slope: well-scaled coordinates."""
     closed = (problem.a + problem.ball.alpha * problem.b @ k) / factor
     drive = problem.b @ problem.b.T / factor**2
     size = max(float(np.trace(drive)) / len(drive), np.finfo(float).tiny)

@@ -88,8 +88,8 @@ def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
 def _rates_of_a_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Rates for a system without records. Raises `BadRequest` where they would be chosen by
-    them."""
+    """Settings of the rates for a system without records. Raises `BadRequest` where they would
+    be chosen by them."""
     choice = parts.choices["synthesis"]
     problem = "chooses by a validation record, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
@@ -98,7 +98,7 @@ def _rates_of_a_bare_system(
 
 
 def _design_for_identified(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
-    """Design for a model that has records."""
+    """Design a controller for a model that has records."""
     lower, upper = limits
     parts.set_given("loop", input_lower=lower, input_upper=upper)
     loop = parts.build("loop")
@@ -129,7 +129,7 @@ def _design_for_system(
     output_slopes: tuple[float, float] | None,
     overrides: tuple[str, ...],
 ) -> Design:
-    """Design for a bare linear system behind maps of which only the slopes are known."""
+    """Design a controller for a linear system behind maps of which only the slopes are known."""
     linear, step_s = read_linear_system(system)
     model = SSM.of(linear, step_s)
     balls = certified_balls(model)

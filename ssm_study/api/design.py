@@ -116,7 +116,7 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns of a run's table that speak of the design: rates, limits, gains, prediction."""
+        """Columns of the record that describe the design: rates, limits, gains, prediction."""
         if self.origin is None:
             return dict(self.stored_record)
         balls = certified_balls(self.model)
@@ -180,7 +180,7 @@ class Design:
         return pole_groups(self.model, self.certificate.pair)
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
-        """Guarantee of the design under a limited input, in physical units.
+        """Guarantee of the design under input limits, in physical units.
 
         Raises `BadRequest` for a model with neurons, about which nothing is proved within limits.
         """
@@ -376,7 +376,7 @@ class Design:
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _origin_with_records(self) -> Model:
-        """The identified model. Raises `BadRequest` for a design that knows no records."""
+        """Identified model of the design. Raises `BadRequest` for a design without records."""
         origin = self.origin
         require(
             origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
@@ -386,7 +386,7 @@ class Design:
 
 
 def _place(plant: "Plant | None") -> str:
-    """Where a loop runs, in words."""
+    """Words for where a loop runs, on a plant or on the model."""
     return "the simulated plant" if plant else "the identified model"
 
 

@@ -56,7 +56,7 @@ class Model:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns of a run's table that speak of data and model."""
+        """Columns of the record that describe data and model."""
         data = self.data
         validation, test = simulate_parts(self.simulator, data)
         training = self.identification
@@ -143,7 +143,7 @@ class Model:
     def _measured_and_predicted(
         self, u: Values, y: Values, disturbance: Values | None
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-        """Outputs measured, and those simulated, of one record."""
+        """Measured and simulated outputs of one record."""
         check_index(u, y, self.data.step_s)
         measured = signal(y, "y", columns=self.output_names)[1]
         predicted = np.asarray(self.predict(u, disturbance), dtype=np.float64)
@@ -382,14 +382,14 @@ def _name_with_unit(channel: Any) -> str:
 
 
 def _samples(data: DataSet) -> str:
-    """Numbers of samples that trained, validated and tested."""
+    """Number of samples in training, validation and test, as words."""
     parts = ("training", "validation", "test")
     counts = [sum(len(record) for record in getattr(data, part)) for part in parts]
     return ", ".join(f"{count} {part}" for count, part in zip(counts, parts, strict=True))
 
 
 def html_table(title: str, summary: pd.Series) -> str:
-    """A summary as a small table for notebooks."""
+    """Render a summary as an HTML table for notebooks."""
     rows = [
         f"<tr><th style='text-align:left'>{escape(str(name))}</th>"
         f"<td style='text-align:left'>{escape(str(value))}</td></tr>"

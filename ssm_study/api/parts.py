@@ -61,7 +61,7 @@ def load_tree(group: str, choice: str) -> Tree:
 
 
 def _load_default(group: str, entry: Any) -> Tree:
-    """Settings that one entry of a defaults list brings in."""
+    """Load the settings that one entry of a defaults list names."""
     if isinstance(entry, str):
         return load_tree(group, entry)
     ((name, choice),) = entry.items()
@@ -78,7 +78,7 @@ def _load_default(group: str, entry: Any) -> Tree:
 
 
 class Replacement(dict[str, Any]):
-    """A tree that takes the place of another one, where other trees are merged key by key."""
+    """Tree of settings that replaces another one, where other trees are merged key by key."""
 
 
 def merge(tree: Tree, other: Mapping[str, Any]) -> None:
@@ -94,8 +94,8 @@ def merge(tree: Tree, other: Mapping[str, Any]) -> None:
 
 
 def assign(tree: Tree, path: str, value: Any) -> None:
-    """Set what stands at a dotted path. Raises `BadRequest` where the path leads through a
-    value."""
+    """Assign a value at a dotted path of a settings tree. Raises `BadRequest` where the path
+    leads through a value."""
     *parents, last = path.split(".")
     place: Any = tree
     for name in parents:
@@ -106,7 +106,7 @@ def assign(tree: Tree, path: str, value: Any) -> None:
 
 
 def assign_nested(tree: Tree, path: str, value: Any) -> None:
-    """Set what stands at a dotted path, making the trees above it where there are none."""
+    """Assign a value at a dotted path, making the trees above it where there are none."""
     *parents, last = path.split(".")
     for name in parents:
         tree = tree.setdefault(name, {})
@@ -122,7 +122,7 @@ def read_value(text: str) -> Any:
 
 
 def _read_numbers(value: Any) -> Any:
-    """Numbers such as 1e-3, which YAML reads as texts, as numbers; lists item by item."""
+    """Convert texts such as 1e-3, which YAML does not read as numbers; lists item by item."""
     if isinstance(value, list):
         return [_read_numbers(item) for item in value]
     if not isinstance(value, str):
@@ -199,7 +199,8 @@ class Parts:
         assign(self.trees, key, value)
 
     def _sign(self, path: str) -> str:
-        """Signs before a word: Hydra takes fields that the yaml files lack only as additions."""
+        """Signs that Hydra wants before an override: Hydra takes fields that the yaml files lack
+        only as additions."""
         if not self._has(path):
             self.added.add(path)
         return "++" if path in self.added else ""

@@ -58,7 +58,7 @@ def read_matrix(
 
 
 def _read_tuple(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
-    """A system given as (A, B, C, D, step_s)."""
+    """Read a system that is given as (A, B, C, D, step_s)."""
     require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
     *matrices, step_s = system
     return _state_space(matrices), read_step(step_s)

@@ -1,1 +1,2 @@
-"""From the table to figures and a page."""
+"""Figures, terminal output and web page from a study's table. From the table to figures and a
+page."""

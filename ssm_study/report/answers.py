@@ -44,7 +44,8 @@ def answers(table: pd.DataFrame) -> list[Answer]:
 
 
 def parameters_line(table: pd.DataFrame) -> str:
-    """`Swept: model order (4, 8, 12); ...`, or that there was no sweep."""
+    """Line that names the swept settings and their values. `Swept: model order (4, 8, 12); ...`,
+    or that there was no sweep."""
     parts = []
     for name in swept(table):
         title = words(name).split(" (")[0].lower()
@@ -63,7 +64,8 @@ def listed_values(values: pd.Series) -> str:
 
 
 def by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The runs of each plant with `DC motor: ` for their first sentence; empty for a single plant.
+    """Group the runs by plant. The runs of each plant with `DC motor: ` for their first sentence;
+    empty for a single plant.
 
     Settling times of different plants do not compare.
     """
@@ -77,13 +79,15 @@ def by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
 
 
 def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """The exact limits of the rates; the observers' only where a request failed."""
+    """Sentences on which requested rates have certificates. The exact limits of the rates; the
+    observers' only where a request failed."""
     sides = ("controller", "observer")
     return tuple(sentence for side in sides for sentence in frontier_sentences(table, side))
 
 
 def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
-    """The largest rates that the models of this study allow, and how many requests went beyond."""
+    """Sentences on the largest certifiable rates of the study's models, and how many requests
+    exceeded them."""
     rate = column(table, f"rate_{side}")
     limit = column(table, f"{side}_rate_limit")
     certified = flag(table, f"{side}_certified")
@@ -106,7 +110,7 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
 
 
 def limit_sentence(side: str, limit: pd.Series) -> str:
-    """Range of the exact rate limits, and what they follow from."""
+    """Sentence on the range of the exact rate limits, and what they follow from."""
     reach = f"{limit.max():.3g}"
     if limit.nunique() > 1:
         reach = f"from {limit.min():.3g} to {reach}"
@@ -119,20 +123,21 @@ def limit_sentence(side: str, limit: pd.Series) -> str:
 
 
 def beyond_sentence(beyond: int, known: int, certified: int) -> str:
-    """How many requests lie beyond the limit, and what became of them."""
+    """Sentence on how many requests exceed the exact rate limit, and what became of them."""
     outcome = f"{certified} of those were certified" if certified else "none of those was certified"
     return f"{beyond} of {known} requests lie beyond it, and {outcome}."
 
 
 def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Per plant: how the fit ranks with the share of starts settled, or with the settling time."""
+    """Sentences on whether a better model fit goes with a better closed loop. Per plant: how the
+    fit ranks with the share of starts settled, or with the settling time."""
     if len(table) < 2:
         return ()
     return tuple(prefix + fit_sentence(runs) for prefix, runs in by_plant(table))
 
 
 def fit_sentence(table: pd.DataFrame) -> str:
-    """Spearman's rank correlation of the fit with the first outcome that varies."""
+    """Sentence on the rank correlation (Spearman) of the fit with the first outcome that varies."""
     certified = flag(table, "controller_certified") & flag(table, "observer_certified")
     fit = column(table, "fit_test_percent")
     for name, outcome, meaning in OUTCOMES_OF_FIT:
@@ -162,7 +167,7 @@ def prediction_question(table: pd.DataFrame) -> str:
 
 
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """How many loops settle on either side of the prediction, and what that bounds."""
+    """Sentences on how many loops settle on either side of the prediction, and what that bounds."""
     share = column(table, "stable_fraction")
     stable = predicted(table)
     known = column(table, "predicted_stable").notna() & share.notna()

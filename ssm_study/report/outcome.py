@@ -38,7 +38,8 @@ def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: C
 
 
 def figure_lines(figures: Sequence[Path]) -> list[str]:
-    """A line per figure, from where the user stands: `figures/hankel_spectrum.png, .pdf`."""
+    """Lines that name the saved figures, with paths from where the user stands:
+    `figures/hankel_spectrum.png, .pdf`."""
     kinds: dict[str, list[str]] = {}
     for path in figures:
         stem = str(path.with_suffix("")).removeprefix(f"{Path.cwd()}/")
@@ -47,8 +48,8 @@ def figure_lines(figures: Sequence[Path]) -> list[str]:
 
 
 def outcome_table(record: Mapping[str, Any]) -> Table:
-    """The numbers of `record.json` in the order of the argument: model, proof, prediction,
-    plant."""
+    """Table of a run's results for the terminal. The numbers of `record.json` in the order of
+    the argument: model, proof, prediction, plant."""
     table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
     table.add_column(width=27, no_wrap=True)
     table.add_column(overflow="fold")
@@ -70,7 +71,7 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 
 
 def outcome_text(record: Mapping[str, Any]) -> Text:
-    """The verdict with its sentence; `cannot judge` stands before it."""
+    """Text of the run's verdict with its sentence; `cannot judge` stands before it."""
     verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
     where = ", on the identified model" if settles and not _on_plant(record) else ""
@@ -81,13 +82,14 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
 
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
-    """Whether words may speak of a plant: a log has none, also where no loop was closed."""
+    """Whether the loop ran on a plant, so that words may speak of one: a log has none, also
+    where no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
     return record.get("loop_on") != "identified model" and not is_log
 
 
 def loop_place(record: Mapping[str, Any]) -> str:
-    """Where the loop was closed: `simulated plant` or `identified model`."""
+    """Words for where the loop was closed: `simulated plant` or `identified model`."""
     if not _on_plant(record):
         return "identified model"
     place = record.get("loop_on")
@@ -95,7 +97,7 @@ def loop_place(record: Mapping[str, Any]) -> str:
 
 
 def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
-    """The value of a column as text with its unit; a dash where it is missing."""
+    """Format a column's value as text with its unit; a dash where it is missing."""
     value = record.get(name)
     if value is None:
         return MISSING
@@ -189,7 +191,7 @@ def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Whether the proof covers the model error that the records show.
+    """Table rows on whether the proof covers the model error that the records show.
 
     Below one it covers nothing, and no share is printed; of an older run the tolerance is.
     """
@@ -266,7 +268,8 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def pi_words(record: Mapping[str, Any]) -> str:
-    """How a textbook's PI does from the same starts, and whether it is the better controller."""
+    """Words on how a textbook's PI does from the same starts, and whether it is the better
+    controller."""
     count = printed(record, "stable_count_pi", ".0f")
     starts = printed(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")
@@ -279,8 +282,8 @@ def pi_words(record: Mapping[str, Any]) -> str:
 
 
 def noise_words(record: Mapping[str, Any]) -> str:
-    """How far the sensor's noise reaches the output; a doubt where that is far more than the model
-    says: the loop then moves by itself, or is closer to its limit than predicted."""
+    """Words on how far the sensor's noise reaches the output: the loop then moves by itself, or
+    is closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
     if measured is None:
@@ -307,7 +310,7 @@ def certified_word(record: Mapping[str, Any], side: str) -> str:
 
 
 def reasons(record: Mapping[str, Any]) -> Iterator[str]:
-    """Whatever the record says about why a run is doubted, infeasible, not certified or failed."""
+    """Reasons of a record why its run is doubted, infeasible, not certified or failed."""
     findings = str(record.get("evidence_reasons") or "")
     for finding in re.split(r" (?=(?:note|doubt|cannot judge): )", findings):
         if finding.startswith(("doubt: ", "cannot judge: ")):

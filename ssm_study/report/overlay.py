@@ -14,7 +14,7 @@ FEWEST = 2
 
 
 def overlay(folders: Sequence[Path]) -> ModelComparison:
-    """Score the stored free runs of several runs, best first, and hold them beside one another.
+    """Compare the stored free runs of several runs, best fit first.
 
     Raises `BadRequest` for fewer than two runs, a run without a test record, and a test record that
     is not that of the first run.

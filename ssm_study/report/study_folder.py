@@ -1,4 +1,5 @@
-"""Data that figures are drawn from: the study's gathered table and the files of its runs."""
+"""Access to the files of a run and of a study. Data that figures are drawn from: the study's
+gathered table and the files of its runs."""
 
 import io
 import json
@@ -40,8 +41,8 @@ class RunFolder:
     path: Path
 
     def _parsed(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
-        """The content of a file, None where there is none. Raises `BadRequest` that names a damaged
-        one."""
+        """Read and parse a file of the run, None where there is none. Raises `BadRequest` that
+        names a damaged one."""
         path = self.path / name
         try:
             return parse(contents(path).decode()) if path.is_file() else None
@@ -202,8 +203,8 @@ class StudyFolder:
         )
 
     def of_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """These parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw` where
-        it lacks one."""
+        """Read named parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw`
+        where it lacks one."""
         found = [getattr(self.best, part, None) for part in parts]
         if any(part is None for part in found):
             raise NothingToDraw(otherwise)
@@ -211,8 +212,8 @@ class StudyFolder:
 
 
 def gathered(folder: Path) -> pd.DataFrame:
-    """The table of one study. Raises `BadRequest` where nobody gathered it, and for a damaged
-    one."""
+    """Collect the table of one study. Raises `BadRequest` where nobody gathered it, and for a
+    damaged one."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),

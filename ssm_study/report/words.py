@@ -1,5 +1,5 @@
-"""The words of the report: what print calls a column, a choice, and what became of a run, with its
-colour and mark."""
+"""Printed names, verdicts and their colours. The words of the report: what print calls a column,
+a choice, and what became of a run, with its colour and mark."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -41,7 +41,8 @@ def words(name: object) -> str:
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """The grounds of a prediction, each number beside its bound.
+    """Words on the numbers that decide a prediction. The grounds of a prediction, each number
+    beside its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """
@@ -69,7 +70,8 @@ def digits_beside(value: float, bound: float = 1.0) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """A word with its sentence; colour and mark differ both, so that either alone tells them apart.
+    """Word for a run's outcome with its sentence, colour and marker; colour and mark differ both,
+    so that either alone tells them apart.
 
     The mark is `marker` in a figure and `shape` on the page; `style` is for the terminal.
     """
@@ -142,9 +144,8 @@ VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
 def judged(table: pd.DataFrame) -> pd.Series:
-    """A `Verdict` per row: its outcome class, where a run that is certified alone may have closed
-    no
-    loop."""
+    """Verdict of every run in a table. A `Verdict` per row: its outcome class, where a run that
+    is certified alone may have closed no loop."""
     found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
     return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
 
@@ -155,7 +156,8 @@ def verdicts(table: pd.DataFrame) -> pd.Series:
 
 
 def counts(table: pd.DataFrame) -> str:
-    """A line such as `12 runs: 9 certified, settles; 2 infeasible; 1 failed`."""
+    """Line with the number of runs by verdict. A line such as `12 runs: 9 certified, settles; 2
+    infeasible; 1 failed`."""
     tally = verdicts(table).value_counts()
     parts = [
         f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally
@@ -168,8 +170,8 @@ def counts(table: pd.DataFrame) -> str:
 def scatter(
     axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
 ) -> None:
-    """One point per run in the colour and marker of its verdict; only verdicts that occur enter the
-    legend.
+    """Draw one point per run in the colour and marker of its verdict; only verdicts that occur
+    enter the legend.
 
     `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each
     other.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def names() -> list[str]:
-    """Every figure that can be asked for."""
+    """Names of all figures."""
     ours = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
     return sorted({*modules("figures"), *ours})
 
@@ -52,8 +52,8 @@ def draw(
     run: str | None = None,
     width: style.Width = "page",
 ) -> list[Path]:
-    """Draw the named figures (None: all) of a study into `study_folder/figures`, each as PNG and
-    PDF.
+    """Draw and save the named figures (None: all) of a study into `study_folder/figures`, each as
+    PNG and PDF.
 
     Those of a single run show `run`, else the study's best. Pure functions of the gathered table
     and the run folders' files: the same files give the same bytes. A figure of what the study does

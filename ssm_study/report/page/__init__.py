@@ -1,1 +1,1 @@
-"""The report page: one self-contained file."""
+"""Interactive HTML page of a study. The report page: one self-contained file."""

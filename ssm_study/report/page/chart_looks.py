@@ -21,12 +21,12 @@ LOOK = {
 
 
 def framed(spec: dict[str, Any], description: str, height: int = HEIGHT) -> dict[str, Any]:
-    """A Vega-Lite specification as wide as its place on the page."""
+    """Vega-Lite specification with the page's frame and width."""
     frame = {"$schema": SCHEMA, "width": "container", "height": height, "config": LOOK}
     return frame | {"description": description} | spec
 
 
 def quantitative(field: str, title: str | None, **scale: Any) -> dict[str, Any]:
-    """An axis of numbers."""
+    """Vega-Lite axis of numbers."""
     shown: dict[str, Any] = {"field": field, "type": "quantitative", "title": title}
     return shown | ({"scale": scale} if scale else {})

@@ -18,8 +18,8 @@ SAME_FIT = 0.1  # percent: below, what fits differ by is chance
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot: what it asks, the two columns, where a rule stands, and which axis is logarithmic
-    if it can be."""
+    """Settings of one scatter plot of the page. One plot: what it asks, the two columns, where a
+    rule stands, and which axis is logarithmic if it can be."""
 
     question: str
     x: str
@@ -66,8 +66,8 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Where every start of every run settles, a share says nothing: then the plot shows how fast
-    they settle."""
+    """Whether a plot shows more than a constant. Where every start of every run settles, a share
+    says nothing: then the plot shows how fast they settle."""
     shares = column(table, panel.y).dropna()
     if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
         return panel
@@ -75,8 +75,8 @@ def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
 
 
 def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
-    """The script sets the parameters `mask` (runs shown) and `chosen` (run looked at), and hears
-    `brush`.
+    """Vega-Lite specification of one plot. The script sets the parameters `mask` (runs shown) and
+    `chosen` (run looked at), and hears `brush`.
 
     It also fills the data sets `runs` and `ticks`.
     """
@@ -103,20 +103,20 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _bars() -> alt.Chart:
-    """A short bar per run, in the data set `ticks`."""
+    """Layer that draws a short bar per run, in the data set `ticks`."""
     look = {"color": style.INK, "size": 16, "thickness": 1, "opacity": 0.8, "aria": False}
     hint = alt.TooltipContent("data")
     return alt.Chart(alt.NamedData("ticks")).mark_tick(orient="horizontal", tooltip=hint, **look)
 
 
 def _ring() -> alt.Chart:
-    """A ring around the best run, which the table has first."""
+    """Layer that marks the best run with a ring, the run that the table has first."""
     best = alt.Chart().transform_filter("datum.i === 0")
     return best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
 
 
 def _dressed(chart: alt.LayerChart) -> dict[str, Any]:
-    """The chart's specification in the page's fonts and colours."""
+    """Apply the page's fonts and colours to a chart."""
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
     )
@@ -131,7 +131,8 @@ def _dressed(chart: alt.LayerChart) -> dict[str, Any]:
 
 
 def groups_specification() -> dict[str, Any]:
-    """A row per group: a point per run, a bar at the mean of those shown, a ring around the best.
+    """Vega-Lite specification of a chart with a row per group: a point per run, a bar at the mean
+    of those shown, a ring around the best.
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """
@@ -146,7 +147,7 @@ def groups_specification() -> dict[str, Any]:
 
 
 def _points(*brushed: str) -> alt.Chart:
-    """A point per run; a brush over both axes, or over those that are named."""
+    """Layer that draws a point per run; a brush over both axes, or over those that are named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
     known = "!length(mask) || mask[datum.i]"
@@ -167,22 +168,22 @@ def _points(*brushed: str) -> alt.Chart:
 
 
 def _brush(*encodings: str) -> alt.Parameter:
-    """A rectangle that the reader drags."""
+    """Selection parameter: a rectangle that the reader drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
     return alt.selection_interval(name="brush")
 
 
 def _rule() -> alt.Chart:
-    """One line: on the data of the points it would be drawn once per run."""
+    """Layer that draws one line: on the data of the points it would be drawn once per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(
         strokeDash=[4, 3], color=style.GREY, aria=False
     )
 
 
 def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> alt.Scale:
-    """Logarithmic only if all values allow it and they spread over more than a decade; a share from
-    0 to 1.
+    """Linear or logarithmic scale for a column. Logarithmic only if all values allow it and they
+    spread over more than a decade; a share from 0 to 1.
 
     `beside`: what else is drawn on this axis, so has to lie on it.
     """

@@ -36,7 +36,8 @@ def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def controllers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Controllers down; across the numbers of the one situation, or all situations."""
+    """Table with a row per controller; across the numbers of the one situation, or all
+    situations."""
     situations = list(dict.fromkeys(rows["situation"]))
     first = [(spoken(name), own.iloc[0]) for name, own in rows.groupby("controller", sort=False)]
     if len(situations) == 1:
@@ -70,7 +71,8 @@ def number_cells(row: "pd.Series[Any]") -> list[tuple[str, str]]:
 
 
 def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
-    """Share settled with the mean time of those, and a shade where some do not settle."""
+    """Table cell with the share settled and the mean time of those, and a shade where some do
+    not settle."""
     if pd.isna(row.get("stable_fraction", np.nan)):
         return MISSING, ""
     time_s = row.get("settling_time_mean_s")
@@ -80,12 +82,12 @@ def settled_cell(row: dict[str, Any]) -> tuple[str, str]:
 
 
 def percent(share: Any) -> str:
-    """A share in per cent."""
+    """Format a share in per cent."""
     return MISSING if pd.isna(share) else f"{100 * share:.0f} %"
 
 
 def number(value: Any) -> str:
-    """A number to four digits."""
+    """Format a number to four digits."""
     return MISSING if pd.isna(value) else f"{value:.4g}"
 
 
@@ -103,7 +105,7 @@ def table_html(table: ComparedTable) -> str:
 
 
 def row_html(name: str, cells: list[tuple[str, str]]) -> str:
-    """One row of the table."""
+    """Row of an HTML table."""
     printed = "".join(
         f'<td style="background: {shade}">{escape(text)}</td>'
         if shade
@@ -114,7 +116,7 @@ def row_html(name: str, cells: list[tuple[str, str]]) -> str:
 
 
 def designs_chart(rows: pd.DataFrame) -> dict[str, Any]:
-    """Each certified design as a point: its margin against what the plant did."""
+    """Chart of certified designs, a point each: its margin against what the plant did."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]

@@ -54,7 +54,7 @@ ALSO_FIRST = (
 
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
-    """Everything the page's script needs, as plain JSON values."""
+    """Collect everything that the page's script needs, as plain JSON values."""
     table = best_ordered(study.table)
     return {
         "study": study.name,
@@ -80,8 +80,9 @@ def first_columns(table: pd.DataFrame) -> list[str]:
 
 
 def slider(table: pd.DataFrame) -> dict[str, Any] | None:
-    """The swept number that a slider moves: the runs that share all other settings with the best,
-    in its order; a rate before other numbers. None where there is no such sweep."""
+    """Settings of the slider that steps through a swept number. The swept number that a slider
+    moves: the runs that share all other settings with the best, in its order; a rate before
+    other numbers. None where there is no such sweep."""
     if not len(table):
         return None
     settings = swept(table)
@@ -103,7 +104,7 @@ def slider(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Words of the page, for its HTML."""
+    """Text blocks of the page's HTML."""
     best = study.best
     config = best.path / ".hydra" / "config.yaml" if best else None
     on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
@@ -137,7 +138,8 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Where the runs come from; several values where they disagree, which a reader should know."""
+    """Text on where the runs come from; several values where they disagree, which a reader
+    should know."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
@@ -160,7 +162,8 @@ def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
 
 
 def question(table: pd.DataFrame) -> str:
-    """The question of a sweep: `What changes with the model order and the controller rate?`."""
+    """Title of the page, the question that the sweep asks. The question of a sweep: `What
+    changes with the model order and the controller rate?`."""
     said = (
         (name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table)
     )
@@ -177,7 +180,7 @@ def question(table: pd.DataFrame) -> str:
 
 
 def best_ordered(table: pd.DataFrame) -> pd.DataFrame:
-    """Best first, with the two columns the plots need and the table lacks."""
+    """Sort the table with the best run first, and add the two columns that the plots need."""
     table = best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdicts(table))
     ratio = column(table, "input_slope_lower") / column(table, "input_slope_upper")
@@ -185,8 +188,8 @@ def best_ordered(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
-    """The plain values, or where few differ each once and which of them stands where; nowhere, if
-    all are the same."""
+    """Compress a column whose values repeat. The plain values, or where few differ each once and
+    which of them stands where; nowhere, if all are the same."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
     shown = [_plain(value) for value in distinct]
     if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
@@ -195,7 +198,8 @@ def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
 
 
 def _plain(value: Any) -> Any:
-    """A number (to seven digits), a text, a truth value, or None: JSON has no NaN."""
+    """Convert a value of the table to plain JSON. A number (to seven digits), a text, a truth
+    value, or None: JSON has no NaN."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None
@@ -205,21 +209,23 @@ def _plain(value: Any) -> Any:
 
 
 def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """`{run: {...}}` for the best runs that left recordings."""
+    """Closed-loop trajectories of the best runs. `{run: {...}}` for the best runs that left
+    recordings."""
     best = text(table, "run").head(MOST_TRAJECTORIES)
     return {name: found for name in best if name and (found := _recordings(study.run(name)))}
 
 
 def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """`{run: [picture, ...]}` for the best few runs: each takes 50 kB and a second or two."""
+    """Pictures of the best runs. `{run: [picture, ...]}` for the best few runs: each takes 50 kB
+    and a second or two."""
     best = text(table, "run").head(MOST_PICTURED)
     drawn = {name: pictures_of_run(study.run(name)) for name in best if name}
     return {name: pictured for name, pictured in drawn.items() if pictured}
 
 
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """`{run: table or chart}`: controllers and situations, or certified designs, that the best runs
-    tried."""
+    """Comparisons of controllers for the runs that have one. `{run: table or chart}`:
+    controllers and situations, or certified designs, that the best runs tried."""
     best = set(text(table, "run").head(MOST_TRAJECTORIES))
     compared = study.comparison
     runs = compared.groupby("run") if len(compared) else ()
@@ -238,7 +244,7 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
 
 
 def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """The first channel of these signals and what is printed of them."""
+    """Encode the first channel of these signals and what is printed of them."""
     y = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
     if "u" in names:
@@ -247,8 +253,8 @@ def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any
 
 
 def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
-    """16-bit steps of the largest value, base64: invisible in a plot, a tenth of the size of
-    text."""
+    """Encode rows of numbers compactly. 16-bit steps of the largest value, base64: invisible in
+    a plot, a tenth of the size of text."""
     step = float(np.abs(rows).max()) / 32767 or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
     return {"step": step, "rows": len(rows), "steps": base64.b64encode(steps.tobytes()).decode()}

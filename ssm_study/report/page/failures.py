@@ -49,7 +49,7 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 
 def severity(sentence: str) -> int:
-    """The place of a sentence's outcome in `SEVERITY`."""
+    """Rank of a sentence's outcome in `SEVERITY`."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
@@ -65,8 +65,8 @@ def reason_of(record: dict[str, Any]) -> str:
 
 
 def with_ranges(sentences: Sequence[str]) -> str:
-    """One sentence for several that differ in their numbers alone: each number that varies becomes
-    its range."""
+    """Merge sentences that differ in their numbers alone into one with ranges: each number that
+    varies becomes its range."""
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 

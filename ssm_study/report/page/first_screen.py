@@ -43,13 +43,13 @@ class Remark:
 
 
 def record_of(row: "pd.Series[Any]") -> dict[str, Any]:
-    """A row of the table as plain values; what is missing is None."""
+    """Convert a row of the table to plain values; what is missing is None."""
     return {str(name): None if pd.isna(value) else value for name, value in row.items()}
 
 
 def introduction(table: pd.DataFrame) -> str:
-    """The words before the best run's name: the rule by which it is the best, as far as it
-    applied."""
+    """Words that stand before the best run's name: the rule by which it is the best, as far as
+    it applied."""
     record = record_of(table.iloc[0])
     if len(table) == 1:
         return "Run: "
@@ -72,7 +72,7 @@ def short_word(name: str) -> str:
 
 
 def setting_text(record: Record, name: str) -> str:
-    """A setting as it was requested: `auto` for a rate that `auto` chose."""
+    """Text of a setting as it was requested: `auto` for a rate that `auto` chose."""
     chosen = str(record.get("rates_chosen") or "")
     if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
         return "auto"
@@ -88,7 +88,7 @@ def cards(record: Record) -> list[Card]:
 
 
 def model_card(record: Record) -> Card | None:
-    """How well the model predicts."""
+    """Card on how well the model predicts."""
     fit = record.get("fit_test_percent")
     if fit is None:
         return None
@@ -100,7 +100,8 @@ def model_card(record: Record) -> Card | None:
 
 
 def proved_card(record: Record) -> Card | None:
-    """The certified rates and what they cover, or the largest rate that could be certified."""
+    """Card with the certified rates and what they cover, or the largest rate that could be
+    certified."""
     rate = record.get("controller_certified_rate")
     requested = record.get("rate_controller")
     limit = record.get("controller_rate_limit")
@@ -139,7 +140,7 @@ def coverage_words(record: Record) -> str:
 
 
 def predicted_card(record: Record) -> Card | None:
-    """The prediction made before the loop is closed, with the numbers that it rests on."""
+    """Card with the prediction made before the loop is closed, and the numbers that it rests on."""
     title = f"Predicted for the {'model' if is_on_model(record) else 'plant'}"
     evidence = record.get("evidence")
     if evidence == CANNOT_JUDGE:
@@ -160,7 +161,7 @@ def predicted_card(record: Record) -> Card | None:
 
 
 def seen_card(record: Record) -> Card | None:
-    """How many starts settled, how fast, and how a PI does."""
+    """Card on how many starts settled, how fast, and how a PI does."""
     count = record.get("stable_count")
     if count is None:
         return None
@@ -178,7 +179,7 @@ def seen_card(record: Record) -> Card | None:
 
 
 def seen_place(record: Record) -> str:
-    """Where the loop was closed, in the page's words."""
+    """Words for where the loop was closed."""
     return loop_place(record).replace("identified model", "model")
 
 
@@ -193,12 +194,12 @@ def verdict_of(record: Record) -> Verdict:
 
 
 def reasons(record: Record) -> list[str]:
-    """Why a run is infeasible, not certified or failed, as its record says."""
+    """Reasons of a record why its run is infeasible, not certified or failed."""
     return [str(record[name]) for name in REASONS if record.get(name)]
 
 
 def remarks(record: Record) -> Iterator[Remark]:
-    """The outcome where it is no success, and what the records say of the prediction."""
+    """Remarks on an outcome that is no success, and on what the records say of the prediction."""
     verdict = verdict_of(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
@@ -218,7 +219,7 @@ def remarks(record: Record) -> Iterator[Remark]:
 
 
 def sentences_of(parts: Sequence[str]) -> str:
-    """Parts as sentences: a capital first, a full stop last."""
+    """Join parts to sentences: a capital first, a full stop last."""
     return " ".join(f"{capitalised(part).rstrip('.')}." for part in parts)
 
 

@@ -1,5 +1,5 @@
-"""`ssm-study watch`: the report page while its sweep runs, from a local port; it reloads itself
-when records change."""
+"""Local web server that keeps a study's page up to date. `ssm-study watch`: the report page
+while its sweep runs, from a local port; it reloads itself when records change."""
 
 import json
 import re
@@ -60,7 +60,7 @@ class LivePage:
             return allowed + SCRIPT
 
     def current_mark(self) -> str:
-        """Changes whenever a record does."""
+        """Mark that changes whenever a record does."""
         return str(
             hash(tuple(sorted((name, *mark) for name, mark in record_marks(self.study).items())))
         )
@@ -77,8 +77,8 @@ class LivePage:
 
 
 def serve(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
-    """A server on the local port (0: any free one) that is ready to serve; raises `BadRequest` if
-    the port is taken."""
+    """Serve a study's page on a local port. A server on the local port (0: any free one) that is
+    ready to serve; raises `BadRequest` if the port is taken."""
     try:
         server = ThreadingHTTPServer(
             (LOCALHOST, port), _handler(LivePage(study))

@@ -50,7 +50,7 @@ def picture_json(name: str, picture: Picture) -> dict[str, Any]:
 
 
 def axes_words(panel: PicturePanel) -> str:
-    """The two axes in words."""
+    """Describe the two axes in words."""
     return f"{panel.y_label} against {panel.x_label}"
 
 
@@ -72,7 +72,7 @@ def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
 
 
 def scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
-    """The scale of an axis; without limits a few pixels of room."""
+    """Vega-Lite scale of an axis; without limits a few pixels of room."""
     room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
     kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
     return kind | room | {"nice": False}
@@ -90,7 +90,8 @@ def colour_of(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
 def series_layer(
     series: Series, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
-    """One series, cut to what is seen, a long line thinned, gaps shortened to one missing point."""
+    """Vega-Lite layer of one series, cut to what is seen, a long line thinned, gaps shortened to
+    one missing point."""
     x, y = thinned(*cut(series.x, series.y, panel.x_range))
     is_line = series.mark in ("line", "steps")
     transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
@@ -108,7 +109,7 @@ def series_layer(
 
 
 def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
-    """A line across the panel."""
+    """Vega-Lite layer of a line across the panel."""
     place = {"y": {"datum": rule.y}} if rule.x is None else {"x": {"datum": rule.x}}
     return {
         "data": {"values": [{}]},
@@ -120,7 +121,7 @@ def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
 def band_layer(
     band: Band, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
-    """A shaded area, cut and thinned like a line."""
+    """Vega-Lite layer of a shaded area, cut and thinned like a line."""
     x, low = cut(band.x, band.low, panel.x_range)
     high = cut(band.x, band.high, panel.x_range)[1]
     every = _stride(len(x))
@@ -138,7 +139,7 @@ def band_layer(
 
 
 def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
-    """The stretch of a signal over time that lies in a range; other curves as they are."""
+    """Select the stretch of a signal over time that lies in a range; other curves as they are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
         return x, y
@@ -148,7 +149,8 @@ def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch
 
 
 def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """At most about `MOST_POINTS` points; of a gap one point stays, which breaks the line.
+    """Thin out a line. At most about `MOST_POINTS` points; of a gap one point stays, which breaks
+    the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
@@ -161,10 +163,10 @@ def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def _stride(points: int) -> int:
-    """Every how many points are kept."""
+    """Number of points of which one is kept when a line is thinned."""
     return max(1, -(-points // MOST_POINTS))
 
 
 def short_numbers(values: Values) -> list[float | None]:
-    """Four significant digits; None breaks a line."""
+    """Round numbers for the page. Four significant digits; None breaks a line."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]

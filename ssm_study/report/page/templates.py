@@ -53,13 +53,14 @@ def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
 
 
 def responses() -> dict[str, Any]:
-    """One line per start, coloured in the order of their first values, over the settling band."""
+    """Chart of responses with one line per start, coloured in the order of their first values,
+    over the settling band."""
     by_rank = {"field": "rank", "type": "ordinal", "legend": None, "scale": {"scheme": "viridis"}}
     return framed({"layer": [BAND, line_layer(by_rank)]}, "")
 
 
 def signals() -> dict[str, Any]:
-    """Several named signals in one axis."""
+    """Chart of several named signals in one axis."""
     by_name = {
         "field": "kind",
         "type": "nominal",
@@ -71,7 +72,8 @@ def signals() -> dict[str, Any]:
 
 
 def played() -> dict[str, Any]:
-    """One start under control up to a moment that a slider or the button moves."""
+    """Chart of a single response that can be played. One start under control up to a moment that
+    a slider or the button moves."""
     one = {"filter": "datum.case === start"}
     until = {"filter": "datum.t <= moment"}
     at_moment = [one, until, {"joinaggregate": [{"op": "max", "field": "t", "as": "last"}]}]
@@ -142,7 +144,7 @@ def parallel_axis(names: list[str]) -> dict[str, Any]:
 
 
 def end_label(op: str, fold: list[dict[str, Any]], x: dict[str, Any]) -> dict[str, Any]:
-    """The number at one end of each axis."""
+    """Vega-Lite layer with the number at one end of each axis."""
     aggregated = {"aggregate": [{"op": op, "field": "value", "as": op}], "groupby": ["key"]}
     return {
         "transform": [*fold, aggregated],
