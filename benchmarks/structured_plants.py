@@ -29,7 +29,7 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
 from ssm_study.models.structured import at_rest
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.model_selection import fastest
+from ssm_study.synthesis.model_selection import largest_rate_of
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
@@ -99,7 +99,7 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         sizes = {"plant": plant, "seed": seed, "start": start, "order": model.order}
         sizes |= {"neurons": len(getattr(model, "neurons", ()))}
         told = {name: f"{value:.5g}" for name, value in numbers.items()}
-        rate = fastest(model.system, certified_balls(model).input) if near else None
+        rate = largest_rate_of(model.system, certified_balls(model).input) if near else None
         rows.append(
             sizes | told | {"r_controller": "" if rate is None else f"{np.sqrt(1 - rate):.4g}"}
         )

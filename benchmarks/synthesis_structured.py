@@ -24,7 +24,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual
-from ssm_study.synthesis.structured_lmi import StructuredLmi, holds, largest_rate
+from ssm_study.synthesis.structured_lmi import StructuredLmi, is_confirmed, largest_rate
 from ssm_study.synthesis.structured_riccati import least_cost
 from ssm_study.systems import JacobianBall, StructuredSystem
 
@@ -142,7 +142,7 @@ def row(index: int) -> str | None:
     (slow, cost_s), (deep, deep_s) = (
         timed(lambda program=p: program.solve(problem.rate)) for p in programs
     )
-    certified = fast is not None and holds(problem, fast)
+    certified = fast is not None and is_confirmed(problem, fast)
     costs = [
         np.nan if found is None else np.trace(np.linalg.inv(found.p)) for found in (fast, slow)
     ]
@@ -150,7 +150,7 @@ def row(index: int) -> str | None:
     proof = fast if certified else deep
     started = time.process_time()
     assert proof is not None
-    assert holds(problem, proof)
+    assert is_confirmed(problem, proof)
     exact_s = time.process_time() - started
     worst = sampled(system, problem, proof, rng)
     ratio_cell = "" if np.isnan(ratio) else f"{ratio:.4f}"

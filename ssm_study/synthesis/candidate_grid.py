@@ -154,7 +154,7 @@ class CandidateGrid:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
             problem = specification.problem(system, ball, observes)
-            limit, fastest = structured_lmi.fastest(problem)
+            limit, fastest = structured_lmi.fastest_solution(problem)
         rates = self._rates(observes, isinstance(system, StateSpace), own, limit)
         below = [rate for rate in rates if 0 < rate < limit]
         return sorted(below, reverse=True), fastest

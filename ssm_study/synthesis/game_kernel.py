@@ -21,7 +21,7 @@ CONVERGED = 1e-11
 
 @compiled
 @no_type_check
-def turned(a):
+def transpose(a):
     """Transpose `a'` of a matrix."""
     out = np.empty((a.shape[1], a.shape[0]))
     for i in range(a.shape[0]):
@@ -32,7 +32,7 @@ def turned(a):
 
 @compiled
 @no_type_check
-def times(a, b):
+def multiply(a, b):
     """Matrix product `a b`."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
@@ -45,7 +45,7 @@ def times(a, b):
 
 @compiled
 @no_type_check
-def plus(a, b, share):
+def weighted_sum(a, b, share):
     """Weighted sum `a + share b` of two matrices."""
     out = np.empty(a.shape)
     for i in range(a.shape[0]):
@@ -56,7 +56,7 @@ def plus(a, b, share):
 
 @compiled
 @no_type_check
-def beside(a, b):
+def join_columns(a, b):
     """Block matrix `[a, b]`."""
     out = np.empty((a.shape[0], a.shape[1] + b.shape[1]))
     for i in range(a.shape[0]):
@@ -69,11 +69,11 @@ def beside(a, b):
 
 @compiled
 @no_type_check
-def solved(a, b):
+def solve_linear(a, b):
     """Solution `a^{-1} b` of a linear system by elimination with partial pivots; raises for a
     singular a, or NaN."""
     n = len(a)
-    rows = beside(a, b)
+    rows = join_columns(a, b)
     width = rows.shape[1]
     for i in range(n):
         best = i
@@ -116,7 +116,7 @@ def log_det(a):
 
 @compiled
 @no_type_check
-def _grown(total, step):
+def _add_step(total, step):
     """Add a symmetrised step to a sum, in place; 1 where the step no longer counts, -1 where the
     sum diverges (or is NaN), else 0."""
     largest = change = 0.0
@@ -133,22 +133,22 @@ def _grown(total, step):
 
 @compiled
 @no_type_check
-def doubled(a, g, h):
+def riccati_limit(a, g, h):
     """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling; raises where
     there is none. G and H are overwritten."""
     n = len(a)
     ended = 0
     for _ in range(DOUBLINGS):
         # One elimination serves both: the closed-loop matrix, and what it adds to G.
-        both = solved(plus(np.eye(n), times(g, h), 1.0), beside(a, g))
+        both = solve_linear(weighted_sum(np.eye(n), multiply(g, h), 1.0), join_columns(a, g))
         left = both[:, :n].copy()
         right = both[:, n:].copy()
-        across = turned(a)
-        ended = _grown(h, times(times(across, h), left))
+        across = transpose(a)
+        ended = _add_step(h, multiply(multiply(across, h), left))
         if ended:
             break
-        _grown(g, times(times(a, right), across))
-        a = times(
+        _add_step(g, multiply(multiply(a, right), across))
+        a = multiply(
             a, left
         )  # the closed-loop matrix is squared: after k steps 2^k samples are summed
     if ended != 1:
@@ -158,15 +158,15 @@ def doubled(a, g, h):
 
 @compiled
 @no_type_check
-def summed(a, source):
+def solve_lyapunov(a, source):
     """Solution of the Lyapunov equation `P = a P a' + source`; raises unless a is stable. The
     source is overwritten."""
     ended = 0
     for _ in range(DOUBLINGS):
-        ended = _grown(source, times(times(a, source), turned(a)))
+        ended = _add_step(source, multiply(multiply(a, source), transpose(a)))
         if ended:
             break
-        a = times(a, a)  # Smith's squaring: as many terms again in each step
+        a = multiply(a, a)  # Smith's squaring: as many terms again in each step
     if ended != 1:
         raise np.linalg.LinAlgError("not stable")
     return source
@@ -174,17 +174,17 @@ def summed(a, source):
 
 @compiled
 @no_type_check
-def _costs(f, moved, state_weight, input_weight, m, r, logs):
+def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
     """Cost matrices `Q, R, S'` of the equation with inputs `(u, p, v)`, at these log
     multipliers."""
     (q, n), inputs = f.shape, moved.shape[1]
     bound = exp(logs[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
-    rows = beside(moved, f)  # what drives each neuron, by (u, p, x)
+    rows = join_columns(moved, f)  # what drives each neuron, by (u, p, x)
     weighted = np.empty(rows.shape)
     for i in range(q):
         for j in range(inputs + n):
             weighted[i, j] = rows[i, j] * exp(logs[i]) / 2
-    every = times(turned(rows), weighted)
+    every = multiply(transpose(rows), weighted)
     own = np.zeros((inputs + q, inputs + q))
     s = np.zeros((inputs + q, n))
     for i in range(inputs):
@@ -213,7 +213,7 @@ def _constraint(h, m, inputs, injects):
         t[i, i - m] = 1.0
     if injects:
         log_det(h[:m, :m].copy())
-        answered = solved(h[:inputs, :inputs].copy(), h[:inputs, inputs:].copy())
+        answered = solve_linear(h[:inputs, :inputs].copy(), h[:inputs, inputs:].copy())
         for i in range(inputs):
             for j in range(size - inputs):
                 t[i, inputs - m + j] = -answered[i, j]
@@ -222,7 +222,7 @@ def _constraint(h, m, inputs, injects):
 
 @compiled
 @no_type_check
-def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
+def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     """Gradient of the goal, from the saddle point `(u, p, v)`, the loop's Gramian and `T
     (T'(-H)T)^{-1} T'`.
 
@@ -230,10 +230,12 @@ def _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     the cost alone.
     """
     (q, n), inputs = f.shape, moved.shape[1]
-    z = plus(f, times(moved, saddle[:inputs].copy()), 1.0)  # what drives each neuron there
-    driven = times(z, reach)
-    played = times(saddle, reach)
-    held = times(moved, shadow[:inputs, :inputs].copy())
+    z = weighted_sum(
+        f, multiply(moved, saddle[:inputs].copy()), 1.0
+    )  # what drives each neuron there
+    driven = multiply(z, reach)
+    played = multiply(saddle, reach)
+    held = multiply(moved, shadow[:inputs, :inputs].copy())
     gradient = np.full(len(logs), barrier)
     for i in range(q):
         flow = barrier * -shadow[inputs + i, inputs + i]
@@ -259,20 +261,22 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     """Saddle point of the game at these log multipliers: `goal, gradient, X, H = R + B'X B, B'X A +
     S'`."""
     (q, n), inputs = f.shape, moved.shape[1]
-    cost, own, s = _costs(f, moved, state_weight, input_weight, m, r, logs)
-    across = turned(b)
-    inverse = solved(own, beside(s, across))
+    cost, own, s = _cost_matrices(f, moved, state_weight, input_weight, m, r, logs)
+    across = transpose(b)
+    inverse = solve_linear(own, join_columns(s, across))
     first = inverse[:, :n].copy()
     second = inverse[:, n:].copy()
-    x = doubled(
-        plus(a, times(b, first), -1.0), times(b, second), plus(cost, times(turned(s), first), -1.0)
+    x = riccati_limit(
+        weighted_sum(a, multiply(b, first), -1.0),
+        multiply(b, second),
+        weighted_sum(cost, multiply(transpose(s), first), -1.0),
     )
     log_det(x)
-    into = times(across, x)
-    h = plus(own, times(into, b), 1.0)
-    toward = plus(s, times(into, a), 1.0)
+    into = multiply(across, x)
+    h = weighted_sum(own, multiply(into, b), 1.0)
+    toward = weighted_sum(s, multiply(into, a), 1.0)
     t = _constraint(h, m, inputs, injects)
-    room = times(turned(t), times(h, t))
+    room = multiply(transpose(t), multiply(h, t))
     for i in range(len(room)):  # the maximising players' curvature: positive, or no saddle exists
         for j in range(len(room)):
             room[i, j] = -room[i, j]
@@ -283,11 +287,11 @@ def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs
     for i in range(len(logs)):
         known += logs[i] if i < q else m * logs[i]
     goal = log(trace) - barrier * (log_det(room) - known)
-    saddle = solved(h, toward)
+    saddle = solve_linear(h, toward)
     for i in range(len(saddle)):
         for j in range(n):
             saddle[i, j] = -saddle[i, j]
-    shadow = times(t, solved(room, turned(t)))  # T (T'(-H)T)^{-1} T'
-    source = plus(np.eye(n) / trace, times(times(b, shadow), across), barrier)
-    reach = summed(plus(a, times(b, saddle), 1.0), source)
-    return goal, _slope(f, moved, m, r, logs, barrier, saddle, reach, shadow), x, h, toward
+    shadow = multiply(t, solve_linear(room, transpose(t)))  # T (T'(-H)T)^{-1} T'
+    source = weighted_sum(np.eye(n) / trace, multiply(multiply(b, shadow), across), barrier)
+    reach = solve_lyapunov(weighted_sum(a, multiply(b, saddle), 1.0), source)
+    return goal, _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow), x, h, toward

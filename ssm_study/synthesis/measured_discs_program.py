@@ -244,7 +244,7 @@ class AngleProgram:
 
         Angles that are far from deciding leave again.
         """
-        chosen = _spread(len(self.constant), FIRST)
+        chosen = _spread_indices(len(self.constant), FIRST)
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
             program = ConeProgram(unknowns=len(goal))
@@ -261,7 +261,7 @@ class AngleProgram:
         return x, chosen
 
 
-def _spread(count: int, some: int) -> list[int]:
+def _spread_indices(count: int, some: int) -> list[int]:
     """Indices of `some` of `count` items, spread evenly."""
     return [int(k) for k in np.unique(np.linspace(0, count - 1, some).round())]
 
@@ -275,6 +275,6 @@ def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
     return [int(k) for k in minima[np.argsort(values[minima])]]
 
 
-def normalised(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
+def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
     """Size of each form, by which its multiplier is scaled."""
     return np.asarray(np.maximum(np.abs(forms).max(axis=(1, 2, 3)), np.finfo(float).tiny))

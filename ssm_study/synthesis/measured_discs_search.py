@@ -28,7 +28,7 @@ from ssm_study.synthesis.measured_discs_program import (
     AngleProgram,
     FormsAtAngles,
     LoopForms,
-    normalised,
+    form_sizes,
 )
 from ssm_study.synthesis.measured_discs_weights import (
     COARSE,
@@ -73,15 +73,15 @@ def largest_kappa(
     started = time.perf_counter()
     theorem = theorem_of(context)
     try:
-        nu, multipliers = fixed_optimum(theorem, context, weights, centre)
+        nu, multipliers = optimum_for_weights(theorem, context, weights, centre)
         if nu >= LARGEST:
             return None
         forms = LoopForms.of(theorem, context, (centre,))
         for inside in INSIDE:
             scaled = nu * inside**2
-            multipliers, margin = _with_margin(forms, weights, centre, scaled, multipliers)
-            numbers = _numbers(forms, weights, centre, scaled**0.5, multipliers)
-            proof = certified(theorem, context, numbers, margin, started)
+            multipliers, margin = _largest_margin(forms, weights, centre, scaled, multipliers)
+            numbers = _theorem_numbers(forms, weights, centre, scaled**0.5, multipliers)
+            proof = certify_numbers(theorem, context, numbers, margin, started)
             if proof is not None:
                 return proof
     except NoSolution:
@@ -89,7 +89,7 @@ def largest_kappa(
     return None
 
 
-def fixed_optimum(
+def optimum_for_weights(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Float[np.ndarray, "A"]]:
     """Largest `kappa^2` for given weights, by frequency, and its multipliers; raises
@@ -133,7 +133,7 @@ def _fixed_program(
     reference = weights.on_output(grid.angles)[:, None, None] * grid.model
     reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
     linear = np.concatenate([-reference[None], grid.multipliers])
-    scale = normalised(linear)
+    scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
     program = AngleProgram(
@@ -145,7 +145,7 @@ def _fixed_program(
     return program, scale
 
 
-def _with_margin(
+def _largest_margin(
     forms: LoopForms,
     weights: Weights,
     centre: float,
@@ -161,7 +161,7 @@ def _with_margin(
     constant = grid.centred[centre] - nu * reference
     margin = -np.broadcast_to(np.diag(own), grid.model.shape)
     linear = np.concatenate([grid.multipliers, margin[None]])
-    scale = normalised(linear)
+    scale = form_sizes(linear)
     rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
     bounds = np.concatenate([np.zeros(len(scale)), np.full(len(scale), -MOST)])
     program = AngleProgram(
@@ -174,7 +174,7 @@ def _with_margin(
     return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
 
 
-def _numbers(
+def _theorem_numbers(
     forms: LoopForms,
     weights: Weights,
     centre: float,
@@ -194,7 +194,7 @@ def _numbers(
     return numbers
 
 
-def certified(
+def certify_numbers(
     theorem: type[MeasuredDiscs],
     context: VerificationContext,
     numbers: dict[str, Any],
@@ -206,7 +206,7 @@ def certified(
         return None
     ball = context.balls.input
     whole = theorem.loop_of(context) | numbers | {"alpha": ball.alpha, "beta": ball.beta}
-    for p in metrics(theorem, whole, margin):
+    for p in metric_candidates(theorem, whole, margin):
         proof: MeasuredDiscs = theorem.proved(
             whole | {"p": p},
             started=started,
@@ -218,7 +218,7 @@ def certified(
     return None
 
 
-def metrics(
+def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
     """Candidates for P: negated stabilising solutions of the Riccati equation at several slacks."""
@@ -277,16 +277,16 @@ def largest_coverage(
         return Coverage(certificate=None, coverage=None, reason=missing)
     items = {c: [item for item in premise.items(c) if item.seen > 0] for c in centres}
     basis = basis or WeightBasis()
-    whole = _largest_for(context, items, basis)
+    whole = _largest_around(context, items, basis)
     lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
     covers = whole.coverage is not None and whole.coverage >= 1
     if covers or not all(lit.values()) or lit == items:
         return whole
-    partial = _largest_for(context, lit, basis)
+    partial = _largest_around(context, lit, basis)
     return partial if partial.coverage is not None and partial.coverage >= 1 else whole
 
 
-def _largest_for(
+def _largest_around(
     context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
     """Largest coverage around one centre."""
@@ -309,13 +309,13 @@ def _largest_for(
     for nu, unknowns, program in optima:
         if nu >= LARGEST:
             return Coverage(certificate=None, coverage=None, reason="no mismatch has an effect")
-        coverage = _proved(context, theorem, program, nu, unknowns, started)
+        coverage = _certify_program(context, theorem, program, nu, unknowns, started)
         if coverage is not None:
             return coverage
     return Coverage(certificate=None, coverage=None, reason="nothing is proved at these gains")
 
 
-def _proved(
+def _certify_program(
     context: VerificationContext,
     theorem: type[MeasuredDiscs],
     program: WeightProgram,
@@ -334,8 +334,10 @@ def _proved(
             except NoSolution:
                 continue
             multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)
-            numbers = _numbers(program.forms, weights, program.centre, scaled**0.5, multipliers)
-            proof = certified(theorem, context, numbers, room, started)
+            numbers = _theorem_numbers(
+                program.forms, weights, program.centre, scaled**0.5, multipliers
+            )
+            proof = certify_numbers(theorem, context, numbers, room, started)
             if proof is not None:
                 need, where = weights.need(program.items)
                 covered = proof.kappa / need

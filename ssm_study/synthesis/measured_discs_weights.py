@@ -21,7 +21,7 @@ from ssm_study.synthesis.measured_discs_program import (
     AngleProgram,
     FormsAtAngles,
     LoopForms,
-    normalised,
+    form_sizes,
 )
 
 POLES = (0.5, 0.9)  # of the weights, with as many at zero
@@ -169,7 +169,7 @@ class WeightProgram:
     def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
         """Largest nu, with x, y and the multipliers; raises `NoSolution`."""
         linear = self.linear
-        scale = normalised(linear)
+        scale = form_sizes(linear)
         count = len(scale)
         rows, bounds = self._rows_with_nu(scale)
         program = AngleProgram(
@@ -225,7 +225,7 @@ class WeightProgram:
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
         linear = self.linear * units
-        scale = normalised(linear)
+        scale = form_sizes(linear)
         rows, bounds, bands = self._rows_with_bands(scale, nu)
         none = np.zeros((bands, *linear.shape[1:]))
         program = AngleProgram(

@@ -68,7 +68,7 @@ class LargestCertifiableRate:
 
     def largest_rate(self, model: Any) -> float:
         """Largest rate of a certified state feedback for one model; zero where there is none."""
-        return max(0.0, fastest(model.system, certified_balls(model).input))
+        return max(0.0, largest_rate_of(model.system, certified_balls(model).input))
 
     def _within(self, model: Any) -> float:
         """Difference in fit that counts as equal, in percentage points, by kind of model."""
@@ -77,7 +77,7 @@ class LargestCertifiableRate:
         return self.within_percent
 
 
-def fastest(system: System, ball: JacobianBall) -> float:
+def largest_rate_of(system: System, ball: JacobianBall) -> float:
     """Largest rate of any state feedback: exact for a linear recurrence, by bisection with
     neurons."""
     if isinstance(system, StateSpace):

@@ -23,7 +23,7 @@ from ssm_study.certificates.semidefinite import solved
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
 from ssm_study.synthesis.objectives import goal_and_constraints
-from ssm_study.synthesis.structured_riccati import logs_of, without_ball
+from ssm_study.synthesis.structured_riccati import logs_of, multiplier_without_ball
 
 Rows = Float[np.ndarray, "_ _"]
 
@@ -109,7 +109,7 @@ class StructuredLmi:
         if fixed is None and neurons.injects:
             k_w = (of.n.value / weights[:, None]).T
         has_ball = self.problem.ball.beta > 0
-        sigma = float(of.sigma.value) if has_ball else without_ball(self.problem, p, k)
+        sigma = float(of.sigma.value) if has_ball else multiplier_without_ball(self.problem, p, k)
         scaled = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
         solution = scaled.of_neurons(neurons)
         return solution if fixed is None else replace(solution, k_w=fixed.k_w)
@@ -127,7 +127,7 @@ class StructuredLmi:
         """Matrices that prove the problem's rate for this gain; raises `NoSolution` without any."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
-        if not holds(self.problem, solution):
+        if not is_confirmed(self.problem, solution):
             raise NoSolution(f"not certified for all slopes at rate {self.problem.rate:.6g}")
         return solution
 
@@ -138,7 +138,7 @@ def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
     return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
 
 
-def holds(problem: Problem, solution: Solution) -> bool:
+def is_confirmed(problem: Problem, solution: Solution) -> bool:
     """Whether exact arithmetic confirms the theorem for this solution."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.of_neurons.observes:
@@ -149,10 +149,12 @@ def holds(problem: Problem, solution: Solution) -> bool:
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
     """Largest rate over all gains (or for `fixed` ones) that the solver finds; 0 if there is
     none."""
-    return fastest(problem, fixed)[0]
+    return fastest_solution(problem, fixed)[0]
 
 
-def fastest(problem: Problem, fixed: Solution | None = None) -> tuple[float, Solution | None]:
+def fastest_solution(
+    problem: Problem, fixed: Solution | None = None
+) -> tuple[float, Solution | None]:
     """Largest rate by bisection on the exact verdict, and its matrices, from which a search may
     start."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
@@ -174,7 +176,7 @@ def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) 
     """Matrices that prove a rate; None where the solver returns none that do."""
     try:
         solution = program.solve(rate)
-        return solution if holds(problem.at(rate), solution) else None
+        return solution if is_confirmed(problem.at(rate), solution) else None
     except NoSolution:
         return None
 

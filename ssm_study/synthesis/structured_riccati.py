@@ -99,7 +99,7 @@ class Saddle(NamedTuple):
     toward: Matrix
 
 
-def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
+def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
     """Saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where
     they are inadmissible.
 
@@ -114,10 +114,10 @@ def evaluate(game: Game, logs: Vector, barrier: float) -> Saddle:
         return Saddle(np.inf, np.empty(0), none, none, none)
 
 
-def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
+def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
     """Best log multipliers that BFGS finds from admissible `logs`; a step to an inadmissible point
     is shortened."""
-    at = evaluate(game, logs, barrier)
+    at = evaluate_saddle(game, logs, barrier)
     metric = np.eye(len(logs))
     left = evaluations
     gained = np.inf
@@ -128,7 +128,7 @@ def descend(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vecto
         lower = False
         while left > 0 and not lower and np.abs(step).max() > 1e-6:
             left -= 1
-            there = evaluate(game, logs + step, barrier)
+            there = evaluate_saddle(game, logs + step, barrier)
             lower = bool(there.goal < at.goal + 1e-4 * (step @ at.gradient))  # Armijo's condition
             step = step if lower else step / 3
         if not lower:
@@ -159,16 +159,18 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     game = Game(problem=problem, r=problem.contraction)
     known = None if near is None else near.logs
     for logs in () if known is None else known + ROOM[:, None]:
-        if np.isfinite(evaluate(game, logs, 0.0).goal):
-            return solution(game, cheapest(game, logs))
+        if np.isfinite(evaluate_saddle(game, logs, 0.0).goal):
+            return theorem_matrices(game, least_cost_multipliers(game, logs))
     for effort in TRIES:
-        logs, reached = searched(game, *effort)
+        logs, reached = continue_to_rate(game, *effort)
         if reached <= game.r:
-            return solution(game, logs)
+            return theorem_matrices(game, logs)
     raise NoSolution(f"multipliers found down to a factor {reached:.4f} a sample")
 
 
-def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tuple[Vector, float]:
+def continue_to_rate(
+    game: Game, centred: float, per_rate: int, shortest: float
+) -> tuple[Vector, float]:
     """Log multipliers found by continuation from a slow rate to the requested one, re-centred on
     the way, and the factor at which they hold."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
@@ -183,25 +185,25 @@ def searched(game: Game, centred: float, per_rate: int, shortest: float) -> tupl
         )
     slow = game
     share = 1.0
-    while np.isinf(evaluate(slow, logs, 0.0).goal):
+    while np.isinf(evaluate_saddle(slow, logs, 0.0).goal):
         slow = replace(slow, r=slow.r * SLOWER)
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
-        logs = descend(slow, logs, centred, per_rate)
-        while np.isinf(evaluate(_between(game, slow, share), logs, 0.0).goal):
+        logs = minimise_goal(slow, logs, centred, per_rate)
+        while np.isinf(evaluate_saddle(_game_between(game, slow, share), logs, 0.0).goal):
             share /= 2
             if share < shortest:
                 return logs, slow.r
-        slow = _between(game, slow, share)
+        slow = _game_between(game, slow, share)
         share = min(1.0, 4 * share)
-    return cheapest(game, logs), game.r
+    return least_cost_multipliers(game, logs), game.r
 
 
-def cheapest(game: Game, logs: Vector) -> Vector:
+def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
     """Admissible multipliers of least cost that a search finds from these."""
     for barrier, evaluations in LAST:
-        logs = descend(game, logs, barrier, evaluations)
+        logs = minimise_goal(game, logs, barrier, evaluations)
     return logs
 
 
@@ -217,14 +219,14 @@ def logs_of(problem: Problem, found: Solution) -> Vector:
     return np.log(np.append(weights, bound))
 
 
-def _between(game: Game, slow: Game, share: float) -> Game:
+def _game_between(game: Game, slow: Game, share: float) -> Game:
     """Game at a factor between those of two games."""
     return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
-def solution(game: Game, logs: Vector) -> Solution:
+def theorem_matrices(game: Game, logs: Vector) -> Solution:
     """Matrices of the theorem at these multipliers; raises `NoSolution` where they do not hold."""
-    saddle = evaluate(game, logs, 0.0)
+    saddle = evaluate_saddle(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons
     if np.isinf(saddle.goal):
@@ -247,7 +249,7 @@ def solution(game: Game, logs: Vector) -> Solution:
     p = symmetric(np.linalg.inv(x))
     weights = np.exp(logs[:q])
     beta = problem.ball.beta
-    sigma = float(np.exp(-logs[-1])) if beta > 0 else without_ball(problem, p, k)
+    sigma = float(np.exp(-logs[-1])) if beta > 0 else multiplier_without_ball(problem, p, k)
     if neurons.observes:
         # From the state feedback of transposed data: the congruence that exchanges rows 1 and 4
         # divides one by r and multiplies the other, and the neurons' row, by it. So `Lambda = r^2
@@ -261,7 +263,7 @@ def solution(game: Game, logs: Vector) -> Solution:
     return found.of_neurons(problem.of_neurons)
 
 
-def without_ball(
+def multiplier_without_ball(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
     """Multiplier sigma for a ball without radius (of an observer eta): so large (so small) that it

@@ -10,7 +10,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.model_selection import LargestCertifiableRate, fastest
+from ssm_study.synthesis.model_selection import LargestCertifiableRate, largest_rate_of
 from ssm_study.systems import JacobianBall, StructuredSystem
 from tests.structured_cases import drawn, model
 
@@ -69,9 +69,9 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     """Bisection on the inequality with neurons, and the frontier in closed form."""
     idle = drawn(seed=3, size=1e-6)
     assert isinstance(idle, StructuredSystem)
-    exact = fastest(idle.at_slopes(np.zeros(idle.neurons)), BALL)
-    assert fastest(idle, BALL) == pytest.approx(exact, abs=2e-3)
-    assert fastest(idle, BALL) <= exact
+    exact = largest_rate_of(idle.at_slopes(np.zeros(idle.neurons)), BALL)
+    assert largest_rate_of(idle, BALL) == pytest.approx(exact, abs=2e-3)
+    assert largest_rate_of(idle, BALL) <= exact
 
 
 def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
@@ -80,7 +80,7 @@ def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
     best = trained(slow, 98.0)
     first = trained(fast, 97.8)
     second = trained(fast, 97.9)
-    limits = [fastest(one.system, certified_balls(one).input) for one in (slow, fast)]
+    limits = [largest_rate_of(one.system, certified_balls(one).input) for one in (slow, fast)]
     assert limits[0] < limits[1]
     found = [best, first, second]
     assert LargestCertifiableRate(rate_enough=0.5 * sum(limits))(found) is second

@@ -16,7 +16,7 @@ from ssm_study.certificates.theorems.measured_discs_structured import Structured
 from ssm_study.robustness.coverage import Weights
 from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_search import fixed_optimum, largest_kappa
+from ssm_study.synthesis.measured_discs_search import largest_kappa, optimum_for_weights
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
 
 ONE = np.ones((1, 1))
@@ -56,7 +56,7 @@ def test_an_input_disc_around_zero_is_the_tolerance_to_seven_digits(seed: int) -
     """The same theorem by a route of its own: a peak over frequencies, a line search over the
     multiplier; here both to more digits than the certificate asks for."""
     known = context(one_layer(seed))
-    nu, _ = fixed_optimum(MeasuredDiscs, known, INPUT_ALONE, 0.0)
+    nu, _ = optimum_for_weights(MeasuredDiscs, known, INPUT_ALONE, 0.0)
     older = tolerance.largest_tolerance(known, ONE)
     assert older is not None
     loop, into_u = tolerance.Tolerance.matrices(older)
@@ -100,7 +100,7 @@ def test_a_solver_agrees_where_the_largest_kappa_lies(balls: Balls, centre: floa
     """CVXPY looks for P and multipliers at once; the route of the search knows no P."""
     known = context(one_layer(2, order=2), balls)
     weights = Weights(floor=0.6, output=0.3 * ONE, input=0.4 * ONE)
-    nu, _ = fixed_optimum(MeasuredDiscs, known, weights, centre)
+    nu, _ = optimum_for_weights(MeasuredDiscs, known, weights, centre)
     assert solvable(known, weights, centre, 0.98 * np.sqrt(nu))
     assert not solvable(known, weights, centre, 1.02 * np.sqrt(nu))
 
@@ -295,8 +295,8 @@ def test_neurons_without_effect_leave_the_disc_of_one_layer() -> None:
         balls=BALLS,
         gains={**known.gains, "l_z": np.zeros((q, 1))},
     )
-    one, _ = fixed_optimum(MeasuredDiscs, known, WEIGHTS, -0.25)
-    other, _ = fixed_optimum(StructuredMeasuredDiscs, wider, WEIGHTS, -0.25)
+    one, _ = optimum_for_weights(MeasuredDiscs, known, WEIGHTS, -0.25)
+    other, _ = optimum_for_weights(StructuredMeasuredDiscs, wider, WEIGHTS, -0.25)
     assert other == pytest.approx(one, rel=1e-5)
 
 

@@ -23,15 +23,20 @@ from ssm_study.certificates.problem import NoSolution, dual
 from ssm_study.certificates.theorems.integral_action import augmented
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.synthesis.structured_lmi import StructuredLmi, fastest, holds, largest_rate
+from ssm_study.synthesis.structured_lmi import (
+    StructuredLmi,
+    fastest_solution,
+    is_confirmed,
+    largest_rate,
+)
 from ssm_study.synthesis.structured_riccati import (
     TRIES,
     Game,
-    descend,
-    evaluate,
+    continue_to_rate,
+    evaluate_saddle,
     least_cost,
     logs_of,
-    searched,
+    minimise_goal,
 )
 from ssm_study.systems import JacobianBall, StructuredSystem
 
@@ -66,7 +71,7 @@ def test_no_sampled_slope_contracts_slower_than_certified(
         found = least_cost(problem)
     except NoSolution:
         return
-    assert holds(problem, found)
+    assert is_confirmed(problem, found)
     assert sampled(system, side, ball, found) <= problem.contraction * (1 + 1e-9)
 
 
@@ -85,8 +90,8 @@ def test_the_largest_rate_holds_and_no_more(side: str, ball: JacobianBall, h: fl
     assert rate <= limit
     assert sampled(system, side, ball, found) <= problem.contraction
     faster = asked(system, side, ball, 1 - (0.8 * problem.contraction) ** 2)
-    assert holds(problem, found)
-    assert not holds(faster, found)
+    assert is_confirmed(problem, found)
+    assert not is_confirmed(faster, found)
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -120,23 +125,26 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
 def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier: float) -> None:
     problem = asked(drawn(2, m=2), side, ball, 0.1)
     game = Game(problem=problem, r=problem.contraction)
-    logs, reached = searched(game, *TRIES[0])
+    logs, reached = continue_to_rate(game, *TRIES[0])
     assert reached == game.r
     logs = logs + 0.1
     step = 1e-5 * np.eye(len(logs))
     ends = [
-        (evaluate(game, logs + d, barrier).goal, evaluate(game, logs - d, barrier).goal)
+        (
+            evaluate_saddle(game, logs + d, barrier).goal,
+            evaluate_saddle(game, logs - d, barrier).goal,
+        )
         for d in step
     ]
     np.testing.assert_allclose(
-        evaluate(game, logs, barrier).gradient,
+        evaluate_saddle(game, logs, barrier).gradient,
         [(up - down) / 2e-5 for up, down in ends],
         rtol=1e-4,
         atol=1e-7,
     )
     assert (
-        evaluate(game, descend(game, logs, barrier, 20), barrier).goal
-        <= evaluate(game, logs, barrier).goal
+        evaluate_saddle(game, minimise_goal(game, logs, barrier, 20), barrier).goal
+        <= evaluate_saddle(game, logs, barrier).goal
     )
 
 
@@ -147,19 +155,19 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     """From the solver's matrices at the largest rate, and from the solution with larger weights;
     none of a slow one."""
     system = drawn(5)
-    rate, best = fastest(asked(system, side, ball, 0.5))
+    rate, best = fastest_solution(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.6 * rate)
     dear = replace(problem, input_weight=10.0)
     cold = least_cost(problem)
     first = least_cost(dear, near=best)
     np.testing.assert_allclose(logs_of(problem, cold), cold.logs, atol=1e-9)
     for found in (least_cost(problem, near=best), least_cost(problem, near=first)):
-        assert holds(problem, found)
+        assert is_confirmed(problem, found)
         assert np.trace(np.linalg.inv(found.p)) == pytest.approx(
             np.trace(np.linalg.inv(cold.p)), rel=0.02
         )
     near_the_limit = asked(system, side, ball, 0.95 * rate)
-    assert holds(near_the_limit, least_cost(near_the_limit, near=best))
+    assert is_confirmed(near_the_limit, least_cost(near_the_limit, near=best))
 
 
 def test_a_negative_multiplier_certifies_nothing() -> None:
@@ -204,7 +212,7 @@ def test_integrators_are_states_like_others() -> None:
     system = augmented(drawn(9, h=0.1), np.eye(1), np.eye(1))
     problem = asked(system, "state_feedback", WIDE, 0.02)
     found = least_cost(problem)
-    assert holds(problem, found)
+    assert is_confirmed(problem, found)
     assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
     alone = [linear.a for linear in map(system.at_slopes, system.corners())]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)
