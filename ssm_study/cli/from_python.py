@@ -10,8 +10,8 @@ import pandas as pd
 from omegaconf import DictConfig
 
 from ssm_study.cli import run as command
-from ssm_study.cli.hydra_errors import advised
-from ssm_study.cli.request import quoted
+from ssm_study.cli.hydra_errors import with_suggestion
+from ssm_study.cli.request import quote_sines
 from ssm_study.engine.records import FAILED
 from ssm_study.refusal import require
 from ssm_study.study import line
@@ -38,9 +38,9 @@ def composed(overrides: Sequence[str]) -> DictConfig:
     GlobalHydra.instance().clear()  # the caller may be a Hydra program itself
     try:
         with initialize_config_dir(str(folder.absolute()), version_base="1.3"):
-            return compose("study", overrides=quoted(overrides))
+            return compose("study", overrides=quote_sines(overrides))
     except (HydraException, OmegaConfBaseException) as error:
-        raise advised(error, list(overrides), folder) from error
+        raise with_suggestion(error, list(overrides), folder) from error
     finally:
         GlobalHydra.instance().hydra = callers_hydra
 

@@ -16,7 +16,7 @@ ASK = "see `ssm-study run --help`"
 UNKNOWN_CHOICE = re.compile(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)")
 
 
-def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
+def with_suggestion(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
     """Error with a plain message and a suggestion, made from Hydra's error for these overrides."""
     message = one_sentence(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
@@ -26,7 +26,7 @@ def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequ
         group = match[1]
         name = match[2]
         problem = f"there is no {group}/{name}"
-        remedy = nearest_choice(group, name, match[3].split())
+        remedy = suggest_choice(group, name, match[3].split())
     elif match := re.search(r"Ambiguous value for argument '(.+?)'", message):
         problem = f"{match[1]} are several values for one run"
         remedy = "add -m to sweep over them"
@@ -35,23 +35,27 @@ def advised(error: BaseException, overrides: list[str], folder: Path) -> BadRequ
         remedy = ASK
     elif match := re.search(r"Could not override '([^']+)'", message):
         key = match[1]
-        at = places(key, message, folder)
+        at = placed_groups(key, message, folder)
         problem = f"{key} is named with its place" if at else message
-        remedy = at_place(key, at, overrides) if at else meant(key, overrides, folder) or ASK
+        remedy = (
+            suggest_with_place(key, at, overrides)
+            if at
+            else suggest_for_key(key, overrides, folder) or ASK
+        )
     else:
         problem = message
         remedy = ASK
     return BadRequest("request", " ".join(overrides) or "(no override)", problem, remedy)
 
 
-def nearest_choice(group: str, name: str, choices: list[str]) -> str:
+def suggest_choice(group: str, name: str, choices: list[str]) -> str:
     """Suggestion for a name that is no choice of its group: the nearest choice, else all of
     them."""
     near = get_close_matches(name, choices, n=1)
     return f"did you mean {group}={near[0]}?" if near else f"choose among {', '.join(choices)}"
 
 
-def at_place(key: str, at: list[str], overrides: list[str]) -> str:
+def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
     """Suggestion for a group that is named with its place, with the requested value."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
@@ -97,7 +101,7 @@ def refuse_misspelt_option(word: str) -> None:
         raise BadRequest("request", word, "there is no such option", remedy)
 
 
-def meant(key: str, overrides: list[str], folder: Path) -> str:
+def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     """Suggestion for a key that does not exist: the choice that has it, else the nearest key or
     group, else an empty text."""
     if owners := choices_with(key, folder):
@@ -136,7 +140,7 @@ def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> Dic
             return compose("study")
 
 
-def places(group: str, message: str, folder: Path) -> list[str]:
+def placed_groups(group: str, message: str, folder: Path) -> list[str]:
     """Names of a group with its place, `reference` -> `[reference@loop.reference]`, from Hydra's
     message or from where the configuration adds it."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):

@@ -50,10 +50,10 @@ def translate(arguments: list[str]) -> list[str]:
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.lstrip("+~").startswith(LAUNCHER)]
     words = [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
-    return ["--multirun"] * many + quoted(present_overrides(words))
+    return ["--multirun"] * many + quote_sines(present_overrides(words))
 
 
-def quoted(words: Iterable[str]) -> list[str]:
+def quote_sines(words: Iterable[str]) -> list[str]:
     """Put quotes around a sine in `internal_model=[sine(0.5Hz)]`, which Hydra would read as a
     function."""
     return [SINE.sub(r"'\1'", word) if "internal_model=" in word else word for word in words]
@@ -107,7 +107,7 @@ def refuse_empty(request: Command) -> None:
 
 
 @contextmanager
-def checked(request: Command) -> Iterator[None]:
+def checking_request(request: Command) -> Iterator[None]:
     """Context that raises `BadRequest` before Hydra makes anything, and shows progress for
     launchers that report none.
 

@@ -18,8 +18,8 @@ from omegaconf.errors import OmegaConfBaseException
 from ssm_study import THREADS, limit_threads
 from ssm_study.cli.browser import open_page
 from ssm_study.cli.exit_status import DONE, SOME_FAILED, full_or_forbidden
-from ssm_study.cli.hydra_errors import advised, refuse_dashes
-from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checked, translate
+from ssm_study.cli.hydra_errors import refuse_dashes, with_suggestion
+from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checking_request, translate
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, clear_hydra_state
 from ssm_study.refusal import BadRequest, require
@@ -40,7 +40,7 @@ def refuse_more_threads_than_cores() -> None:
         require(fits, variable, count, problem, f"set it to a number from 1 to {cores}")
 
 
-def _warned(
+def _warning_text(
     message: Warning | str,
     category: type[Warning],
     filename: str,
@@ -62,7 +62,7 @@ def configuration_folder() -> Path:
 def run(overrides: list[str]) -> int:
     """Run one study, or with `-m` a Hydra multirun; refuses a wrong request. Options and `--help`
     are Hydra's."""
-    warnings.formatwarning = _warned
+    warnings.formatwarning = _warning_text
     refuse_more_threads_than_cores()
     refuse_dashes(overrides, configuration_folder())
     opens = OPEN in overrides
@@ -73,9 +73,9 @@ def run(overrides: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = ["ssm-study run", *overrides]
     try:
-        return answer(overrides, opens)
+        return answer_request(overrides, opens)
     except (HydraException, OmegaConfBaseException) as error:
-        raise advised(error, overrides, configuration_folder()) from error
+        raise with_suggestion(error, overrides, configuration_folder()) from error
     except ValueError as error:
         explanation = explain_value(error, overrides)
         if explanation is None:
@@ -89,7 +89,7 @@ def run(overrides: list[str]) -> int:
         clear_hydra_state()
 
 
-def answer(overrides: list[str], opens: bool) -> int:
+def answer_request(overrides: list[str], opens: bool) -> int:
     """Print the help, let Hydra answer, or do what is requested; returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
@@ -99,14 +99,14 @@ def answer(overrides: list[str], opens: bool) -> int:
         hydra_main = hydra.main(version_base="1.3", config_path=str(folder), config_name="study")
         hydra_main(lambda _: None)()
         return DONE
-    say("reading the request")
+    print_progress("reading the request")
     request = check_request(overrides, folder, "study")
-    with checked(request):
-        say("loading the libraries")
-        request.execute(_job())
+    with checking_request(request):
+        print_progress("loading the libraries")
+        request.execute(_task_function())
     if request.config.dry_run:
         return DONE
-    failed = concluded(request)
+    failed = conclude_study(request)
     if opens:
         show_page(request)
     return SOME_FAILED if failed else DONE
@@ -120,11 +120,11 @@ def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
         problem = "holds a number of thousands of digits"
         return BadRequest("request", " ".join(overrides), problem, "write it shorter")
     if "Config group override" in message:
-        return advised(error, overrides, configuration_folder())
+        return with_suggestion(error, overrides, configuration_folder())
     return None
 
 
-def say(what: str) -> None:
+def print_progress(what: str) -> None:
     """Print a line of progress, on a terminal only."""
     if sys.stderr.isatty():
         print(f"ssm-study: {what} ...", file=sys.stderr, flush=True)
@@ -140,12 +140,12 @@ def show_page(request: Command) -> None:
     open_page(page)
 
 
-def concluded(request: Command) -> bool:
+def conclude_study(request: Command) -> bool:
     """Gather and print the study after its runs, and draw a single run; True if a run failed."""
     return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 
-def _job() -> Callable[[DictConfig], Any]:
+def _task_function() -> Callable[[DictConfig], Any]:
     """Task function that Hydra calls for a run."""
     # It would look at five thousand modules again and again, and once more at the end: 3 s.
     gc.disable()

@@ -36,7 +36,7 @@ def conclude_run(config: DictConfig) -> bool:
     # second to import.
     told = study / ".told" / f"{config.run}.json"
     about = [__version__, str(Path.cwd()), str(study), width]
-    known = _told(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
+    known = _read_stored_list(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
     if known[:-1] != about or record.get("status") != OK:
         known = [*about, _outcome(study, record, drawn, figures, width)]
         with suppress(OSError, BadRequest):  # a study that may only be read
@@ -50,7 +50,7 @@ def conclude_run(config: DictConfig) -> bool:
     )
 
 
-def _told(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
+def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
     """Stored list in the file, if it is newer than all records, starts and ends of runs and all
     `files`; else an empty list.
 

@@ -34,11 +34,23 @@ from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
 from ssm_study.study.design_claims import certificate
-from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
-from ssm_study.study.line import STUDY, further
-from ssm_study.study.loop_recordings import NOISE_FREE, closed_on, of_rollouts, read_experiment
+from ssm_study.study.findings import (
+    Checked,
+    Claims,
+    Derived,
+    NotChecked,
+    check_agreement,
+    check_entries,
+)
+from ssm_study.study.line import STUDY, undeclared_settings
+from ssm_study.study.loop_recordings import (
+    NOISE_FREE,
+    loop_signal_pairs,
+    loop_subject,
+    read_experiment,
+)
 from ssm_study.study.recording_labels import mislabelled
-from ssm_study.study.recordings import TRIALS, of_records
+from ssm_study.study.recordings import TRIALS, record_signal_pairs
 from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
@@ -124,7 +136,9 @@ def requested(run: RunFiles) -> Claims:
     configuration = plain_settings(run.config)
     specification = replace(run.specification, configuration=configuration)
     further_settings = [setting_of(column) for column in run.record if FURTHER.covers(column)]
-    settings = STUDY.parameters(specification) | further(configuration, further_settings)
+    settings = STUDY.parameters(specification) | undeclared_settings(
+        configuration, further_settings
+    )
     # The record holds the rates of the design, which the theorem may have chosen itself.
     rates = ("rate_controller", "rate_observer") if run.claims_certificate else ()
     yield Derived({name: value for name, value in settings.items() if name not in rates})
@@ -182,15 +196,17 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
-        pairs = of_records(stored.records, getattr(records, split))
+        pairs = record_signal_pairs(stored.records, getattr(records, split))
         pairs["start_up_samples"] = stored.start_up_samples, records.start_up_samples
-        yield agreement(f"{split}.mcap records", pairs, ITERATED, "the configuration gives them")
+        yield check_agreement(
+            f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
+        )
         yield from start_states(run, records, split)
     yield Derived(start_facts(run.model, records, run.simulated.test))
     yield Derived(member_facts(read_members(run.path), records))
     if records.mismatch_records or run.trials:
-        pairs = of_records(run.trials, records.mismatch_records)
-        yield agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
+        pairs = record_signal_pairs(run.trials, records.mismatch_records)
+        yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
         judged = evidence_facts(run.judgement)
         stated = evidence_facts(read_judgement(run.path))
@@ -201,7 +217,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         scores_again = data_metrics.benchmark_rmse(records, run.simulated.test.simulated)
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
     excitation = excitation_pairs(run, records)
-    yield agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
+    yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
     for file, wrong in mislabelled(run, records):
         found = "times, names, units and words are the run's"
         if wrong:
@@ -241,7 +257,9 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
     starts = choose_piece_starts(run.model, records)
     if is_from_past:
         pairs = numbered_pairs(stored, getattr(starts, split))
-        yield agreement(f"{split}.mcap start_states", pairs, ITERATED, "the log's past gives it")
+        yield check_agreement(
+            f"{split}.mcap start_states", pairs, ITERATED, "the log's past gives it"
+        )
     if starts.choice is None:
         return
     is_past_chosen = any(state is not None for state in starts.chosen(split))
@@ -256,9 +274,11 @@ def model(run: RunFiles) -> Claims:
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
-        yield agreement("model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records")
+        yield check_agreement(
+            "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
+        )
         yield NotChecked(unreached_numbers(run))
-    yield entries(run, "model.json", run.model)
+    yield check_entries(run, "model.json", run.model)
 
 
 def fits(run: RunFiles) -> Claims:
@@ -270,7 +290,9 @@ def fits(run: RunFiles) -> Claims:
         start_up = stored.start_up_samples
         replay = Simulation.of(run.model, stored.records, start_up, stored.starts)
         pairs = numbered_pairs(stored.simulated, replay.simulated)
-        yield agreement(f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it")
+        yield check_agreement(
+            f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it"
+        )
         replayed[split] = replay
     yield Derived(fit_facts(replayed["validation"], replayed["test"]))
 
@@ -301,7 +323,9 @@ def loop(run: RunFiles) -> Claims:
     yield Derived({"loop_on": loop_on} | behaviour(measured) | certified(stored, run.design))
     for name, pair in pairs.items():
         if pair != (None, None):
-            yield agreement(name, of_rollouts(*pair), ITERATED, "stored model and gains give it")
+            yield check_agreement(
+                name, loop_signal_pairs(*pair), ITERATED, "stored model and gains give it"
+            )
 
 
 def textbook_pi(run: RunFiles) -> Claims:
@@ -335,19 +359,19 @@ def loop_signals(
     error = replay_error(controller, stored.controlled, run.loop.limits)
     found = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)
-    holds = loop_on == closed_on(run.specification.plant)
+    holds = loop_on == loop_subject(run.specification.plant)
     found = f"recorded on the {loop_on}"
     yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=found)
 
 
 def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
     """Check that the configured plant with the certified gains reproduces the recorded loops."""
-    pairs = of_rollouts(stored.controlled, again.controlled)
+    pairs = loop_signal_pairs(stored.controlled, again.controlled)
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(again, name)
     pairs["uncontrolled"] = stored.uncontrolled.y, again.uncontrolled.y
     source = "the configured plant with the certified gains gives it"
-    return agreement("closed_loop.mcap", pairs, ITERATED, source)
+    return check_agreement("closed_loop.mcap", pairs, ITERATED, source)
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (

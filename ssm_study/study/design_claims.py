@@ -26,7 +26,14 @@ from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import input_limits
-from ssm_study.study.findings import Checked, Claims, Derived, NotChecked, agreement, entries
+from ssm_study.study.findings import (
+    Checked,
+    Claims,
+    Derived,
+    NotChecked,
+    check_agreement,
+    check_entries,
+)
 from ssm_study.study.run_files import RunFiles
 from ssm_study.synthesis.deployed import starts_at_rest
 from ssm_study.synthesis.design import failed_checks
@@ -44,7 +51,7 @@ def certificate(run: RunFiles) -> Claims:
     design = run.design
     balls = certified_balls(run.model)
     sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
-    yield entries(run, "certificate.json", design)
+    yield check_entries(run, "certificate.json", design)
     misfits = [sentence for sentence in sentences if sentence.endswith(UNFIT)]
     if misfits:
         yield Checked(claim="certificate.json", holds=False, found="; ".join(misfits))
@@ -71,7 +78,7 @@ def verdict_on_part(
     """Check that exact arithmetic confirms one part of the certificate, found by the requested
     method."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
-    wrong += information(part)
+    wrong += information_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
         wrong.append(f"method {part.method}: another one was requested")
     reason = part.reason if isinstance(part, Infeasible) else part.solver_status
@@ -91,7 +98,7 @@ def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
     requested = internal_model(words, run.model.step_s, run.model.scale.outputs)
     pairs = {"modes": (feedback.a[order:, order:], requested)}
     source = f"{', '.join(words)} was requested"
-    yield agreement("certificate internal model", pairs, ONE_FORMULA, source)
+    yield check_agreement("certificate internal model", pairs, ONE_FORMULA, source)
 
 
 def limits_claim(run: RunFiles) -> Iterator[Checked]:
@@ -105,7 +112,7 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
             pairs[label] = (part.limits, limits)
     if pairs:
         source = "given, or the records' range"
-        yield agreement("certificate limits", pairs, ONE_FORMULA, source)
+        yield check_agreement("certificate limits", pairs, ONE_FORMULA, source)
 
 
 def starts_claim(run: RunFiles) -> Iterator[Checked]:
@@ -124,7 +131,7 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
         found = "the outputs at rest do not tell the states of this model"
         return Checked(claim=claim, holds=False, found=found)
     source = "states at rest at the corners of a box of outputs"
-    comparison = agreement(claim, {"starts": (part.starts, starts)}, ITERATED, source)
+    comparison = check_agreement(claim, {"starts": (part.starts, starts)}, ITERATED, source)
     derived_variables = part.variables | {"starts": starts}
     if comparison.holds and not part.holds(**derived_variables):
         problem = "beyond the level set where they are at rest"
@@ -203,7 +210,7 @@ def requested_system(run: RunFiles) -> System:
     return augmented(run.model.system, output_gain(run.model), modes)
 
 
-def information(part: Theorem | Infeasible) -> list[str]:
+def information_errors(part: Theorem | Infeasible) -> list[str]:
     """Relative errors of the stored numbers that decide nothing (margin and condition number),
     derived again."""
     if isinstance(part, Infeasible):

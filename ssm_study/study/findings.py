@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ssm_study.study.recordings import distance
-from ssm_study.study.run_files import RunFiles, unknown
+from ssm_study.study.recordings import relative_distance
+from ssm_study.study.run_files import RunFiles, unknown_entries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class NotChecked:
 Claims = Iterator[Checked | Derived | NotChecked]
 
 
-def agreement(
+def check_agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
     """Finding on whether each stored value equals the one made again, to `tolerance` of its largest
@@ -47,7 +47,7 @@ def agreement(
 
     `source` says in words what gives the value.
     """
-    distances = {name: distance(*pair) for name, pair in pairs.items()}
+    distances = {name: relative_distance(*pair) for name, pair in pairs.items()}
     worst = max(distances, key=lambda name: distances[name])
     largest = distances[worst]
     # So written that NaN is wrong.
@@ -58,8 +58,8 @@ def agreement(
     return Checked(claim=claim, holds=not wrong, found=found)
 
 
-def entries(run: RunFiles, file: str, read: Any) -> Checked:
+def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Finding on whether a file contains only entries that its reader uses."""
-    extra = unknown(run.stored(file), read.to_json())
+    extra = unknown_entries(run.stored(file), read.to_json())
     found = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=found)

@@ -234,7 +234,9 @@ class Study(Task["Specification"]):
         }
 
     def asked(self, request: "Specification", overrides: Sequence[str]) -> Facts:
-        return further(request.configuration, {word.partition("=")[0] for word in overrides})
+        return undeclared_settings(
+            request.configuration, {word.partition("=")[0] for word in overrides}
+        )
 
     def preload(self, again: Set[str]) -> None:
         from ssm_study.study.preload import preload
@@ -264,7 +266,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
     require(has_runs or config.retry_failed is not True, "retry_failed", True, problem, remedy)
 
 
-def further(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
+def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
     """Columns for numbers of the configuration that have no declared column: `plant__step_s` for
     `plant.step_s`.
 

@@ -13,7 +13,7 @@ from ssm_study.loop.rollout import STAYED, Rollouts
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
-from ssm_study.study.recordings import RecordedCases, groups
+from ssm_study.study.recordings import RecordedCases, signal_groups
 
 ON_PLANT = "closed_loop.mcap"
 ON_MODEL = "closed_loop_model.mcap"
@@ -48,7 +48,7 @@ def write_rollouts(
             signals[topic] = (channels.get(field, plant.outputs), values)
         if alone is not None:
             signals["uncontrolled"] = (plant.outputs, alone.y[case])
-        written += groups(f"/case_{case}", run.time_s, signals)
+        written += signal_groups(f"/case_{case}", run.time_s, signals)
     facts = {
         "step_s": repr(run.step_s),
         "settling_band": repr(plant.settling_band),
@@ -81,7 +81,7 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
     return run, recording
 
 
-def closed_on(plant: Plant | None) -> str:
+def loop_subject(plant: Plant | None) -> str:
     """Text in a recording that says what the loop was closed on: a plant, or the identified
     model."""
     if plant is None:
@@ -129,7 +129,7 @@ def _read_if_there(path: Path) -> Rollouts | None:
     return read_rollouts(path)[0] if path.is_file() else None
 
 
-def of_rollouts(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
+def loop_signal_pairs(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
     """Signals of stored closed loops, each with those made again, by name.
 
     Those that left their bound count up to there.

@@ -129,7 +129,9 @@ def _case_number(prefix: str) -> int:
     return int(number[0]) if number else 0
 
 
-def groups(prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals) -> list[SignalGroup]:
+def signal_groups(
+    prefix: str, time_s: Float[np.ndarray, "T"], signals: Signals
+) -> list[SignalGroup]:
     """Groups of signals with the same times, each under a topic of its own, as the writer of
     recordings takes them."""
     made = []
@@ -162,7 +164,7 @@ def write_records(
             signals["measured"] = (data.outputs, record.y)
         if simulated:
             signals["simulated"] = (data.outputs, simulated[i])
-        written += groups(f"/record_{i}", record.time_s, signals)
+        written += signal_groups(f"/record_{i}", record.time_s, signals)
     facts = data.metadata | about | {"step_s": repr(data.step_s)}
     write_mcap(path, tuple(written), facts)
 
@@ -218,7 +220,7 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
     return tuple(states)
 
 
-def of_records(stored: Trajectories, made: Trajectories) -> Pairs:
+def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
     """Signals and sampling times of stored records, each with those made again."""
     pairs: Pairs = {"records": (len(stored), len(made))}
     for i, (before, now) in enumerate(zip(stored, made, strict=False)):
@@ -227,7 +229,7 @@ def of_records(stored: Trajectories, made: Trajectories) -> Pairs:
     return pairs
 
 
-def distance(stored: Any, made: Any) -> float:
+def relative_distance(stored: Any, made: Any) -> float:
     """Relative distance of two arrays, `max |stored - made| / max |made|`.
 
     Infinite for another shape or a missing side; NaN where a number is none, which agrees with

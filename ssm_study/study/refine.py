@@ -22,7 +22,7 @@ from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
-from ssm_study.study.trials import named, of_loops, read_logs
+from ssm_study.study.trials import read_logs, records_of_loops, refined_run_name
 from ssm_study.synthesis.measured_discs_run import coverage_facts
 
 # iterations at most: of the designs that failed on plants whose record hid something, two mended
@@ -135,7 +135,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
     """Measure the mismatch in the trial, given the noise that the run's records show."""
     if log is None:
         closed, _ = read_experiment(files.path)
-        trial = of_loops(closed.controlled)
+        trial = records_of_loops(closed.controlled)
     else:
         data: Any = files.specification.data
         trial = read_logs([str(log)], data, files.model.step_s)
@@ -160,7 +160,7 @@ def _next_configuration(files: RunFiles, log: Path | None) -> DictConfig:
     refine: Any = count + 1 if log is None else [*logs, str(log)]
     study = files.path.parent
     config.update(results_dir=str(study.parent), study=study.name, retry_failed=False)
-    config["run"] = named(STUDY.settings(config), refine)
+    config["run"] = refined_run_name(STUDY.settings(config), refine)
     config["refine"] = refine
     return config
 

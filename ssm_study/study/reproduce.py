@@ -39,10 +39,10 @@ def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str]
         made = [read_record(path.parent) for path in Path(scratch).glob("*/*/record.json")]
         problem = f"made {len(made)} records when run again"
         require(len(made) == 1, "run", run, problem, "report this configuration")
-        return compared(then, made[0] or {})
+        return compare_records(then, made[0] or {})
 
 
-def compared(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
+def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], bool]:
     """Findings on the differences between two records of one configuration.
 
     Returns lines with every column of the line that differs and what was different around them,

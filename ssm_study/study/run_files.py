@@ -27,7 +27,7 @@ from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.study.trials import repeated
+from ssm_study.study.trials import repeat_trials
 
 # share of the summed impulse response that is left when a plant counts as at rest
 LEFT_AT_REST = 0.02
@@ -97,7 +97,7 @@ class RunFiles:
             records = read_data_set(source, spec.seed)
         else:
             records = source.build(spec.plant, spec.excitation, spec.seed)
-        mismatch_records = (*records.mismatch_records, *repeated(spec, self.path))
+        mismatch_records = (*records.mismatch_records, *repeat_trials(spec, self.path))
         return replace(records, mismatch_records=mismatch_records)
 
     @cached_property
@@ -127,7 +127,7 @@ class RunFiles:
 
     def stored(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run; refuses one that repeats a key."""
-        as_object = partial(said_once, name)
+        as_object = partial(object_without_repeats, name)
         content = json.loads(contents(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
         kind = type(content).__name__
@@ -208,7 +208,7 @@ class RunFiles:
         return self.specification.plant is not None or not answers_at_once(self.model)
 
 
-def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def object_without_repeats(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Object from the pairs of a JSON file, in which every key must occur once.
 
     Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
@@ -220,7 +220,7 @@ def said_once(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
+def unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
     """Dotted paths of entries in a stored object that its reader does not write.
 
     Nobody checks them.
@@ -228,12 +228,12 @@ def unknown(stored: Any, written: Any, at: str = "") -> list[str]:
     paths: list[str] = []
     if isinstance(stored, list) and isinstance(written, list):
         for pair in zip(stored, written, strict=False):
-            paths += unknown(*pair, at)
+            paths += unknown_entries(*pair, at)
     elif isinstance(stored, dict):
         for name, value in stored.items():
             path = f"{at}{name}"
             if isinstance(written, dict) and name in written:
-                paths += unknown(value, written[name], f"{path}.")
+                paths += unknown_entries(value, written[name], f"{path}.")
             else:
                 paths.append(path)
     return paths

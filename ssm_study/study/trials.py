@@ -46,7 +46,7 @@ def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | No
     for experiment in tried[1::2]:
         if isinstance(experiment, tuple):
             closed, _ = experiment
-            trials += of_loops(closed.controlled)
+            trials += records_of_loops(closed.controlled)
     _write_with_trials(folder, data, tuple(trials))
 
 
@@ -65,7 +65,7 @@ def _write_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> Non
     write_records(folder / LOOPS, data, trials)
 
 
-def of_loops(run: Rollouts) -> Trajectories:
+def records_of_loops(run: Rollouts) -> Trajectories:
     """Records of closed loops: input and measured output of every case, up to where it left its
     bound.
 
@@ -115,7 +115,7 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
     require(moves, f"{path} (input)", float(record.u[0, 0]), problem, remedy)
 
 
-def repeated(request: "Specification", run: Path) -> Trajectories:
+def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     """Make the trials of a finished run again, from its logs or by simulating the designs that it
     tried."""
     if request.refine is None:
@@ -131,7 +131,7 @@ def repeated(request: "Specification", run: Path) -> Trajectories:
     for content in read_json(run / TRIED):
         design = Design.from_json(content)
         closed = experiment.run(plant, model, design, request.loop_seed)
-        trials += of_loops(closed.controlled)
+        trials += records_of_loops(closed.controlled)
     return tuple(trials)
 
 
@@ -149,10 +149,10 @@ def lineage(settings: Any) -> Facts:
     else:
         count = refine
         before = refine - 1
-    return {"refinements": count, "parent_run": named(settings, before or None)}
+    return {"refinements": count, "parent_run": refined_run_name(settings, before or None)}
 
 
-def named(settings: Any, refine: int | list[str] | None) -> str:
+def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
     """Name of the run of these settings with another value of `refine`; the part before the hash
     stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))

@@ -150,7 +150,7 @@ def verify_files(run: RunFiles) -> Verification:
             unchecked |= result.reasons
     # Also what the record lacks although its files give it.
     for name in dict.fromkeys((*derived, *run.record)):
-        judgement = judge(name, run.record, derived, unchecked)
+        judgement = judge_column(name, run.record, derived, unchecked)
         if isinstance(judgement, Checked):
             findings.append(judgement)
         elif judgement:
@@ -180,7 +180,7 @@ def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
         return SECTIONS
 
 
-def judge(
+def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
     """Finding on one column of the record, or why it is not checked; empty where the record claims
@@ -190,7 +190,7 @@ def judge(
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
         return ADDED
     if name in derived and name not in unchecked:
-        return compared(name, stored, derived[name])
+        return compare_column(name, stored, derived[name])
     if name in WITHDRAWN_COLUMNS:
         return "" if stored is None else WITHDRAWN_COLUMNS[name].sentence
     if stored is None and column:
@@ -202,7 +202,7 @@ def judge(
     return Checked(claim=name, holds=False, found=f"stored {_short(stored)}, yet {problem}")
 
 
-def compared(name: str, stored: Any, value: Any) -> Checked:
+def compare_column(name: str, stored: Any, value: Any) -> Checked:
     """Finding on whether a stored column equals the derived one."""
     column = declared(name) or Column(name, "Float64")
     value = storable_value(

@@ -15,7 +15,7 @@ from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.commands import figures_line, may_overwrite
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
 from ssm_study.cli.request import translate
-from ssm_study.cli.run import say
+from ssm_study.cli.run import print_progress
 from ssm_study.engine.records import write_record
 from ssm_study.engine.runs import Run
 from ssm_study.engine.task import RunStages
@@ -93,7 +93,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
 ) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    say("reading the request")
+    print_progress("reading the request")
     for announces in (True, False):
         root = tmp_path / f"{announces}"
         stages = RunStages(root / ".store", Run(path=root), announces)
@@ -101,7 +101,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
             stages.keyed("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
         assert terminal.getvalue().count("model ...") == 1
     monkeypatch.setattr(sys, "stderr", io.StringIO())
-    say("reading the request")
+    print_progress("reading the request")
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
 

@@ -19,7 +19,7 @@ from ssm_study.engine.store import intact_manifest
 from ssm_study.engine.task import folder_of
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages.files import write_json
-from ssm_study.study.stages.model import with_gaps
+from ssm_study.study.stages.model import with_null_gaps
 
 
 def good(run: Run) -> dict[str, object]:
@@ -285,7 +285,7 @@ def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
         {"epoch": 0.0, "fit_training_percent": -math.inf},
         {"epoch": 1.0, "fit_training_percent": 80.0},
     ]
-    write_json(tmp_path / "curve.json", with_gaps(curve))
+    write_json(tmp_path / "curve.json", with_null_gaps(curve))
     kept = json.loads((tmp_path / "curve.json").read_text())
     assert [row["fit_training_percent"] for row in kept] == [None, 80.0]
     with pytest.raises(ValueError, match="not JSON compliant"):

@@ -163,9 +163,9 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     assert own != others
     later = time.time_ns() + 10**9
     os.utime(told, ns=(later, later))
-    assert endings._told(told, folder, pictures) == [1]
+    assert endings._read_stored_list(told, folder, pictures) == [1]
     os.utime(pictures[1], ns=(later + 1, later + 1))
-    assert endings._told(told, folder, pictures) == []
+    assert endings._read_stored_list(told, folder, pictures) == []
 
 
 @pytest.mark.parametrize("name", ["feasibility_map", "closed_loop_responses"])

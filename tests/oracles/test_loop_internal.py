@@ -15,7 +15,7 @@ from ssm_study.certificates.theorems.integral_action import (
     with_modes,
 )
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.cli.request import quoted
+from ssm_study.cli.request import quote_sines
 from ssm_study.construction import construct_part
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import certified
@@ -214,7 +214,7 @@ def test_the_command_takes_a_sine_without_quotes():
         'synthesis.internal_model=["sine(1Hz)"]',
         "seed=range(3)",
     ]
-    assert quoted(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
+    assert quote_sines(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
     found = construct_part(
         "synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
     )

@@ -21,7 +21,7 @@ from ssm_study.study.claims import SECTIONS
 from ssm_study.study.findings import Checked, Derived
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
-from ssm_study.study.verify import _short, compared, judge, verify
+from ssm_study.study.verify import _short, compare_column, judge_column, verify
 from ssm_study.synthesis.metrics import design_facts
 from ssm_study.table.columns import declared
 
@@ -190,7 +190,7 @@ def record(smoke_run: Path) -> dict[str, Any]:
 
 
 def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
-    judged = [judge(name, record, derived, {}) for name in {*derived, *record}]
+    judged = [judge_column(name, record, derived, {}) for name in {*derived, *record}]
     return {
         finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds
     }
@@ -294,7 +294,7 @@ def test_an_infinite_number_is_only_itself() -> None:
         (2.0, False),
         (None, False),
     ):
-        assert compared("mismatch_margin", stored, np.inf).holds is holds
+        assert compare_column("mismatch_margin", stored, np.inf).holds is holds
 
 
 def test_a_part_without_certificate_is_recorded_with_its_reason(

@@ -17,9 +17,9 @@ from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, by_convolution
-from ssm_study.study.line import further
+from ssm_study.study.line import undeclared_settings
 from ssm_study.study.loop_recordings import read_rollouts
-from ssm_study.study.reproduce import compared
+from ssm_study.study.reproduce import compare_records
 from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
@@ -200,7 +200,7 @@ def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
         "training/optimiser",
         "a@loop.peer",
     ]
-    assert further(settings, keys) == {
+    assert undeclared_settings(settings, keys) == {
         "loop__peer": None,
         "plant__step_s": 0.01,
         "synthesis__internal_model": "['step', 'ramp']",
@@ -359,11 +359,13 @@ def test_a_second_run_is_compared_number_by_number() -> None:
         "threads": 1,
         "synthesis_seconds": 1.0,
     }
-    assert compared(then, then | {"synthesis_seconds": 2.0}) == (
+    assert compare_records(then, then | {"synthesis_seconds": 2.0}) == (
         ["3 columns compared: 3 equal to the last bit, 0 differ"],
         True,
     )
-    lines, agrees = compared(then, then | {"fit_test_percent": 90.1, "order": None, "threads": 2})
+    lines, agrees = compare_records(
+        then, then | {"fit_test_percent": 90.1, "order": None, "threads": 2}
+    )
     assert not agrees
     assert lines == [
         "3 columns compared: 1 equal to the last bit, 2 differ",
@@ -371,4 +373,4 @@ def test_a_second_run_is_compared_number_by_number() -> None:
         "  fit_test_percent: 90.0 then, 90.1 now",
         "  changed since: threads 1 -> 2",
     ]
-    assert compared(then, then | {"fit_test_percent": 90.0 * (1 + 1e-9)})[1]
+    assert compare_records(then, then | {"fit_test_percent": 90.0 * (1 + 1e-9)})[1]

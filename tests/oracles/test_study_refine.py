@@ -21,7 +21,7 @@ from ssm_study.study import allow_list
 from ssm_study.study.line import STUDY
 from ssm_study.study.refine import _measure_trial, refine
 from ssm_study.study.run_files import RunFiles
-from ssm_study.study.trials import TRIED, named
+from ssm_study.study.trials import TRIED, refined_run_name
 from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
@@ -246,5 +246,5 @@ def test_iterations_that_are_no_count_are_refused(asked, hidden):
 
 def test_the_parent_keeps_what_stands_before_the_hash(hidden):
     settings = STUDY.settings(hidden)
-    assert named(settings, None) == hidden.run
-    assert named(settings, 1).startswith("order2-width4-seed1-")
+    assert refined_run_name(settings, None) == hidden.run
+    assert refined_run_name(settings, 1).startswith("order2-width4-seed1-")

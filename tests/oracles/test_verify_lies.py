@@ -48,7 +48,7 @@ from ssm_study.study.claims import data as section_data
 from ssm_study.study.claims import loop as section_loop
 from ssm_study.study.findings import Checked, NotChecked
 from ssm_study.study.run_files import RunFiles
-from ssm_study.study.verify import compared, judge, verify
+from ssm_study.study.verify import compare_column, judge_column, verify
 from ssm_study.table.gather import MARKS, gather
 
 ONE_FORMULA = 1e-9  # written out again, as in test_results_verify
@@ -180,8 +180,8 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
     (found,) = section_data(Elsewhere())  # type: ignore[arg-type]
     assert isinstance(found, NotChecked)
     told = {"predicted_stable": True}
-    assert "cannot be read" in judge("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
-    assert compared("predicted_stable", True, True).holds
+    assert "cannot be read" in judge_column("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
+    assert compare_column("predicted_stable", True, True).holds
 
 
 @pytest.mark.parametrize("place", ["where the run was made", "where the command is given"])

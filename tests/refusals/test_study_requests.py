@@ -13,9 +13,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
 from ssm_study.cli.from_python import composed
-from ssm_study.cli.hydra_errors import meant
+from ssm_study.cli.hydra_errors import suggest_for_key
 from ssm_study.cli.main import INTERRUPTED, main
-from ssm_study.cli.run import _warned, configuration_folder
+from ssm_study.cli.run import _warning_text, configuration_folder
 from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
@@ -245,7 +245,7 @@ def test_a_refused_study_leaves_nothing_where_it_points(
 
 
 def test_what_was_meant_is_found_beside_a_swept_choice() -> None:
-    assert meant(
+    assert suggest_for_key(
         "synthesis.rate_controler", ["synthesis=lmi,riccati"], configuration_folder()
     ).endswith("controller?")
 
@@ -298,9 +298,11 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
 
 
 def test_our_own_warning_is_a_sentence() -> None:
-    told = _warned(SlopesNotIdentifiable("two levels only"), SlopesNotIdentifiable, "facts.py", 28)
+    told = _warning_text(
+        SlopesNotIdentifiable("two levels only"), SlopesNotIdentifiable, "facts.py", 28
+    )
     assert told == "ssm-study: two levels only\n"
-    assert "facts.py:28" in _warned("of a library", UserWarning, "facts.py", 28)
+    assert "facts.py:28" in _warning_text("of a library", UserWarning, "facts.py", 28)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from ssm_study.study.loop_recordings import (
     NOISE_FREE,
     ON_MODEL,
     ON_PLANT,
-    closed_on,
+    loop_subject,
     read_experiment,
     write_experiment,
 )
@@ -47,7 +47,7 @@ def compute_loop(
         return None
     twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
     on = plant or twin
-    loop_on = closed_on(plant)
+    loop_on = loop_subject(plant)
     stays_within_records = plant is None or design.inverts
     limited = loop.within(data.applied) if stays_within_records else loop
     experiment = limited.fitted(model)

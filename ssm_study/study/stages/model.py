@@ -57,7 +57,7 @@ def compute_model(
 
         facts["baseline"] = baseline_facts(data)
     write_json(folder / "training.json", facts)
-    write_json(folder / "training_curve.json", with_gaps(identified.curve))
+    write_json(folder / "training_curve.json", with_null_gaps(identified.curve))
     if identified.members:
         write_json(folder / MEMBERS, [model.to_json() for model in identified.members])
     if identified.choice:
@@ -90,7 +90,7 @@ def read_members(folder: Path) -> tuple[Any, ...]:
     return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
 
 
-def with_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+def with_null_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
     """Training curve with null for values that are not finite."""
     rows: list[dict[str, float | None]] = []
     for row in curve:
