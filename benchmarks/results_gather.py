@@ -20,7 +20,7 @@ from ssm_study.engine.provenance import provenance
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.table.columns import COLUMNS
 from ssm_study.table.gather import gather
-from ssm_study.table.rank import ranked
+from ssm_study.table.rank import rank_runs
 from ssm_study.table.show import plain_table, summary
 
 VALUES = {"string": "word", "Int64": 8, "Float64": 0.123456789, "boolean": True}
@@ -68,7 +68,9 @@ def measured(study: Path, runs: int) -> dict[str, float]:
     write_record(one, (read_record(one) or {}) | {"seed": -1}, durable=False)
     found["one_changed"] = timed(lambda: gather(study))
     found |= {
-        "show": timed(lambda: (plain_table(ranked(table := gather(study))), summary(table, runs)))
+        "show": timed(
+            lambda: (plain_table(rank_runs(table := gather(study))), summary(table, runs))
+        )
     }
     command = [sys.executable, "-c", REPORT, "report", str(study)]
     seconds, kilobytes = subprocess.run(

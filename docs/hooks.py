@@ -11,7 +11,7 @@ from mkdocs.structure.files import File, Files
 
 from ssm_study.report.answers import answers
 from ssm_study.report.words import counts
-from ssm_study.table.columns import listed
+from ssm_study.table.columns import describe_columns
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURES = ROOT / "results" / "reference"
@@ -73,7 +73,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 def _columns() -> str:
     """The declared columns as a table: nobody writes it by hand."""
     rows = ["| column | meaning (unit) | better | `verify` |", "| --- | --- | --- | --- |"]
-    for name, word, better, checked in listed():
+    for name, word, better, checked in describe_columns():
         rows.append(f"| `{name}` | {word} | {better} | {checked or 'compared'} |")
     return "\n".join(rows)
 

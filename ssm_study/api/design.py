@@ -159,7 +159,7 @@ class Design:
 
     def _loop_facts(self) -> dict[str, Any]:
         """Columns of the loop, closed on the identified model in the place of the plant."""
-        from ssm_study.loop.metrics import behaviour, certified
+        from ssm_study.loop.metrics import behaviour, certificate_columns
 
         assert self.origin is not None
         if self.loop is None or not self.certificate.feasible or answers_at_once(self.model):
@@ -168,7 +168,11 @@ class Design:
         twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
         loop = self.loop.within(data.applied).fitted(self.model)
         runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
-        return {"loop_on": "identified model"} | behaviour(runs) | certified(runs, self.certificate)
+        return (
+            {"loop_on": "identified model"}
+            | behaviour(runs)
+            | certificate_columns(runs, self.certificate)
+        )
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
         """Eigenvalues at the equilibrium: of the model, under control, and of the estimate's error.

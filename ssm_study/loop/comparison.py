@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 
 from ssm_study.loop import peers
-from ssm_study.loop.metrics import pooled
+from ssm_study.loop.metrics import pool_columns
 from ssm_study.loop.peers.peer import UNSAID, Identified, Peer, Row, compared
 from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.regulation import ComparisonTable, Loop
@@ -85,7 +85,7 @@ class Comparison(ComparisonTable):
                 row |= predicted
                 if controller:
                     runs = [varied.on_plant(on, controller, seed) for on, varied in cases]
-                    row |= pooled(runs)
+                    row |= pool_columns(runs)
                 rows.append(row)
         return rows
 

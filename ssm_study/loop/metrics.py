@@ -103,7 +103,7 @@ def behaviour(loop: LoopRuns) -> Columns:
     Definitions: docs/closed_loop.md; times in s, inputs in their unit. None where nothing is
     defined, never NaN: `empirical_rate` when several plants are pooled.
     """
-    columns = pooled([loop])
+    columns = pool_columns([loop])
     columns["empirical_rate"] = empirical_rate(loop.controlled, loop.settling_band)
     columns["noise_gain_measured"] = noise_gain(loop.controlled)
     return columns
@@ -127,7 +127,7 @@ def noise_gain(run: Rollouts) -> float | None:
     return float((output / noise).max())
 
 
-def pooled(loops: list[LoopRuns]) -> Columns:
+def pool_columns(loops: list[LoopRuns]) -> Columns:
     """Columns of `behaviour` over the cases of several experiments of the same length together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
@@ -230,7 +230,7 @@ def bound_columns(loops: list[LoopRuns], step_s: float) -> Columns:
 CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
 
 
-def certified(loop: LoopRuns, design: Design) -> Columns:
+def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     """Columns that compare measured distances with the certified bound (docs/closed_loop.md).
 
     All None without a run on the model; `certified_bound_excess_plant` is None too where plant and

@@ -12,8 +12,8 @@ import pandas as pd
 import scipy
 
 from ssm_study.report.words import spoken, words
-from ssm_study.table.columns import column, flag, requested, swept, text
-from ssm_study.table.rank import predicted
+from ssm_study.table.columns import column, flag, requested_values, swept_settings, text
+from ssm_study.table.rank import predicted_stable
 
 CONFIDENCE = 0.95
 MOST_LISTED = 8  # values of a setting that are listed; of more the first and the last
@@ -47,9 +47,9 @@ def parameters_line(table: pd.DataFrame) -> str:
     """Line that names the swept settings and their values. `Swept: model order (4, 8, 12); ...`,
     or that there was no sweep."""
     parts = []
-    for name in swept(table):
+    for name in swept_settings(table):
         title = words(name).split(" (")[0].lower()
-        parts.append(f"{title} ({listed_values(requested(table, name))})")
+        parts.append(f"{title} ({listed_values(requested_values(table, name))})")
     return f"Swept: {'; '.join(parts)}." if parts else "One setting, no sweep."
 
 
@@ -169,7 +169,7 @@ def prediction_question(table: pd.DataFrame) -> str:
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     """Sentences on how many loops settle on either side of the prediction, and what that bounds."""
     share = column(table, "stable_fraction")
-    stable = predicted(table)
+    stable = predicted_stable(table)
     known = column(table, "predicted_stable").notna() & share.notna()
     if not known.any():
         return ()

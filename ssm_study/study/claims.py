@@ -23,7 +23,7 @@ from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_facts
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import pi_facts
@@ -320,7 +320,9 @@ def loop(run: RunFiles) -> Claims:
         yield loop_on_plant(stored, again)
         pairs[NOISE_FREE] = stored.noise_free, again.noise_free
         measured = replace(stored, quiet=again.quiet)  # no recording holds the run without noise
-    yield Derived({"loop_on": loop_on} | behaviour(measured) | certified(stored, run.design))
+    yield Derived(
+        {"loop_on": loop_on} | behaviour(measured) | certificate_columns(stored, run.design)
+    )
     for name, pair in pairs.items():
         if pair != (None, None):
             yield check_agreement(

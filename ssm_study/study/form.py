@@ -13,7 +13,7 @@ from ssm_study.study.findings import Checked, Claims, NotChecked
 from ssm_study.study.loop_recordings import NOISE_FREE
 from ssm_study.study.recordings import RecordedCases
 from ssm_study.study.run_files import RunFiles
-from ssm_study.table.columns import declared
+from ssm_study.table.columns import declaration_of
 
 ERRORS = ("error_message", "error_type", "failure_transient")
 BEFORE = "fit_test_before_reduction_percent"
@@ -37,7 +37,7 @@ def form(run: RunFiles) -> Claims:
             found = "stands in the record of a run that did not fail"
             yield Checked(claim=name, holds=False, found=found)
     for name, value in run.record.items():
-        column = declared(name)
+        column = declaration_of(name)
         if column is None or column.is_pattern:  # those of one pattern may differ in kind
             continue
         if not has_declared_kind(column, value):

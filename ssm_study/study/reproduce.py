@@ -13,7 +13,7 @@ from ssm_study.engine.records import read_record
 from ssm_study.engine.runs import FINISHED
 from ssm_study.refusal import require
 from ssm_study.study.run_files import RunFiles
-from ssm_study.table.columns import OF_THE_LINE, declared
+from ssm_study.table.columns import OF_THE_LINE, declaration_of
 
 TIMES = "_seconds"  # columns in which a second run may well differ
 # relative; the same machine and versions give equal bits, another BLAS rounds differently
@@ -49,7 +49,7 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
     and whether all columns agree.
     """
     all_names = dict.fromkeys((*then, *now))
-    of_the_line = [name for name in all_names if declared(name) in OF_THE_LINE]
+    of_the_line = [name for name in all_names if declaration_of(name) in OF_THE_LINE]
     names = ["status", *(name for name in of_the_line if not name.endswith(TIMES))]
     pairs = {}
     for name in names:

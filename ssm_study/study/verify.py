@@ -28,7 +28,7 @@ from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
 from ssm_study.study.form import form
 from ssm_study.study.run_files import RunFiles, one_line
-from ssm_study.table.columns import declared
+from ssm_study.table.columns import declaration_of
 
 UNGIVEN = "nothing in the run's files gives it"
 
@@ -185,7 +185,7 @@ def judge_column(
 ) -> Checked | str:
     """Finding on one column of the record, or why it is not checked; empty where the record claims
     nothing."""
-    column = declared(name)
+    column = declaration_of(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
         return ADDED
@@ -204,7 +204,7 @@ def judge_column(
 
 def compare_column(name: str, stored: Any, value: Any) -> Checked:
     """Finding on whether a stored column equals the derived one."""
-    column = declared(name) or Column(name, "Float64")
+    column = declaration_of(name) or Column(name, "Float64")
     value = storable_value(
         name, value
     )  # as a record holds it: an infinite margin is the text `inf`

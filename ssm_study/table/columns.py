@@ -42,7 +42,7 @@ BY_NAME = {column.name: column for column in COLUMNS}
 PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
-def declared(name: str) -> Column | None:
+def declaration_of(name: str) -> Column | None:
     """Declaration of the column of this name; None where nobody declares it."""
     if name in BY_NAME:
         return BY_NAME[name]
@@ -87,12 +87,12 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
             titles[column.name] = "Settings" if column.setting else title
     parts: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
-        declared_name = getattr(declared(name), "name", name)
+        declared_name = getattr(declaration_of(name), "name", name)
         parts[titles.get(declared_name, "Circumstances")].append(name)
     return parts
 
 
-def nearest(name: str, names: Iterable[str]) -> str:
+def suggest_column(name: str, names: Iterable[str]) -> str:
     """Suggestion for a misspelt column: the nearest names, or how to list them."""
     half_of_the_letters = 0.5
     near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
@@ -101,7 +101,7 @@ def nearest(name: str, names: Iterable[str]) -> str:
     return "`ssm-study show STUDY --columns` lists them"
 
 
-def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
+def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
     """Name, printed word, better direction and treatment by `verify` of each column.
 
     All columns, or those that have values in the table.
@@ -111,7 +111,7 @@ def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, s
     if table is not None:
         filled = [str(name) for name in table if table[name].notna().any()]
         with_values = tuple(column for column in DECLARED if any(map(column.covers, filled)))
-        undeclared = [str(name) for name in table if declared(str(name)) is None]
+        undeclared = [str(name) for name in table if declaration_of(str(name)) is None]
     for column in with_values:
         unchecked = column.unchecked and f"not checked: {column.unchecked}"
         yield (column.name, column.label, column.better, unchecked)
@@ -119,7 +119,7 @@ def listed(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, s
         yield (name, "declared nowhere", "", "")
 
 
-def requested(table: pd.DataFrame, name: str) -> pd.Series:
+def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
     """Requested value of a setting in each run: for a rate that `auto` chose, `auto`."""
     if not name.startswith("rate_"):
         return table[name]
@@ -128,10 +128,10 @@ def requested(table: pd.DataFrame, name: str) -> pd.Series:
     return table[name].astype(object).mask(is_chosen, "auto")
 
 
-def swept(table: pd.DataFrame) -> list[str]:
+def swept_settings(table: pd.DataFrame) -> list[str]:
     """Settings in which the runs differ, those with most values first, the seed last."""
     names = [name for name in ("study", *settings(table)) if name in table]
-    counts = {name: requested(table, name).nunique() for name in names}
+    counts = {name: requested_values(table, name).nunique() for name in names}
     varied = [name for name, count in counts.items() if count > 1]
     return sorted(varied, key=lambda name: (name == "seed", -counts[name]))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.refusal import BadRequest
-from ssm_study.table.columns import nearest
+from ssm_study.table.columns import suggest_column
 
 REMEDY = "write comparisons of columns with constants, e.g. order == 8 and fit_test_percent > 85"
 WORDS = {"true": True, "false": False, "inf": float("inf")}
@@ -35,7 +35,7 @@ def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
     prepared = ast.unparse(_Prepared(table).visit(tree))
     missing = {f"{name}{IS_MISSING}": values.isna() for name, values in table.items()}
     try:
-        selected = _comparable(table).eval(prepared, engine="python", resolvers=[missing])
+        selected = _as_comparable(table).eval(prepared, engine="python", resolvers=[missing])
     except Exception as error:  # whatever pandas meets in an expression that it does not take
         raise BadRequest("where", expression, str(error), REMEDY) from None
     if not isinstance(selected, pd.Series) or selected.dtype != bool:
@@ -43,7 +43,7 @@ def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
     return table[selected]
 
 
-def _comparable(table: pd.DataFrame) -> pd.DataFrame:
+def _as_comparable(table: pd.DataFrame) -> pd.DataFrame:
     """Copy of the table with NaN for missing numbers and texts, and false for missing truth
     values."""
     columns: dict[Any, Any] = {}
@@ -75,7 +75,7 @@ class _Prepared(ast.NodeTransformer):
         if node.id.lower() in WORDS:
             return ast.Constant(WORDS[node.id.lower()])
         if node.id not in self.table.columns:
-            remedy = nearest(node.id, self.table.columns)
+            remedy = suggest_column(node.id, self.table.columns)
             raise BadRequest("where", node.id, "no such column", remedy)
         return node
 

@@ -21,7 +21,7 @@ def study_folder(path: Path) -> Path:
     is_study = (path / "runs.parquet").exists() or bool(_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
-        raise BadRequest("study", path, problem, f"name one: {_listed(studies)}")
+        raise BadRequest("study", path, problem, f"name one: {_list_names(studies)}")
     return path
 
 
@@ -58,7 +58,7 @@ def run_folder(path: Path) -> Path:
     remedy = "give the folder of one run"
     if names:
         which = "name one" if matches else "name one of its study"
-        remedy = f"{which}: {_listed(matches or names)}"
+        remedy = f"{which}: {_list_names(matches or names)}"
     raise BadRequest("run", path, problem, remedy)
 
 
@@ -67,7 +67,7 @@ def _run_names(study: Path) -> list[str]:
     return sorted(record.parent.name for record in study.glob(f"*/{RECORD}"))
 
 
-def _listed(names: list[str]) -> str:
+def _list_names(names: list[str]) -> str:
     """First few names as text, with the count of the others."""
     words = ", ".join(names[:MANY])
     more = len(names) - MANY

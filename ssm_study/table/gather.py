@@ -22,7 +22,7 @@ from ssm_study.durable import (
 )
 from ssm_study.engine.records import LOST, RECORD, RUNNING, read_record
 from ssm_study.refusal import require
-from ssm_study.table.columns import BY_NAME, declared
+from ssm_study.table.columns import BY_NAME, declaration_of
 
 PARQUET = "runs.parquet"
 CSV = "runs.csv"
@@ -109,12 +109,12 @@ def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
     return NO_RUNS, {}
 
 
-def contradicted(study: Path, rows: pd.DataFrame) -> bool:
+def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
     """Whether a declared column in one of these rows differs from the record of its run."""
     for run, row in _records(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         for name, shown_value in row.items():
-            column = declared(name)
+            column = declaration_of(name)
             if column is None:
                 continue
             kind = column.kind or cast(Kind, rows[name].dtype.name)
@@ -157,7 +157,7 @@ def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     columns = {}
     for name in (*BY_NAME, *undeclared):
         values = [record.get(name) for record in records]
-        columns[name] = _typed_column(values, declared(name))
+        columns[name] = _typed_column(values, declaration_of(name))
     return pd.DataFrame(columns)
 
 

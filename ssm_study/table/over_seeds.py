@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from ssm_study.table.columns import BY_NAME, requested, settings
+from ssm_study.table.columns import BY_NAME, requested_values, settings
 
 MEASURED = ("fit_test_percent", "resolved_margin", "stable_fraction", "settling_time_mean_s")
 HEADS = ("fit %", "margin", "settled", "settle s")
@@ -18,7 +18,7 @@ def over_seeds(table: pd.DataFrame) -> list[str]:
     """
     if "seed" not in table or table["seed"].nunique() < FEWEST:
         return []
-    values = {name: requested(table, name) for name in settings(table) if name != "seed"}
+    values = {name: requested_values(table, name) for name in settings(table) if name != "seed"}
     varied = [name for name, own in values.items() if own.nunique(dropna=False) > 1]
     labels = pd.Series("all", table.index)
     if varied:
@@ -32,10 +32,10 @@ def over_seeds(table: pd.DataFrame) -> list[str]:
         return []
     titles = [heading(name) for name in varied]
     head = [", ".join(titles) or "setting", "seeds", *HEADS]
-    return ["", "mean ± deviation over seeds", *aligned([head, *rows])]
+    return ["", "mean ± deviation over seeds", *align_columns([head, *rows])]
 
 
-def aligned(rows: list[list[str]]) -> list[str]:
+def align_columns(rows: list[list[str]]) -> list[str]:
     """Text lines with the cells in aligned columns."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = []

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.refusal import BadRequest
-from ssm_study.table.columns import BY_NAME, column, flag, nearest, text
+from ssm_study.table.columns import BY_NAME, column, flag, suggest_column, text
 
 NO_FASTER = 0.995  # settling time over the uncontrolled one, from where it prints as 1.00
 
@@ -42,7 +42,7 @@ def settling_ratio(table: pd.DataFrame) -> pd.Series:
     return column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
 
 
-def predicted(table: pd.DataFrame) -> pd.Series:
+def predicted_stable(table: pd.DataFrame) -> pd.Series:
     """Whether each run's plant was predicted to be stable, from model and records alone.
 
     False where nothing is said.
@@ -64,7 +64,7 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     fit = column(table, "fit_test_percent").fillna(-np.inf)
     keys = {
         "class": outcome_class(table),
-        "unforeseen": ~predicted(table),
+        "unforeseen": ~predicted_stable(table),
         "time": time.fillna(np.inf),
         "fit": -fit,
     }
@@ -72,7 +72,7 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     return table.loc[order.index]
 
 
-def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
+def rank_runs(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
     """Table sorted from best to worst, or by one column in its better direction, missing values
     last.
 
@@ -81,7 +81,7 @@ def ranked(table: pd.DataFrame, by: str | None = None) -> pd.DataFrame:
     if by is None:
         return best_first(table).reset_index(drop=True)
     if by not in table:
-        raise BadRequest("by", by, "no such column", nearest(by, map(str, table)))
+        raise BadRequest("by", by, "no such column", suggest_column(by, map(str, table)))
     high_is_better = by in BY_NAME and BY_NAME[by].better == "high"
     return table.sort_values(
         by, ascending=not high_is_better, na_position="last", kind="stable", ignore_index=True

@@ -12,11 +12,19 @@ from rich.text import Text
 
 from ssm_study.engine.plan import format_duration
 from ssm_study.refusal import printable
-from ssm_study.table.columns import BY_NAME, RESULTS, listed, requested, setting_of, settings, text
+from ssm_study.table.columns import (
+    BY_NAME,
+    RESULTS,
+    describe_columns,
+    requested_values,
+    setting_of,
+    settings,
+    text,
+)
 from ssm_study.table.filters import where as filtered
-from ssm_study.table.gather import contradicted, gather
+from ssm_study.table.gather import contradicts_records, gather
 from ssm_study.table.over_seeds import over_seeds
-from ssm_study.table.rank import ranked
+from ssm_study.table.rank import rank_runs
 
 WIDTH = 80  # of a pipe, and the least of a terminal
 # rows that are compared with their records: a screen of them; all of 20,000 would take seconds
@@ -90,8 +98,8 @@ def gathered_rows(
     """
     table = gather(study, anew)
     selected = filtered(table, where) if where else table
-    rows = ranked(selected, by)
-    if not anew and contradicted(study, rows.head(COMPARED)):
+    rows = rank_runs(selected, by)
+    if not anew and contradicts_records(study, rows.head(COMPARED)):
         return gathered_rows(study, by, where, anew=True)
     return table, rows
 
@@ -99,7 +107,7 @@ def gathered_rows(
 def column_lines(table: pd.DataFrame) -> list[str]:
     """Text lines that describe the columns of the table which have values."""
     head = ("column", "what it is (unit)", "better", "checked by verify unless said")
-    rows = [head, *listed(table)]
+    rows = [head, *describe_columns(table)]
     widths = [max(len(row[i]) for row in rows) for i in range(3)]
     lines = []
     for row in rows:
@@ -223,7 +231,7 @@ def predictions(table: pd.DataFrame) -> pd.Series:
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Settings in which the runs differ, and those that tell more runs apart than the ones
     before."""
-    values = {name: requested(table, name) for name in settings(table)}
+    values = {name: requested_values(table, name) for name in settings(table)}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
     # A number for each group of runs that are not told apart yet.
@@ -306,14 +314,14 @@ def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
         names = ", ".join(name for name, _ in alike[:5])
         if len(alike) > 5:
             names = f"{names} and {len(alike) - 5} more"
-        sentence = ranged([reason for _, reason in alike])
+        sentence = merge_with_ranges([reason for _, reason in alike])
         lines.append(f"  {status} {names}: {sentence}")
     if len(runs) > limit:
         lines.append(f"  ... {status} for {len(runs) - limit} more reasons")
     return lines
 
 
-def ranged(sentences: list[str]) -> str:
+def merge_with_ranges(sentences: list[str]) -> str:
     """One sentence for several that differ in numbers alone, with ranges: `rate 0.4 to 0.9`."""
     numbers = [NUMBER.findall(sentence) for sentence in sentences]
     ranges = []

@@ -8,7 +8,7 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
-from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import STAYED, close_loop
@@ -169,7 +169,7 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
-    columns = behaviour(result) | certified(result, motor_design())
+    columns = behaviour(result) | certificate_columns(result, motor_design())
     assert all(value is None or np.isfinite(value) for value in columns.values())
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0

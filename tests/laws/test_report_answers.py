@@ -7,7 +7,7 @@ import scipy
 
 from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.data import question
-from ssm_study.table.columns import swept
+from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
 
@@ -121,7 +121,7 @@ def test_the_prediction_is_scored_on_both_sides() -> None:
 
 def test_what_differs_between_runs_is_named_with_its_values() -> None:
     table = pd.DataFrame([row(order=4, seed=0), row(order=8, seed=0)])
-    assert swept(table) == ["order"]
+    assert swept_settings(table) == ["order"]
     assert parameters_line(table) == "Swept: model order (4, 8)."
     many = pd.DataFrame([row(seed=k) for k in range(3, 12)])
     assert parameters_line(many) == "Swept: seed (9 values, 3 to 11)."
@@ -137,7 +137,7 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
     rows = [
         row(**by_auto) | {"rate_controller": rate, "seed": k} for k, rate in enumerate((0.22, 0.31))
     ]
-    assert swept(pd.DataFrame(rows)) == ["seed"], "what auto chose is a result"
+    assert swept_settings(pd.DataFrame(rows)) == ["seed"], "what auto chose is a result"
     rows += [
         row(**requested) | {"rate_controller": rate, "seed": 0, "rate_observer": rate}
         for rate in (0.1, 0.3)

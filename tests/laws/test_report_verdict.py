@@ -4,7 +4,7 @@ import pandas as pd
 import report_tables
 
 from ssm_study.report import words
-from ssm_study.table.rank import best_first, predicted
+from ssm_study.table.rank import best_first, predicted_stable
 
 
 def row(**values: object) -> dict[str, object]:
@@ -66,4 +66,4 @@ def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
     unjudged = row(
         run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge"
     )
-    assert predicted(pd.DataFrame([unjudged])).tolist() == [False]
+    assert predicted_stable(pd.DataFrame([unjudged])).tolist() == [False]

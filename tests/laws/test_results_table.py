@@ -14,10 +14,10 @@ from ssm_study.durable import json_bytes
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.report.page.data import question
-from ssm_study.table.columns import COLUMNS, swept
+from ssm_study.table.columns import COLUMNS, swept_settings
 from ssm_study.table.filters import where
 from ssm_study.table.gather import gather, table_of
-from ssm_study.table.rank import ranked
+from ssm_study.table.rank import rank_runs
 from ssm_study.table.show import cost_lines, plain_table, show, stage_costs, summary
 
 RECORDS = [
@@ -188,11 +188,11 @@ def test_filters_evaluate_nothing_else(
 
 def test_best_comes_first(study: Path) -> None:
     table = gather(study)
-    assert "".join(ranked(table)["run"]) == "baedc"
-    assert "".join(ranked(table, "fit_test_percent")["run"]) == "eabcd"
-    assert "".join(ranked(table, "settling_time_mean_s")["run"]) == "bacde"
+    assert "".join(rank_runs(table)["run"]) == "baedc"
+    assert "".join(rank_runs(table, "fit_test_percent")["run"]) == "eabcd"
+    assert "".join(rank_runs(table, "settling_time_mean_s")["run"]) == "bacde"
     with pytest.raises(BadRequest, match="by = nothing"):
-        ranked(table, "nothing")
+        rank_runs(table, "nothing")
 
 
 def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -272,7 +272,7 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
         }
         for i, (step_s, undone) in enumerate(settings)
     )
-    assert swept(table) == ["plant__step_s", "synthesis__invert_input"]
+    assert swept_settings(table) == ["plant__step_s", "synthesis__invert_input"]
     assert question(table) == "What changes with plant.step_s and synthesis.invert_input?"
     assert where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"].tolist() == [
         "r-3"
@@ -372,15 +372,15 @@ def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_n
     study: Path,
 ) -> None:
     table = gather(study)
-    assert plain_table(ranked(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == [
+    assert plain_table(rank_runs(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == [
         "run",
         "rmse",
         "status",
     ]
-    heads = plain_table(ranked(table, "fit_test_percent"), "fit_test_percent").splitlines()[0]
+    heads = plain_table(rank_runs(table, "fit_test_percent"), "fit_test_percent").splitlines()[0]
     assert heads.split()[1:3] == ["fit", "%"]
     for refused in (
-        lambda: ranked(table, "fit_tets_percent"),
+        lambda: rank_runs(table, "fit_tets_percent"),
         lambda: where(table, "fit_tets_percent > 1"),
     ):
         with pytest.raises(BadRequest, match="did you mean fit_test_percent"):

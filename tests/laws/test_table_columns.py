@@ -11,9 +11,9 @@ import pytest
 
 from ssm_study.report.page.data import best_ordered
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.table.columns import DECLARED, declared, label
+from ssm_study.table.columns import DECLARED, declaration_of, label
 from ssm_study.table.gather import table_of
-from ssm_study.table.rank import ranked
+from ssm_study.table.rank import rank_runs
 from ssm_study.table.show import plain_table, short_names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -101,10 +101,12 @@ def test_a_new_column_is_one_file(tmp_path: Path, smoke_study: Path) -> None:
 def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
     names = [column.name for column in DECLARED]
     assert len(set(names)) == len(names)
-    assert all(declared(column.name) is column for column in DECLARED if not column.is_pattern)
-    assert declared("score_test_2") is declared("score_test_*")
-    assert declared("stage_model_key") is not declared("stage_model_seconds")
-    assert declared("nothing_such") is None
+    assert all(
+        declaration_of(column.name) is column for column in DECLARED if not column.is_pattern
+    )
+    assert declaration_of("score_test_2") is declaration_of("score_test_*")
+    assert declaration_of("stage_model_key") is not declaration_of("stage_model_seconds")
+    assert declaration_of("nothing_such") is None
     assert label("settling_time_mean_s") == "Mean settling time (s)"
     assert label("nothing_such") == "nothing such"
 
@@ -117,10 +119,10 @@ def test_show_page_and_figures_name_the_same_run(folder: Path) -> None:
         .where(lambda t: t.notna(), None)
         .to_dict("records")
     )
-    best = ranked(table)["run"].iloc[0]
+    best = rank_runs(table)["run"].iloc[0]
     assert (
-        plain_table(ranked(table)).splitlines()[1].split()[0]
-        == short_names(ranked(table)["run"]).iloc[0]
+        plain_table(rank_runs(table)).splitlines()[1].split()[0]
+        == short_names(rank_runs(table)["run"]).iloc[0]
     )
     assert best_ordered(table)["run"].iloc[0] == best
 
@@ -146,4 +148,4 @@ def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
         (tmp_path / name / "model.json").touch()
     best = StudyFolder(folder=tmp_path).best
     assert best is not None
-    assert best.path.name == ranked(table)["run"].iloc[0] == "quick"
+    assert best.path.name == rank_runs(table)["run"].iloc[0] == "quick"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import Linear
@@ -79,7 +79,7 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     assert failed_checks(told.to_json(), model.delayed(LATE).linear, balls) == []
     aware = loop.run(plant, model.delayed(LATE), told, seed=0)
     assert behaviour(aware)["stable_count"] == 10
-    assert certified(aware, told)["certified_bound_violations"] == 0
+    assert certificate_columns(aware, told)["certified_bound_violations"] == 0
     naive = loop.on_plant(plant, ObserverFeedback.of(model, untold), seed=0)
     assert behaviour(naive)["stable_count"] == 0
 

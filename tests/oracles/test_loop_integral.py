@@ -14,7 +14,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system, w
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.loop.certified_bound import excess
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.trajectory import equilibrium
@@ -108,7 +108,7 @@ def test_without_integral_action_the_load_leaves_an_error():
 
 def test_the_certified_bound_holds_with_integrators(design):
     result = LOADED.run(motor(), motor_model(), design, seed=1)
-    columns = certified(result, design)
+    columns = certificate_columns(result, design)
     assert columns["certified_bound_violations"] == 0
     assert columns["estimate_decay_rate"] >= design.observer.rate * (1 - 1e-9)
     assert excess(result.on_model.estimate, result.on_model.states[:, 0], *design.parts()) == 0.0

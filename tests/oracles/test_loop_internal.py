@@ -18,7 +18,7 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quote_sines
 from ssm_study.construction import construct_part
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import certified
+from ssm_study.loop.metrics import certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import Rollouts
@@ -158,7 +158,7 @@ def test_the_certified_bound_holds_with_a_sine():
     run = Loop(initial_conditions=3, horizon_s=2.0)
     design = made("step", "sine(0.5Hz)")
     assert (
-        certified(run.run(motor(), motor_model(), design, seed=1), design)[
+        certificate_columns(run.run(motor(), motor_model(), design, seed=1), design)[
             "certified_bound_violations"
         ]
         == 0

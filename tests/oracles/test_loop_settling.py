@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS, is_faster, noise_gain, pooled
+from ssm_study.loop.metrics import COLUMNS, is_faster, noise_gain, pool_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import (
     STAYED,
@@ -127,7 +127,7 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
         loop = LoopRuns(
             controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1)
         )
-        assert pooled([loop])["final_error_worst"] == pytest.approx(error)
+        assert pool_columns([loop])["final_error_worst"] == pytest.approx(error)
 
 
 def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
@@ -179,8 +179,8 @@ def test_the_swing_is_that_of_the_run_without_noise():
     loop = LoopRuns(
         controlled=still, uncontrolled=still, settling_band=0.1, input_equilibrium=np.zeros(1)
     )
-    assert pooled([loop])["swings_at_rest"] == 0.0
+    assert pool_columns([loop])["swings_at_rest"] == 0.0
     loop = replace(loop, quiet=swinging)
-    assert pooled([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.1)
+    assert pool_columns([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.1)
     gone = rollouts([5.0] * 400)
-    assert pooled([replace(loop, controlled=gone, quiet=gone)])["swings_at_rest"] is None
+    assert pool_columns([replace(loop, controlled=gone, quiet=gone)])["swings_at_rest"] is None

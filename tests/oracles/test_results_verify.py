@@ -23,7 +23,7 @@ from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compare_column, judge_column, verify
 from ssm_study.synthesis.metrics import design_facts
-from ssm_study.table.columns import declared
+from ssm_study.table.columns import declaration_of
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
 ONE_FORMULA = 1e-9
@@ -268,7 +268,7 @@ def test_every_column_is_named_when_it_alone_is_another_or_left_out(
     """Over all columns of the record: a lie is found, unless the column is listed as not checked
     with its reason."""
     for name, value in record.items():
-        if value is not None and not (column := declared(name)).unchecked:  # type: ignore[union-attr]
+        if value is not None and not (column := declaration_of(name)).unchecked:  # type: ignore[union-attr]
             assert named(record | {name: other(value)}, derived) == {name}
             assert named({key: kept for key, kept in record.items() if key != name}, derived) == {
                 name

@@ -28,8 +28,8 @@ from ssm_study.table.columns import (
     RESULTS,
     by_part,
     column,
-    requested,
-    swept,
+    requested_values,
+    swept_settings,
     text,
 )
 from ssm_study.table.rank import best_first
@@ -65,7 +65,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
         "menus": by_part(map(str, table)),
         "known_columns": [c.name for c in DECLARED if c.word],
         "first": first_columns(table),
-        "parameters": swept(table),
+        "parameters": swept_settings(table),
         "trajectories": trajectories(study, table),
         "pictures": pictures(study, table),
         "comparisons": comparisons(study, table),
@@ -76,7 +76,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
 def first_columns(table: pd.DataFrame) -> list[str]:
     """Columns that the page's table shows before the reader asks for all."""
     results = [result.name for result in RESULTS if result.shown]
-    return ["run", "verdict", *swept(table), "stable_count", *results, *ALSO_FIRST]
+    return ["run", "verdict", *swept_settings(table), "stable_count", *results, *ALSO_FIRST]
 
 
 def slider(table: pd.DataFrame) -> dict[str, Any] | None:
@@ -85,17 +85,17 @@ def slider(table: pd.DataFrame) -> dict[str, Any] | None:
     other numbers. None where there is no such sweep."""
     if not len(table):
         return None
-    settings = swept(table)
+    settings = swept_settings(table)
     rated = sorted(settings, key=lambda name: not name.startswith("rate_"))
     for name in rated:
         if name == "seed" or not pd.api.types.is_numeric_dtype(table[name]):
             continue
         alike = pd.Series(True, index=table.index)
         for other in settings:
-            own = requested(table, other).astype("string").fillna("")
+            own = requested_values(table, other).astype("string").fillna("")
             if other != name:
                 alike &= (own == own.iloc[0]).astype(bool)
-        numbers = pd.to_numeric(requested(table, name)[alike], errors="coerce").dropna()
+        numbers = pd.to_numeric(requested_values(table, name)[alike], errors="coerce").dropna()
         numbers = numbers[~numbers.duplicated()].sort_values()
         if len(numbers) > 1:
             title = words(name).partition(" (")[0]
@@ -165,7 +165,8 @@ def question(table: pd.DataFrame) -> str:
     """Title of the page, the question that the sweep asks. The question of a sweep: `What
     changes with the model order and the controller rate?`."""
     said = (
-        (name, words(name).partition(" (")[0].partition(",")[0].lower()) for name in swept(table)
+        (name, words(name).partition(" (")[0].partition(",")[0].lower())
+        for name in swept_settings(table)
     )
     varied = [
         word if FURTHER.covers(name) else f"the {word}" for name, word in said

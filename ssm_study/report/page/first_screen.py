@@ -11,7 +11,7 @@ import pandas as pd
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import loop_place, pi_words
 from ssm_study.report.words import SETTLED, VERDICTS, Verdict, digits_beside, words
-from ssm_study.table.columns import swept
+from ssm_study.table.columns import swept_settings
 
 Record = Mapping[str, Any]
 SUPPORT = {
@@ -62,7 +62,7 @@ def introduction(table: pd.DataFrame) -> str:
 def settings_line(table: pd.DataFrame) -> str:
     """The settings of the best run in which runs differ, in a sentence; "" if they do not."""
     record = record_of(table.iloc[0])
-    parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept(table)]
+    parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept_settings(table)]
     return f". Its settings: {', '.join(parts)}." if parts else ""
 
 

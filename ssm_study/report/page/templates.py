@@ -9,7 +9,7 @@ import pandas as pd
 from ssm_study.report.page.chart_looks import framed, quantitative
 from ssm_study.report.words import VERDICTS, words
 from ssm_study.style import BLUE, CYCLE, GREY, INK, PALE
-from ssm_study.table.columns import column, swept
+from ssm_study.table.columns import column, swept_settings
 
 TIME = "Time (s)"
 MOST_PARALLEL = 500  # runs: more lines are no picture
@@ -102,7 +102,7 @@ def played() -> dict[str, Any]:
 def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
     """A line per run over what was swept and four results, each axis from its smallest to its
     largest value; None where there is too little or too much to see."""
-    candidates = [name for name in (*swept(table), *PARALLEL) if name in table]
+    candidates = [name for name in (*swept_settings(table), *PARALLEL) if name in table]
     names = [name for name in candidates if column(table, name).nunique() > 1]
     if len(names) < 3 or len(table) > MOST_PARALLEL:
         return None

@@ -6,7 +6,7 @@ from typing import Any
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.loop.metrics import behaviour, certified
+from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
 from ssm_study.signals import DataSet
@@ -75,7 +75,7 @@ def measure_loop(
     if experiment is None:
         return {}
     closed, loop_on = experiment
-    return {"loop_on": loop_on} | behaviour(closed) | certified(closed, design)
+    return {"loop_on": loop_on} | behaviour(closed) | certificate_columns(closed, design)
 
 
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)
