@@ -33,7 +33,8 @@ Moved = Float[np.ndarray, "d _ _"]
 
 
 class Free(NamedTuple):
-    """`x_e (n, q)`, `x_g (n + q, n)`, `log_d (q,)`: any numbers."""
+    """Unconstrained parameters of a contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`,
+    `log_d (q,)`: any numbers."""
 
     x_e: Float[np.ndarray, "*k n q"]
     x_g: Float[np.ndarray, "*k nq n"]
@@ -41,7 +42,8 @@ class Free(NamedTuple):
 
 
 class Core(NamedTuple):
-    """`a (n, n)`, `e (n, q)`, `f (q, n)`: what decides whether a structured model contracts."""
+    """Matrices of a recurrence with neurons. `a (n, n)`, `e (n, q)`, `f (q, n)`: what decides
+    whether a structured model contracts."""
 
     a: Float[np.ndarray, "*k n n"]
     e: Float[np.ndarray, "*k n q"]
@@ -57,7 +59,8 @@ class Contracting(NamedTuple):
 
 
 def explicit(free: Free, rate: float) -> Core:
-    """The recurrence of these parameters; it contracts with `r = rate` in the metric `M = I`."""
+    """Map free parameters to the matrices of a contracting recurrence. The recurrence of these
+    parameters; it contracts with `r = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
     e = np.sqrt(2.0) * _contraction(free.x_e)[0]
     stacked = rate * _contraction(free.x_g)[0]
@@ -68,7 +71,8 @@ def explicit(free: Free, rate: float) -> Core:
 
 
 def derivative(free: Free, change: Free, rate: float) -> Core:
-    """`d explicit` along `change`, whose leading axis counts directions.
+    """Directional derivative of the map from free parameters to matrices. `d explicit` along
+    `change`, whose leading axis counts directions.
 
     `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
     dS L^{-T})`, low the lower triangle with half its diagonal. The same rule gives `dR` of `R R' =
@@ -95,8 +99,8 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
 
 
 def parameters(core: Core, rate: float) -> Free:
-    """The inverse of `explicit` with `d = 1`; `LinAlgError` where the LMI does not hold with `M =
-    I, Lambda = I`."""
+    """Free parameters of given contracting matrices. The inverse of `explicit` with `d = 1`;
+    `LinAlgError` where the LMI does not hold with `M = I, Lambda = I`."""
     e = core.e / np.sqrt(2.0)
     root = np.linalg.cholesky(
         2.0 * np.eye(e.shape[1]) - core.e.T @ core.e
@@ -107,8 +111,8 @@ def parameters(core: Core, rate: float) -> Free:
 
 
 def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contracting:
-    """The first model on a path from `core` that contracts at `rate`; `slope` is the neurons'
-    average slope.
+    """Project a recurrence to one that contracts at a given rate. The first model on a path from
+    `core` that contracts at `rate`; `slope` is the neurons' average slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
@@ -136,7 +140,8 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
 
 
 def metric(core: Core, rate: float) -> Contracting | None:
-    """M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
+    """Find a contraction metric of a recurrence. M and Lambda in which `core` contracts at `rate`,
+    or None where this search finds none.
 
     With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
@@ -169,16 +174,16 @@ def metric(core: Core, rate: float) -> Contracting | None:
 
 
 def in_metric(found: Contracting) -> Core:
-    """The same in coordinates `xt = T x`, and with Lambda moved into E and F: `M = I, Lambda =
-    I`."""
+    """Transform a recurrence to coordinates in which its metric is the identity, `xt = T x`,
+    with Lambda moved into E and F: `M = I, Lambda = I`."""
     back = np.linalg.inv(found.t)
     core, t, d = found
     return Core(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
 
 
 def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
-    """`d` such that off the diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal
-    norms."""
+    """Diagonal scaling that balances a matrix. `d` such that off the diagonal the rows and
+    columns of `diag(1/d) gains diag(d)` have equal norms."""
     off = gains - np.diag(np.diagonal(gains))
     d = np.ones(len(gains))  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration

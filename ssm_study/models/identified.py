@@ -24,8 +24,8 @@ Lifted = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, Explicit):
-    """An identified model, explicit numbers only: what training returns and what is stored; `names`
-    are its kinds."""
+    """Interface of identified models that can be simulated. An identified model, explicit
+    numbers only: what training returns and what is stored; `names` are its kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
@@ -37,8 +37,9 @@ class Simulator(Family, Explicit):
 
 
 class ScaffoldedModel(Simulator):
-    """`y = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u -
-    u_eq) / input_scale)`.
+    """Base class of models with static maps at input and output of a recurrence. `y = y_eq +
+    output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u - u_eq) /
+    input_scale)`.
 
     Physical units outside, scaled units inside (`signals.Scale`).
     """
@@ -51,7 +52,8 @@ class ScaffoldedModel(Simulator):
     b_d: Float[np.ndarray, "_ _"]
 
     def check_wires(self) -> None:
-        """Raises `BadRequest` where the scaffoldings do not fit the recurrence or the signals."""
+        """Check that the dimensions of scaffoldings, recurrence and signals fit. Raises
+        `BadRequest` otherwise."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
         require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
@@ -81,14 +83,16 @@ class ScaffoldedModel(Simulator):
         return self.linear
 
     def lift(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
-        """`ubar = S_u((u - u_eq) / input_scale)`: physical input to what drives the recurrence."""
+        """Apply the input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`:
+        physical input to what drives the recurrence."""
         return self.scaffold_in(self.scale.scaled_input(u))
 
     def drive(
         self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
     ) -> Float[np.ndarray, "*batch T j"]:
-        """`lift(u)`, and beside it the scaled measured disturbances where there are some, at their
-        equilibrium if they are not given: what `run` takes."""
+        """Signals that drive the recurrence. `lift(u)`, and beside it the scaled measured
+        disturbances where there are some, at their equilibrium if they are not given: what `run`
+        takes."""
         lifted = self.lift(u)
         if not self.scale.disturbances:
             return lifted
@@ -97,7 +101,8 @@ class ScaffoldedModel(Simulator):
         return np.concatenate([lifted, scaled], axis=-1)
 
     def push(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch n"]:
-        """`B_d (d - d_eq) / d_scale`: what measured disturbances add to the next state.
+        """Contribution of measured disturbances to the next state. `B_d (d - d_eq) / d_scale`: what
+        measured disturbances add to the next state.
 
         No state and no input enters it, so it cancels where two motions under the same d are
         subtracted (docs/theory.md, "Measured disturbances").
@@ -117,22 +122,24 @@ class ScaffoldedModel(Simulator):
 
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
-        """The next state."""
+        """Compute the next state from state and mapped input."""
 
     def read(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """`y = y_eq + output_scale S_y(ybar)`, physical."""
+        """Physical output from state and mapped input. `y = y_eq + output_scale S_y(ybar)`,
+        physical."""
         return self.scale.physical_output(self.read_scaled(x, ubar))
 
     @abstractmethod
     def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """`S_y(ybar)`, the output in scaled units, as the observer's innovation needs it."""
+        """Scaled output from state and mapped input. `S_y(ybar)`, the output in scaled units, as
+        the observer's innovation needs it."""
 
     @abstractmethod
     def run(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
-        """`ybar` from `x0` (default 0), and the last state or all of them. `ubar` is what `lift` or
-        `drive` returns."""
+        """Simulate the recurrence for a mapped input sequence. `ybar` from `x0` (default 0), and
+        the last state or all of them. `ubar` is what `lift` or `drive` returns."""
 
     def simulate(
         self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None
@@ -147,7 +154,8 @@ class ScaffoldedModel(Simulator):
 
 @dataclass(frozen=True, kw_only=True)
 class DelayLine:
-    """States that hold the inputs under way, behind the `states` of a model: the newest first."""
+    """Delay line that models a dead time by additional states. States that hold the inputs under
+    way, behind the `states` of a model: the newest first."""
 
     states: int
     channels: int
@@ -172,13 +180,13 @@ class DelayLine:
         return whole
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:
-        """The input enters the line alone."""
+        """Input matrix of the delay line, which the input enters alone."""
         return np.eye(self.states + self.waiting, self.channels, -self.states)
 
     def widened(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
-        """Matrix that reads state and input, made one that reads state and line."""
+        """Extend a matrix that reads state and input to one that reads state and line."""
         newer = np.zeros((len(of_state), self.waiting - self.channels))
         return np.hstack([of_state, newer, of_input])
 
@@ -191,8 +199,8 @@ class DelayLine:
 
 @dataclass(frozen=True, kw_only=True)
 class SSM(ScaffoldedModel):
-    """`x+ = A x + B S_u(ut),  y = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) /
-    input_scale`.
+    """Identified linear recurrence between static input and output maps. `x+ = A x + B S_u(ut),  y
+    = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) / input_scale`.
 
     Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs. With k
     measured disturbances `x+` has the further term `b_d (d - d_eq) / d_scale`, `b_d (n, k)`.
@@ -211,8 +219,8 @@ class SSM(ScaffoldedModel):
 
     @classmethod
     def of(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
-        """A linear system as it is: identities for scaffoldings, scaled by one around zero unless
-        told otherwise."""
+        """Construct a model from a linear system without nonlinear maps. A linear system as it
+        is: identities for scaffoldings, scaled by one around zero unless told otherwise."""
         m = linear.b.shape[1]
         p = len(linear.c)
         inward = LinearScaffold.identity(m)
@@ -250,8 +258,9 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=linear, b_d=b_d)
 
     def delayed(self, samples: int) -> "SSM":
-        """The model behind a dead time, `x+ = A x + B ub[k - samples]`; what is under way are
-        states of the recurrence. Measured disturbances act without it."""
+        """Append a dead time to the model's input. The model behind a dead time, `x+ = A x + B
+        ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
+        act without it."""
         a, b, c, d = (vars(self.linear)[name] for name in "abcd")
         line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
         late = StateSpace(
@@ -263,8 +272,8 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=late, b_d=line.lengthened(self.b_d))
 
     def absorbed(self) -> "SSM":
-        """The same input-output map, a matrix M moved from each scaffolding into the linear part
-        where that helps.
+        """Move linear factors of the scaffoldings into the linear part. The same input-output map,
+        a matrix M moved from each scaffolding into the linear part where that helps.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
         then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a

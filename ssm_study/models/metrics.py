@@ -94,9 +94,9 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Records beside their free runs, both physical; the first `start_up_samples` of each are not
-    scored. `starts` has the state from which a record's run began, None where its first samples
-    gave it."""
+    """Measured records with the model's simulated outputs. Records beside their free runs, both
+    physical; the first `start_up_samples` of each are not scored. `starts` has the state from
+    which a record's run began, None where its first samples gave it."""
 
     records: Trajectories
     simulated: tuple[Float[np.ndarray, "_ p"], ...]
@@ -123,12 +123,14 @@ class Simulation:
 
     @property
     def fit_percent(self) -> float:
-        """`100 (1 - ||y - y_hat|| / ||y - mean(y)||)` over the scored samples of all records."""
+        """Fit of the simulated outputs in percent. `100 (1 - ||y - y_hat|| / ||y - mean(y)||)`
+        over the scored samples of all records."""
         return fit_percent(*self._scored())
 
     @property
     def rmse(self) -> float:
-        """`sqrt(mean((y - y_hat)^2))` over the same samples, unit of the output."""
+        """Root mean square simulation error. `sqrt(mean((y - y_hat)^2))` over the same samples,
+        unit of the output."""
         return rmse(*self._scored())
 
     def _scored(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
@@ -137,8 +139,8 @@ class Simulation:
 
 
 def size_facts(model: Simulator) -> dict[str, Any]:
-    """States and neurons of a structured model: what was asked for may have been a choice by
-    folds."""
+    """Columns with the model's size. States and neurons of a structured model: what was asked
+    for may have been a choice by folds."""
     if not isinstance(model, StructuredSSM):
         return {}
     return {"states_identified": model.order, "neurons": len(model.neurons)}
@@ -168,8 +170,9 @@ GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the fir
 def free_run(
     model: Any, record: Trajectory, start_up_samples: int, start: Any = None
 ) -> Float[np.ndarray, "T p"]:
-    """The simulated output `(T, p)`, physical: from `start` where it is given, from rest if every
-    sample is scored, else from the estimated state.
+    """Simulate a record with an initial state estimated from its first samples. The simulated
+    output `(T, p)`, physical: from `start` where it is given, from rest if every sample is scored,
+    else from the estimated state.
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
@@ -188,8 +191,8 @@ def free_run(
 def initial_state(
     model: Any, record: Trajectory, samples: int, reached_by: Trajectory | None = None
 ) -> Float[np.ndarray, "n"]:
-    """`argmin |y - y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the
-    input reaches.
+    """Estimate the initial state of a record by regularised least squares. `argmin |y -
+    y_hat(x0)|^2 / noise + x0^T W^{-1} x0` over the first `samples`, W what the input reaches.
 
     W is that of the lifted input of the record, or of the one that is given (a decay has no input
     of its own), over its length, so a state that the input
@@ -220,8 +223,8 @@ def initial_state(
 
 
 def _reached(model: Any, lifted: Lifted) -> Gramian:
-    """The reachability Gramian of the record; with neurons the second moment of the states it
-    drives from rest."""
+    """Gramian that says how far the states are excited before a record. The reachability Gramian
+    of the record; with neurons the second moment of the states it drives from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
         return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
@@ -248,8 +251,8 @@ def _linearised(
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
-    """`sum_k A^k B B^T A^kT` over k below the first power of two that is not less than `samples`:
-    by doubling."""
+    """Finite-horizon reachability Gramian. `sum_k A^k B B^T A^kT` over k below the first power
+    of two that is not less than `samples`: by doubling."""
     gramian = b @ b.T
     power = a
     for _ in range((samples - 1).bit_length()):

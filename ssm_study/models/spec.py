@@ -34,8 +34,8 @@ Pairs = Sequence[
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Where training starts: `modes (n,)` with the real ones first and one of each pair, `b (n,
-    m)`, `c (p, n)`, `d`.
+    """Initial linear system of a training. Where training starts: `modes (n,)` with the real ones
+    first and one of each pair, `b (n, m)`, `c (p, n)`, `d`.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -65,8 +65,8 @@ def on_ring(
     channels: tuple[int, int],
     rng: np.random.Generator,
 ) -> Initialisation:
-    """Radii uniform in area between the two, angles uniform in `frequency` (rad per sample); small
-    random gains.
+    """Random stable modes in a ring of the unit disc. Radii uniform in area between the two, angles
+    uniform in `frequency` (rad per sample); small random gains.
 
     Source: Orvieto et al. (2023), lemma 3.2.
     """
@@ -94,8 +94,8 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, int]) -> Complex[
 def from_data(
     records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
 ) -> Initialisation:
-    """ARX by least squares over all records, its impulse response, a balanced realisation of it,
-    its modes.
+    """Initial linear system estimated from the records. ARX by least squares over all records, its
+    impulse response, a balanced realisation of it, its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
     allowed; their modes, pulled into the unit circle, then answer a thousandfold. A start whose
@@ -115,8 +115,9 @@ def from_data(
 
 
 def explained(start: Initialisation, records: Pairs) -> float:
-    """`<y, ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y`
-    than zero is."""
+    """Regression coefficient of the measured output on the output of a starting model. `<y, ys>
+    / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than
+    zero is."""
     measured = np.concatenate([y for _, y in records])
     simulated = np.concatenate([start.free_run(u) for u, _ in records])
     power = max((simulated**2).sum(), np.finfo(float).tiny)
@@ -126,8 +127,8 @@ def explained(start: Initialisation, records: Pairs) -> float:
 def arx(
     records: Pairs, lags: int, feedthrough: bool
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
-    """`y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without
-    feedthrough)."""
+    """Least-squares estimate of an ARX model. `y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i =
+    1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
     first = 0 if feedthrough else 1
     rows = []
     targets = []
@@ -148,8 +149,8 @@ def arx(
 def impulse_response(
     a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lags1 p m"]
 ) -> Float[np.ndarray, "K p m"]:
-    """`h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit grows beyond ten times its early
-    peak."""
+    """Impulse response of an ARX model. `h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable
+    fit grows beyond ten times its early peak."""
     h = np.zeros((RESPONSE, *b.shape[1:]))
     for k in range(RESPONSE):
         recent = h[max(k - len(a), 0) : k][::-1]
@@ -203,7 +204,7 @@ def modal_start(system: StateSpace) -> Initialisation:
 
 
 def inside_unit_circle(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
-    """Modes mirrored into the unit circle, and pulled inside the radius `SLOWEST`."""
+    """Mirror modes into the unit circle, and pull them inside the radius `SLOWEST`."""
     radius = np.abs(values)
     mirrored = values / np.maximum(radius, 1.0) ** 2
     values = np.where(radius > 1.0, mirrored, values)
@@ -213,7 +214,8 @@ def inside_unit_circle(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, 
 
 
 class ModelSpec(ABC):
-    """A choice of model structure; `build` returns it at its starting point, drawn from `seed`."""
+    """Base class of settings that build a trainable model. A choice of model structure; `build`
+    returns it at its starting point, drawn from `seed`."""
 
     # Whether what is identified is an `SSM`, which the study goes on to certify; a baseline is
     # scored only.
@@ -235,8 +237,8 @@ class ModelSpec(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class SSMSpec(ModelSpec):
-    """`x+ = A x + B S_u(u), y = S_y(C x + D S_u(u))`: order n, slopes in `[slope_lower,
-    slope_upper]`.
+    """Settings of the linear recurrence between static maps. `x+ = A x + B S_u(u), y = S_y(C x + D
+    S_u(u))`: order n, slopes in `[slope_lower, slope_upper]`.
 
     `start` "ring" draws modes with radii in `ring_radius` and angles (rad per sample) in
     `ring_frequency`, `real_modes` of them real. `slope_*` bound the scaffolding's own sector in
@@ -279,7 +281,8 @@ class SSMSpec(ModelSpec):
                 require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def at_start(self, start: int) -> "SSMSpec":
-        """A further start begins with random modes, real ones only to make pairs."""
+        """Settings of a further training, which begins with random modes, real ones only to make
+        pairs."""
         return (
             replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
             if start
@@ -310,7 +313,8 @@ class SSMSpec(ModelSpec):
 
 
 def scaled(data: DataSet) -> Pairs:
-    """Training records in scaled units: `(u - u_eq) / input_scale`, `(y - y_eq) / output_scale`."""
+    """Convert training records to scaled units. Training records in scaled units: `(u - u_eq) /
+    input_scale`, `(y - y_eq) / output_scale`."""
     return [
         (data.scale.scaled_input(record.u), data.scale.scaled_output(record.y))
         for record in data.training

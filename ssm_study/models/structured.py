@@ -23,8 +23,8 @@ Values = Float[np.ndarray, "*batch"]
 
 
 class Neuron(NamedTuple):
-    """`phi(z)`, its slope `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z`
-    for math.h.
+    """Activation function with its slope and its C expression. `phi(z)`, its slope `phi'(z)` in [0,
+    1] (right of a kink), and C's text, an expression in `z` for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
     hardening, relu and saturation the same with kinks. Source: docs/theory.md, "With neurons".
@@ -59,7 +59,8 @@ NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.ben
 
 
 def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
-    """The compiled form's codes; raises `BadRequest` for a kind that is not known."""
+    """Integer codes of the neurons' activation functions. The compiled form's codes; raises
+    `BadRequest` for a kind that is not known."""
     known = list(NEURONS)
     for kind in kinds:
         require(kind in known, "neurons", kind, "unknown neuron", f"use {', '.join(known)}")
@@ -69,7 +70,8 @@ def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
 def phi(
     kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value"
 ) -> Float[np.ndarray, "*batch q"]:
-    """`phi_i(z_i)` for each neuron i, or `of` it the "slope"."""
+    """Evaluate the activation functions or their slopes. `phi_i(z_i)` for each neuron i, or `of`
+    it the "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
         out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
@@ -82,8 +84,8 @@ Injected = Float[np.ndarray, "*batch q"] | float
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSSM(ScaffoldedModel):
-    """`x+ = A x + B v + E w,  y = y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) /
-    input_scale)`.
+    """Identified recurrence with neurons inside, between static maps. `x+ = A x + B v + E w,  y =
+    y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) / input_scale)`.
 
     `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at
     rest. Shapes:
@@ -127,7 +129,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def linear(self) -> StateSpace:  # type: ignore[override] # read only, as every field here
-        """`(A, B, C, D)`, what remains without the neurons."""
+        """Linear part of the model. `(A, B, C, D)`, what remains without the neurons."""
         return StateSpace(a=self.a, b=self.b, c=self.c, d=self.d)
 
     @property
@@ -160,8 +162,8 @@ class StructuredSSM(ScaffoldedModel):
         return Matrices.of(vars(self) | {"b": system.b, "d": system.d, "g": g}, codes(self.neurons))
 
     def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
-        """The recurrence's derivative at one state and lifted input: neurons replaced by their
-        slopes there."""
+        """Linearise the recurrence at one state and input. The recurrence's derivative at one
+        state and lifted input: neurons replaced by their slopes there."""
         return self._structured.at_slopes(
             phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
         )
@@ -169,7 +171,8 @@ class StructuredSSM(ScaffoldedModel):
     def inner(
         self, x: State, ubar: Lifted, injected: Injected = 0.0
     ) -> Float[np.ndarray, "*batch q"]:
-        """`w = phi(F x + G v + b + injected) - phi(b)`; an observer injects `L_z (yh - y)`."""
+        """Outputs of the neurons at one state and input. `w = phi(F x + G v + b + injected) -
+        phi(b)`; an observer injects `L_z (yh - y)`."""
         z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
         return phi(self.neurons, z) - phi(self.neurons, self.bias)
 
@@ -184,8 +187,8 @@ class StructuredSSM(ScaffoldedModel):
     def run(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
-        """`C x + D v + H w`, compiled, and the states, of which there is one more: that after the
-        last sample."""
+        """Simulate the recurrence for a mapped input sequence. `C x + D v + H w`, compiled, and
+        the states, of which there is one more: that after the last sample."""
         from ssm_study.models.structured_kernel import free_run
 
         batch = ubar.shape[:-2]
@@ -200,7 +203,8 @@ class StructuredSSM(ScaffoldedModel):
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
 
     def delayed(self, samples: int) -> "StructuredSSM":
-        """The model behind a dead time: the neurons see the input that many samples late, too."""
+        """Append a dead time to the model's input. The model behind a dead time: the neurons see
+        the input that many samples late, too."""
         n, m = self.b.shape
         line = DelayLine(states=n, channels=m, samples=samples)
         idle = np.zeros((line.waiting, len(self.neurons)))
@@ -232,7 +236,7 @@ Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: 
 
 
 def at_rest(model: Model) -> StateSpace:
-    """The recurrence as it is, or of neurons their slopes at the equilibrium."""
+    """Linear recurrence of the model, neurons replaced by their slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model.linear
     return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))

@@ -22,8 +22,8 @@ from ssm_study.models.matrix_shapes import shapes
 
 
 class Matrices(NamedTuple):
-    """`a (n, n), b (n, m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias
-    (q,)`, `kinds (q,)`."""
+    """Matrices of a recurrence with neurons, for compiled code. `a (n, n), b (n, m), c (p, n), d
+    (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
 
     a: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, "n m"]
@@ -47,7 +47,8 @@ class Matrices(NamedTuple):
 @compiled
 @no_type_check
 def bend(code, z):
-    """`(phi(z), phi'(z))` of the neuron with that code."""
+    """Value and slope of one activation function. `(phi(z), phi'(z))` of the neuron with that
+    code."""
     if code == 0:
         value = tanh(z)
         return value, 1.0 - value * value
@@ -96,8 +97,8 @@ def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + i
 @compiled
 @no_type_check
 def free_run(k, v, x0):
-    """`(ybar (N, T, p), states (N, T + 1, n))`: the states include the one after the last
-    sample."""
+    """Simulate the recurrence in compiled code. `(ybar (N, T, p), states (N, T + 1, n))`: the
+    states include the one after the last sample."""
     records = v.shape[0]
     samples = v.shape[1]
     ybar = np.empty((records, samples, k.c.shape[0]))
@@ -123,7 +124,8 @@ def free_run(k, v, x0):
 def split(
     sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """The last axis cut into blocks of these shapes, in their order."""
+    """Cut an array into blocks by their sizes. The last axis cut into blocks of these shapes, in
+    their order."""
     *ends, _ = accumulate(map(prod, sizes.values()))
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
@@ -177,7 +179,8 @@ def sensitivities(
     moved: Float[np.ndarray, "N T K"],
     channel: Int[np.ndarray, "K"],
 ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-    """`ybar`, and its derivatives by each of `BLOCKS`, flattened by rows.
+    """Simulated output and its derivatives by the parameters, in compiled code. `ybar`, and its
+    derivatives by each of `BLOCKS`, flattened by rows.
 
     Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
     unit; `x0` is the own record's.

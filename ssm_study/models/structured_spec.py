@@ -43,8 +43,8 @@ Signals = Float[np.ndarray, "*batch c"]
 
 @dataclass(frozen=True)
 class Pieces:
-    """`S_c(v) = int_0^v s_c`, slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the
-    sorted `points`.
+    """Trainable piecewise-linear map with written-out derivatives. `S_c(v) = int_0^v s_c`, slopes
+    `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
     the identity, which has none. Behind the channels come `passed` ones that pass as they are:
@@ -79,8 +79,8 @@ class Pieces:
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
     def _explicit(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes, what one unit of `free` does to each, and break points in the order given; one
-        row a channel."""
+        """Slopes, their derivatives by the free parameters, and the sorted break points; one row
+        a channel."""
         split = self.channels * (self.knots + 1)
         share = 1.0 / (
             1.0 + np.exp(-theta[:split].reshape(self.channels, -1))
@@ -95,7 +95,8 @@ class Pieces:
     def derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
-        """`S(v)`, its slope at v, and what each parameter does to the channel that it belongs to.
+        """Evaluate the map and its derivatives. `S(v)`, its slope at v, and what each parameter
+        does to the channel that it belongs to.
 
         `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
         t_j lies between 0 and v, negative where v < 0.
@@ -137,8 +138,8 @@ class Pieces:
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSpec(ModelSpec):
-    """`x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y = S_y(C x + D v + H w),  v =
-    S_u(u)`.
+    """Settings of the structured model. `x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y
+    = S_y(C x + D v + H w),  v = S_u(u)`.
 
     What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one
     of the results of several trainings (`at_start`), null that of the best validation fit. Source:

@@ -30,8 +30,8 @@ _AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
 
 
 class Chunks(torch.autograd.Function):
-    """Blocks of 64 samples, their products and a scan of the states between; shapes as above, `x0
-    (e, n)` or None.
+    """Simulate a linear recurrence in blocks of 64 samples. Blocks of 64 samples, their products
+    and a scan of the states between; shapes as above, `x0 (e, n)` or None.
 
         y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q
         counts blocks)
@@ -152,8 +152,8 @@ def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Flo
 def _scan(
     turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None
 ) -> Tensor:
-    """`x[0] = x0`, `x[k+1] = lambda x[k] + rise[k]`: s steps in all groups of s at once, then from
-    group to group."""
+    """Step a diagonal recurrence from block to block. `x[0] = x0`, `x[k+1] = lambda x[k] +
+    rise[k]`: s steps in all groups of s at once, then from group to group."""
     groups = -(-len(rise) // len(turns))
     x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
     x[1 : len(rise)] = rise[:-1]
@@ -182,8 +182,8 @@ Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 @dataclass(frozen=True, kw_only=True)
 class ModalForm:
-    """The recurrence in explicit modal parameters; `decay = log(lambda)` with negative real
-    part."""
+    """Linear recurrence in modal coordinates. The recurrence in explicit modal parameters;
+    `decay = log(lambda)` with negative real part."""
 
     decay: Complex[Tensor, "n"]
     b: Complex[Tensor, "n m"]
@@ -192,8 +192,8 @@ class ModalForm:
 
 
 def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
-    """`x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the recurrence stands after the
-    last sample."""
+    """State after the last sample. `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the
+    recurrence stands after the last sample."""
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
     ages = powers(rate, samples).flip(0).to(modes.b.dtype)
@@ -203,8 +203,8 @@ def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
 
 
 def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """`y = g * u` by real transforms of a fast length; differentiable forward, vectorised and any
-    number of times."""
+    """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
+    length; differentiable forward, vectorised and any number of times."""
     (p, m), samples = modes.d.shape, u.shape[1]
     both = tables(modes.decay, samples)
     length = next_fast_len(2 * samples - 1, real=True)
@@ -223,14 +223,14 @@ def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Outpu
 
 
 def by_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Blocks of 64 samples as matrix products; the states between blocks follow the same law, 64
-    times slower."""
+    """Simulate a linear recurrence by blocks of samples. Blocks of 64 samples as matrix
+    products; the states between blocks follow the same law, 64 times slower."""
     return Chunks.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
 def tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """`F_ri = lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s +
-    r`.
+    """Tables whose products are the powers of the modes. `F_ri = lambda_i^r` and `C_qi =
+    lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
     """
@@ -255,8 +255,8 @@ def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]
 
 
 def power_sums(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
-    """`Re sum_i weights_i lambda_i^k` without a table of samples x n: one real product of the two
-    tables."""
+    """Impulse response as a weighted sum of powers of the modes. `Re sum_i weights_i lambda_i^k`
+    without a table of samples x n: one real product of the two tables."""
     fine, coarse = both
     left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
     return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
@@ -267,7 +267,8 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 @contextmanager
 def forward_derivatives() -> Iterator[None]:
-    """Within it `respond` keeps to operations that differentiate forward and vectorised."""
+    """Context in which `respond` uses only operations that allow forward and vectorised
+    differentiation."""
     token = _FORWARD.set(True)
     try:
         yield
@@ -276,6 +277,7 @@ def forward_derivatives() -> Iterator[None]:
 
 
 def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """The faster of convolution and chunks for this length and order; both are the same law."""
+    """Simulate a linear recurrence by the fastest method. The faster of convolution and chunks
+    for this length and order; both are the same law."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
     return (by_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)

@@ -22,8 +22,8 @@ FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorte
 
 
 class TorchScaffold(nn.Module):
-    """Holds the free parameters of a `Trainable` in float64; `freeze()` returns the explicit
-    ones."""
+    """Static map as a torch module. Holds the free parameters of a `Trainable` in float64;
+    `freeze()` returns the explicit ones."""
 
     def __init__(
         self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]
@@ -54,8 +54,8 @@ class TorchScaffold(nn.Module):
 
 
 class Lift(nn.Module):
-    """`S_u(u)` for one fixed `u (e, T, m)`, by the cheapest of three exact ways; what they need is
-    prepared once.
+    """Apply the input map to a fixed record. `S_u(u)` for one fixed `u (e, T, m)`, by the cheapest
+    of three exact ways; what they need is prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
     piecewise-linear map with h kinks: the sorted samples fall into h + 1 runs, each an affine map,
@@ -143,7 +143,8 @@ LEAST_DAMPING = (
 
 
 class LRU(nn.Module):
-    """`lambda = +-exp(-exp(nu))` for real modes, `exp(-exp(nu) +- i theta)` for pairs.
+    """Trainable linear recurrence in modal coordinates. `lambda = +-exp(-exp(nu))` for real modes,
+    `exp(-exp(nu) +- i theta)` for pairs.
 
     `B` is scaled by `sqrt(1 - |lambda|^2)`, which keeps the gain of a mode when its radius moves.
     With one input `B` is all ones and only `C` is trained: the modal form has exactly that much
@@ -233,7 +234,7 @@ class LRU(nn.Module):
         )
 
     def initial_state(self, free: States) -> Modal:
-        """Real states, ordered as in `to_state_space`, to modal ones."""
+        """Convert real states, ordered as in `to_state_space`, to modal states."""
         real = free[:, : self.reals]
         pairs = free[:, self.reals :].unflatten(1, (-1, 2))
         return torch.complex(
@@ -262,7 +263,8 @@ def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex
 
 
 class TorchModel(nn.Module, ABC):
-    """A trainable model on scaled signals; `states` is the length of the initial state it accepts.
+    """Base class of trainable torch models. A trainable model on scaled signals; `states` is the
+    length of the initial state it accepts.
 
     `differentiates_forward`: whether Levenberg-Marquardt can have its Jacobian.
     """
@@ -285,8 +287,8 @@ class TorchModel(nn.Module, ABC):
 
 
 class TorchSSM(TorchModel):
-    """`x+ = A x + B S_u(u),  y = S_y(C x + D S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T,
-    p)`.
+    """Trainable linear recurrence between static maps. `x+ = A x + B S_u(u),  y = S_y(C x + D
+    S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`.
 
     Measured disturbances are further columns of u; they pass S_u by and reach the states alone.
     `lifted` is `S_u(u)`, with them, where it is known already; `x0` is ordered as in

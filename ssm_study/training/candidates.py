@@ -50,8 +50,9 @@ class Candidate:
         return float(self.errors.mean())
 
     def is_behind(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether its error exceeds the other's by that share of it, and that by one standard error
-        or on all folds but one: a single odd piece makes the standard error large."""
+        """Whether this candidate is clearly worse than another. Whether its error exceeds the
+        other's by that share of it, and that by one standard error or on all folds but one: a
+        single odd piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
         excess = self.errors[: len(other.errors)] - other.errors
@@ -78,7 +79,7 @@ class Candidate:
 
     @property
     def words(self) -> str:
-        """One line for whoever watches."""
+        """Line of text on the candidate and its error."""
         settings = ", ".join(f"{name} {value}" for name, value in self.settings.items())
         return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error:.1f} %"
 
@@ -89,7 +90,7 @@ def best_of(candidates: Iterable[Candidate]) -> Candidate:
 
 
 def first_not_behind(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """The first candidate, in the order given, that is not behind the best of all."""
+    """The first candidate, in the order given, that is not clearly worse than the best of all."""
     best = best_of(candidates)
     return next(candidate for candidate in candidates if not candidate.is_behind(best, by))
 
@@ -103,7 +104,8 @@ class Trial:
     example: Any = None
 
     def add(self, model: Any, fold: DataSet) -> None:
-        """Simulate the held-out part of one more fold; None of a model counts as a failed one."""
+        """Evaluate a model on one more fold. Simulate the held-out part of one more fold; None
+        of a model counts as a failed one."""
         self.example = model
         states = () if model is None else states_from_past(model, fold, fold.test)
         starts = {SAMPLES: (None,) * len(states), PAST: states}
@@ -126,8 +128,8 @@ class Trial:
 
 
 def linear_trial(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
-    """A linear output-error model on each held-out fold; delay 1 is no dead time, 0 a direct
-    path."""
+    """Fit and score a linear output-error model on every fold. A linear output-error model on
+    each held-out fold; delay 1 is no dead time, 0 a direct path."""
     trial = Trial()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
@@ -180,8 +182,8 @@ def with_late_disturbances(data: DataSet) -> DataSet:
 def structured_trial(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
 ) -> Trial:
-    """A structured model trained for a few steps without each fold; the last folds are left out
-    where it is far behind `best`."""
+    """Train and score a structured model briefly on every fold. A structured model trained for a
+    few steps without each fold; the last folds are left out where it is far behind `best`."""
     brief = replace(spec, draws=min(DRAWS, spec.draws))
     trial = Trial()
     for fold in folds:

@@ -1,4 +1,5 @@
-"""The model that a log deserves: paths first, then sizes, by folds of training and validation.
+"""Choose the settings of a model by its error on held-out folds. The model that a log deserves:
+paths first, then sizes, by folds of training and validation.
 
 Cheap models decide cheap questions: linear ones the delay, and how many states a linear model
 needs; structured ones, trained for a few steps, decide the rest. Of candidates that are about as
@@ -54,7 +55,7 @@ def ranked_choices(
 
 
 def announcer(progress: bool) -> Callable[[str], None]:
-    """Prints a line a candidate where somebody watches, else nothing."""
+    """Return a function that prints a line per candidate where somebody watches, else nothing."""
     from rich.console import Console
 
     console = Console(stderr=True)
@@ -64,7 +65,7 @@ def announcer(progress: bool) -> Callable[[str], None]:
 
 
 def refit_words(fit_validation_percent: float) -> str:
-    """Why the validation records were trained on, too."""
+    """Sentence on why the validation records were trained on, too."""
     return (
         f"; trained again with the validation records, which the training records alone predict "
         f"at {fit_validation_percent:.1f} % only"

@@ -1,4 +1,5 @@
-"""The question of size: linear models of growing order, one layer, few neurons, many."""
+"""Choose order, neurons and break points of a model. The question of size: linear models of
+growing order, one layer, few neurons, many."""
 
 from collections.abc import Sequence
 

@@ -30,7 +30,8 @@ UNMOVED = (
 
 
 class Records(nn.Module):
-    """Scaled records of equal length: shorter ones are padded at the end and weigh nothing there.
+    """Batch of scaled training records. Scaled records of equal length: shorter ones are padded at
+    the end and weigh nothing there.
 
     `u (e, T, m)`, with measured disturbances as further columns, `y (e, T, p)`, `weight (e, T,
     1)`: zero in the `unscored` samples of the cut and in the padding, and scaled so that
@@ -79,11 +80,13 @@ class Records(nn.Module):
         return {"lifted": model.drive(self.u, self.lift(model.scaffold_in))}
 
     def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """`sum weight |e|^2`: what the fit is made of."""
+        """Weighted squared error of simulated outputs. `sum weight |e|^2`: what the fit is made
+        of."""
         return (self.weight * (y_hat - self.y) ** 2).sum()
 
     def objective(self, y_hat: Signals) -> Float[Tensor, ""]:
-        """`(1 - share) sum weight |e|^2 + share |running sum of e|^2 / |running sum of y|^2`.
+        """Training objective of simulated outputs. `(1 - share) sum weight |e|^2 + share |running
+        sum of e|^2 / |running sum of y|^2`.
 
         The running sum is what an integrator behind the output sees: position, where y is a
         velocity.
@@ -96,7 +99,8 @@ class Records(nn.Module):
 
 
 class InitialStates(nn.Module):
-    """The states `(e, n)` that windows start from: rest, but for the rows that are parameters."""
+    """Trainable initial states of training windows. The states `(e, n)` that windows start from:
+    rest, but for the rows that are parameters."""
 
     rows: Tensor
     later: Tensor
@@ -123,7 +127,8 @@ class InitialStates(nn.Module):
 
 
 def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
-    """`weight (TV(S_u') + TV(S_y'))`; zero for a baseline.
+    """Penalty on the variation of the slopes of the static maps. `weight (TV(S_u') + TV(S_y'))`;
+    zero for a baseline.
 
     It is free of scale, so a weight of 0.001 means a thousandth of the output's variance.
     """
@@ -134,8 +139,8 @@ def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
 
 
 class Fit(pl.LightningModule):
-    """Minimises the training loss of `model`, and with it the states that windows start from where
-    these are free.
+    """Lightning module that trains a torch model. Minimises the training loss of `model`, and with
+    it the states that windows start from where these are free.
 
     `whole` are the records that the windows were cut from: the training fit that is shown is always
     that of whole records. Raises `BadRequest` for settings that this model cannot have.
@@ -198,7 +203,8 @@ class Fit(pl.LightningModule):
         return loss.detach()
 
     def loss(self) -> Tensor:
-        """The objective that is minimised: simulation error, defects of shooting, roughness."""
+        """Training loss of the current model. The objective that is minimised: simulation error,
+        defects of shooting, roughness."""
         y_hat, defects = self.run()
         added = roughness_penalty(self.model, self.settings.roughness_weight)
         return self.training_records.objective(y_hat) + defects.square().sum() + added
@@ -214,7 +220,7 @@ class Fit(pl.LightningModule):
         return y_hat, self.starts.defects(ends, x0)
 
     def forward(self) -> Float[Tensor, "N"]:
-        """`sqrt(weight) (y_hat - y)`, then the defects."""
+        """Residuals of the simulation. `sqrt(weight) (y_hat - y)`, then the defects."""
         records, (y_hat, defects) = self.training_records, self.run()
         return torch.cat(
             [(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()]

@@ -23,8 +23,9 @@ DAMPING_RANGE = (1e-12, 1e12)
 
 
 class Rule(NamedTuple):
-    """`tries` dampings before a step counts as failed, each `grow` times the last; curvatures below
-    `weakest`, relative to the largest, are damped as if they had it."""
+    """Settings of the Levenberg-Marquardt damping. `tries` dampings before a step counts as
+    failed, each `grow` times the last; curvatures below `weakest`, relative to the largest, are
+    damped as if they had it."""
 
     tries: int
     grow: float
@@ -39,8 +40,8 @@ def levenberg_marquardt_step(
     rule: Rule, loss: float, gradient: Any, normal: Any, damping: float,
     solved: Callable[[float], Any], loss_at: Callable[[Any], float],
 ) -> tuple[Any, float, float]:  # fmt: skip
-    """The first step that gains (None where all fail), the loss there, and the damping of the next
-    step.
+    """One accepted step of Levenberg-Marquardt. The first step that gains (None where all fail),
+    the loss there, and the damping of the next step.
 
     The damping falls after a step that gains what the quadratic model expects, and grows after
     others. `solved` gives the step of a damping, or None; arrays are NumPy's or torch's.
@@ -60,7 +61,8 @@ def levenberg_marquardt_step(
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
-    """The optimiser of torch models: `step` takes one accepted step, or none; there is no penalty.
+    """Levenberg-Marquardt as a torch optimiser. The optimiser of torch models: `step` takes one
+    accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
     where the linear model holds. `residual` takes all parameters in a row.

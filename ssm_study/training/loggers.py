@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NoLogger:
-    """Nothing besides our own record; the others return Lightning's logger, writing below the
-    training's own folder."""
+    """Setting without a further logger. Nothing besides our own record; the others return
+    Lightning's logger, writing below the training's own folder."""
 
     def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
         return None
@@ -22,7 +22,7 @@ class NoLogger:
 
 @dataclass(frozen=True, kw_only=True)
 class Csv(NoLogger):
-    """One row per epoch in `csv/metrics.csv`."""
+    """Logger that writes the training curve as CSV. One row per epoch in `csv/metrics.csv`."""
 
     def build(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import CSVLogger
@@ -32,7 +32,8 @@ class Csv(NoLogger):
 
 @dataclass(frozen=True, kw_only=True)
 class TensorBoard(NoLogger):
-    """Event files in `tensorboard/`; extra `tensorboard`."""
+    """Logger that writes the training curve for TensorBoard. Event files in `tensorboard/`;
+    extra `tensorboard`."""
 
     def build(self, folder: Path) -> "Logger":
         from lightning.pytorch.loggers import TensorBoardLogger

@@ -56,7 +56,7 @@ class Identification:
 
 
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
-    """`Simulation.fit_percent` of the records of a data set."""
+    """Fit in percent of a model's free runs on the records of a data set."""
     return Simulation.of(model, records, data.start_up_samples).fit_percent
 
 

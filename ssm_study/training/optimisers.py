@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """`build` returns what Lightning takes: a torch optimiser over the trainable parameters,
-    perhaps with a schedule.
+    """Base class of optimiser settings. `build` returns what Lightning takes: a torch optimiser
+    over the trainable parameters, perhaps with a schedule.
 
     An epoch is `calls_per_epoch` calls of it.
     """
@@ -117,5 +117,5 @@ class Adam(OptimiserSpec):
 
 
 def trainable(model: "nn.Module") -> "list[nn.Parameter]":
-    """The parameters that an optimiser moves."""
+    """Parameters of a model that an optimiser changes."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]

@@ -49,8 +49,8 @@ STILL_EPOCHS = 2
 
 
 class DurableCheckpointIO(CheckpointIO):
-    """Write beside the target, fsync, rename, fsync the folder; read tensors and plain containers
-    only.
+    """Checkpoint writer that survives crashes. Write beside the target, fsync, rename, fsync the
+    folder; read tensors and plain containers only.
 
     The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
     sum without a word). Lightning's own writer goes through TMPDIR; with that on another file
@@ -99,8 +99,8 @@ def trained(
     progress: bool,
     keep_on_interrupt: bool = False,
 ) -> Identification:
-    """Epochs, checkpoints and early stopping are the same around a step of torch and one that needs
-    none of it.
+    """Train a model under Lightning and return the best state. Epochs, checkpoints and early
+    stopping are the same around a step of torch and one that needs none of it.
 
     With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
     ended; raises `KeyboardInterrupt` otherwise.
@@ -191,7 +191,8 @@ class OriginalSignals(Callback):
 
 
 def trainer_of(settings: "Training", callbacks: list[Callback], folder: Path) -> pl.Trainer:
-    """Raises `BadRequest` for an accelerator that this machine does not have."""
+    """Construct the Lightning trainer. Raises `BadRequest` for an accelerator that this machine
+    does not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     told: Any = dict.fromkeys(
         ("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False
@@ -213,8 +214,8 @@ def trainer_of(settings: "Training", callbacks: list[Callback], folder: Path) ->
 
 
 def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash of what a checkpoint belongs to: model, settings, and the records as they are scaled and
-    scored."""
+    """Hash that shows whether a checkpoint belongs to a training. Hash of what a checkpoint
+    belongs to: model, settings, and the records as they are scaled and scored."""
     digest = hashlib.sha256(
         f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
     )
@@ -225,8 +226,8 @@ def fingerprint(spec: object, settings: object, data: DataSet) -> str:
 
 
 def resumable(folder: Path, expected: str) -> Path | None:
-    """`last.ckpt` of an interrupted training of the same thing; raises `BadRequest` if it is of
-    something else."""
+    """Checkpoint from which an interrupted training goes on. `last.ckpt` of an interrupted
+    training of the same thing; raises `BadRequest` if it is of something else."""
     path = folder / LAST
     if not path.exists():
         return None
@@ -252,7 +253,8 @@ def read(path: Path) -> dict[str, Any]:
 
 
 class ProgressLine(Callback):
-    """Epochs, fits and time left on one live line; silent where stderr is not a terminal."""
+    """Callback that shows epochs, fits and time left on one live line; silent where stderr is
+    not a terminal."""
 
     def __init__(self, max_epochs: int) -> None:
         columns = (
@@ -281,8 +283,8 @@ class ProgressLine(Callback):
 
 
 class BestModelCheckpoint(Callback):
-    """Keeps the state to return, and stops in good order when numbers leave the finite or no longer
-    change.
+    """Callback that keeps the best state of a training, and stops when numbers leave the finite or
+    no longer change.
 
     Validation fits of noisy records differ by chance: among states within `tolerance` percent
     points of the best validation fit the one with the best training fit is kept. Epochs that leave
@@ -355,8 +357,8 @@ class BestModelCheckpoint(Callback):
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
-        """One epoch's fits, percent, and the state that has them; `ended` says why to stop, if
-        so."""
+        """Record the fits of one epoch, percent, and keep the state that has them; `ended` says
+        why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
             self.ended = (

@@ -40,8 +40,8 @@ TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random pol
 
 
 class StructuredFit(pl.LightningModule):
-    """Levenberg-Marquardt on the simulation error; the parameters, the damping and the loss are
-    buffers.
+    """Lightning module that trains a structured model. Levenberg-Marquardt on the simulation error;
+    the parameters, the damping and the loss are buffers.
 
     So a checkpoint is the whole state, and a training that was killed goes on where it was. There
     is nothing for an optimiser of torch to do: the Jacobian is written out
@@ -122,7 +122,7 @@ class StructuredFit(pl.LightningModule):
         return self._blocks_with(core, self.spec.input_path != "none")
 
     def _store(self, at: Descent) -> None:
-        """Keep where the descent stands in the buffers."""
+        """Store the state of the descent in the buffers."""
         for name in self.theta:
             getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
         self.loss.fill_(at.loss)
@@ -171,8 +171,8 @@ class StructuredFit(pl.LightningModule):
         return screened.theta if is_better else fitted.theta
 
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
-        """Random neurons, a few steps without the constraint, the nearest contracting model, a few
-        steps as one."""
+        """Random starting point with neurons. Random neurons, a few steps without the
+        constraint, the nearest contracting model, a few steps as one."""
         spec = self.spec
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
@@ -240,7 +240,8 @@ class StructuredFit(pl.LightningModule):
 def with_integrator(
     parts: dict[str, Float[np.ndarray, "..."]],
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Matrices of a recurrence whose output is summed up: the sums are states, and the output."""
+    """Append an integrator to a recurrence. Matrices of a recurrence whose output is summed up:
+    the sums are states, and the output."""
     a = parts["a"]
     c = parts["c"]
     f = parts["f"]
@@ -266,7 +267,7 @@ def with_disturbance_path(
 
 
 def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
-    """Without neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by
+    """Remove neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by
     `IDLE` (relative).
 
     A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies

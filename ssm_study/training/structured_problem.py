@@ -96,7 +96,8 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """`r = weight (y_hat - y)`, all records from their own x0.
+    """Simulation errors of a structured model as a least-squares problem. `r = weight (y_hat - y)`,
+    all records from their own x0.
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. With
     `integrating_output` the output is the running sum of the model's, started at `x0`'s last entry.
@@ -231,15 +232,16 @@ def free_core(theta: Theta) -> Free:
 
 
 def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """`sum of y[i] over i < k`: an integrator from rest, read before it is driven."""
+    """Cumulative sum of a signal before each sample, `sum of y[i] over i < k`: an integrator
+    from rest, read before it is driven."""
     total = np.cumsum(y, axis=1)
     return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """Where the descent of a structured model stands: parameters, `|r|^2 + penalty` there, the next
-    step's damping."""
+    """State of the minimisation. Where the descent of a structured model stands: parameters,
+    `|r|^2 + penalty` there, the next step's damping."""
 
     theta: Theta
     loss: float
@@ -247,8 +249,8 @@ class Descent:
 
 
 def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
-    """`|r|^2 + ridge sum |block|^2` over the blocks `free`, infinite where the simulation is not
-    finite."""
+    """Regularised squared simulation error. `|r|^2 + ridge sum |block|^2` over the blocks
+    `free`, infinite where the simulation is not finite."""
     residual = problem.residual(theta)
     with np.errstate(all="ignore"):
         penalties = [problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free]
@@ -257,7 +259,8 @@ def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
 
 
 def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
-    """One accepted step in the blocks `free`, or none."""
+    """One Levenberg-Marquardt step of the structured model. One accepted step in the blocks
+    `free`, or none."""
     residual, j, turn = problem.linearised(at.theta, free)
     flat = pack(at.theta, free)
     ridges = [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
@@ -289,7 +292,8 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
 
 
 def minimise(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
-    """At most so many steps, until one has `ended` the descent."""
+    """Minimise the simulation error by Levenberg-Marquardt. At most so many steps, until one has
+    `ended` the descent."""
     at = Descent(theta=theta, loss=loss(problem, theta, free))
     for _ in range(most):
         before = at.loss
@@ -300,8 +304,8 @@ def minimise(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int)
 
 
 def ended(before: float, after: float, damping: float) -> bool:
-    """An accepted step gained less than `SETTLED`; after a refused one, damped more, a shorter step
-    may still gain."""
+    """Whether a minimisation has converged. An accepted step gained less than `SETTLED`; after a
+    refused one, damped more, a shorter step may still gain."""
     refused = after == before and damping < DAMPING_RANGE[1]
     return not refused and not after < before * (1.0 - SETTLED)
 
@@ -317,12 +321,12 @@ def damped_step(
 
 
 def pack(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
-    """The named blocks as one vector."""
+    """Flatten the named blocks of parameters to one vector."""
     return np.concatenate([theta[name].ravel() for name in names])
 
 
 def unpack(flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]) -> Theta:
-    """The inverse of `pack`, with the shapes of `like`."""
+    """Split a vector into blocks of parameters with the shapes of `like`."""
     shapes_of = {name: like[name].shape for name in names}
     batch = flat.shape[:-1]
     parts = split(shapes_of, flat)

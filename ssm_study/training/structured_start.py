@@ -65,13 +65,12 @@ def recorded_pairs(
 
 
 def inputs_alone(problem: Residuals, d: Float[np.ndarray, "p m"]) -> Float[np.ndarray, "p m"]:
-    """D without the columns of measured disturbances, which reach the states alone."""
+    """Remove from D the columns of measured disturbances, which reach the states alone."""
     return np.where(np.arange(d.shape[1]) < problem.lift.channels, d, 0.0)
 
 
 def unit_states(problem: Residuals, theta: Theta) -> Theta:
-    """The same linear model in coordinates in which each state has a root mean square of one over
-    the records.
+    """Scale the states of a linear model to a root mean square of one over the records.
 
     Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one
     overturns another.
@@ -113,8 +112,8 @@ def screened_poles(
 
 
 def random_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Time constants of 1 to `LONGEST` samples, evenly in their logarithm; one in two begins a
-    pair."""
+    """Random real and complex poles with time constants of 1 to `LONGEST` samples, evenly in
+    their logarithm; one in two begins a pair."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
         radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
@@ -133,7 +132,8 @@ def with_residues(
     estimates: bool,
     rng: np.random.Generator,
 ) -> Theta:
-    """Linear model with these poles, states of unit size, C and initial states by least squares."""
+    """Linear model with given poles, fitted by least squares. Linear model with these poles,
+    states of unit size, C and initial states by least squares."""
     _, outputs, weight = problem.records
     at_rest = begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
     b = rng.normal(size=begun["b"].shape)

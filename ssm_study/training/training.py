@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Training:
-    """Simulation error until validation gains less than `min_gain_percent` in `patience` epochs.
+    """Settings of a training, and the identification that they run. Simulation error until
+    validation gains less than `min_gain_percent` in `patience` epochs.
 
     The settings: conf/training/default.yaml. `validation_tolerance_percent`: see
     `BestModelCheckpoint`; the weights: see `penalty`; `integrated_share`: see `Records`; `windows`:
@@ -74,7 +75,7 @@ class Training:
         progress: bool = False,
         keep_on_interrupt: bool = False,
     ) -> "Identification":
-        """The model of `spec` fitted to `data`; `folder` receives `best.ckpt` and, while running,
+        """Fit the model of `spec` to `data`; `folder` receives `best.ckpt` and, while running,
         `last.ckpt`.
 
         With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
@@ -265,7 +266,7 @@ def refuse_unknown_path(spec: "ModelSpec", data: DataSet) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """Seed, folder and manners of the trainings of one identification."""
+    """Seed, folder and options of the trainings of one identification."""
 
     seed: int
     folder: Path

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """Consecutive pieces of `samples` samples of each record; `samples=None` leaves records whole.
+    """Settings that cut training records into windows. Consecutive pieces of `samples` samples of
+    each record; `samples=None` leaves records whole.
 
     Multiple shooting: the first window of a record starts as the record does, the state `s_i` at
     the start of each later window is a parameter, and the objective gains
@@ -67,8 +68,8 @@ class Windows:
 
 @dataclass(frozen=True)
 class Cut:
-    """Windows in order, the samples at the start of each that are not scored, and which of them
-    start a record."""
+    """Windows that were cut from the records. Windows in order, the samples at the start of each
+    that are not scored, and which of them start a record."""
 
     pieces: Trajectories
     unscored: tuple[int, ...]

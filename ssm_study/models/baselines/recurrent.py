@@ -19,7 +19,8 @@ from ssm_study.signals import DataSet, Scale
 
 @dataclass(frozen=True, kw_only=True)
 class Recurrent(Simulator, names=("gru", "lstm")):
-    """One layer of GRU or LSTM with a linear output, stepped by torch's documented equations."""
+    """Identified GRU or LSTM model. One layer of GRU or LSTM with a linear output, stepped by
+    torch's documented equations."""
 
     kind: str  # type: ignore[misc] # of either cell
     weight_ih: Float[np.ndarray, "g m"]
@@ -55,7 +56,8 @@ class Recurrent(Simulator, names=("gru", "lstm")):
 
 
 class TorchRecurrent(TorchModel):
-    """`y = W h + b` of torch's GRU or LSTM cell, float64; its state is h, and c of the LSTM."""
+    """Trainable GRU or LSTM baseline in torch. `y = W h + b` of torch's GRU or LSTM cell,
+    float64; its state is h, and c of the LSTM."""
 
     def __init__(self, kind: str, hidden: int, scale: Scale) -> None:
         super().__init__()
@@ -79,7 +81,8 @@ class TorchRecurrent(TorchModel):
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentSpec(ModelSpec):
-    """`cell` is gru or lstm, `hidden` its states; identification only."""
+    """Settings of a recurrent baseline. `cell` is gru or lstm, `hidden` its states;
+    identification only."""
 
     cell: str
     hidden: int

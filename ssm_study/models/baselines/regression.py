@@ -38,7 +38,7 @@ Codes = Int[np.ndarray, "terms degree"]
 
 @dataclass(frozen=True, kw_only=True)
 class Polynomial(Simulator, names=("narx",)):
-    """`y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes.
+    """Polynomial NARX model. `y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes.
 
     1000 + l is `y[k-l]`, 2000 + l is `u[k-l]` (3000 + l of the second input), 0 is one.
     """
@@ -116,7 +116,8 @@ def _delayed(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.nd
 
 
 def linear_regression(data: DataSet, lags: int, delay: int) -> Polynomial:
-    """ARX: the recursion that predicts the next sample with the least squared error."""
+    """Fit a linear ARX model by least squares. ARX: the recursion that predicts the next sample
+    with the least squared error."""
     codes = [CONSTANT, *variables(lags, delay, data.scale.inputs)]
     rows, target = regression_rows(scaled(data), codes)
     theta = np.linalg.lstsq(rows, target, rcond=None)[0]
@@ -147,7 +148,7 @@ def polynomial_path(
 def forward_selection(
     candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
 ) -> list[int]:
-    """Columns in the order in which each explains most of what those before it have left."""
+    """Order regressors by how much each explains of what those before it have left."""
     left = candidates.copy()
     residual = target.copy()
     least_power = DEPENDENT * (left**2).sum(axis=0)
@@ -209,7 +210,8 @@ def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
 @dataclass(frozen=True)
 class _OutputError:
-    """Residuals of the free run and their Jacobian, by filtering with `1 / F`."""
+    """Least-squares problem of an output-error model. Residuals of the free run and their
+    Jacobian, by filtering with `1 / F`."""
 
     records: Pairs
     order: int
@@ -221,8 +223,8 @@ class _OutputError:
         return 1 + self.order * len(self.records)
 
     def started(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
-        """Parameters with this F and all others by least squares: the free run is linear in
-        them."""
+        """Complete starting parameters around a given denominator. Parameters with this F and
+        all others by least squares: the free run is linear in them."""
         parameters = np.concatenate([f, np.zeros(self.extra + self._gains)])
         residual, jacobian = self.linearised(parameters)
         others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
@@ -254,8 +256,8 @@ class _OutputError:
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     def _jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Derivative of one record's output by every parameter that it is linear in; the columns of
-        F are left zero."""
+        """Jacobian of one record's simulated output. Derivative of one record's output by every
+        parameter that it is linear in; the columns of F are left zero."""
         f = parameters[: self.order]
         n = self.order
         jacobian = np.zeros((len(u), len(parameters)))
@@ -271,7 +273,8 @@ class _OutputError:
         return jacobian
 
     def minimised(self, parameters: np.ndarray) -> np.ndarray:
-        """At most `OUTPUT_ERROR_STEPS` steps of Levenberg-Marquardt; F stays stable."""
+        """Minimise the simulation error by Levenberg-Marquardt. At most `OUTPUT_ERROR_STEPS`
+        steps of Levenberg-Marquardt; F stays stable."""
         residual, jacobian = self.linearised(parameters)
         damping = 1e-3
         for _ in range(OUTPUT_ERROR_STEPS):
@@ -314,7 +317,8 @@ def _shifted(signal: np.ndarray, first: int, count: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """A baseline in words, the model, and its fit to the validation records."""
+    """Fitted baseline model with its name and score. A baseline in words, the model, and its fit
+    to the validation records."""
 
     words: str
     model: Polynomial
@@ -322,7 +326,8 @@ class Baseline:
 
 
 def best_baseline(data: DataSet) -> Baseline | None:
-    """The baseline that simulates the validation records best; None for several outputs.
+    """Fit several simple models and return the best. The baseline that simulates the validation
+    records best; None for several outputs.
 
     Trained on the training records alone. ARX with up to 20 lags, output error with up to 6, NARX
     of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
@@ -352,7 +357,8 @@ def best_baseline(data: DataSet) -> Baseline | None:
 
 
 def baseline_facts(data: DataSet) -> dict[str, object] | None:
-    """The columns `baseline` and `fit_baseline_percent`: the best baseline on the test records.
+    """Columns of the best simple model. The columns `baseline` and `fit_baseline_percent`: the best
+    baseline on the test records.
 
     None for several outputs, and where the records are too short for any of them.
     """

@@ -27,7 +27,8 @@ MOST_TERMS = 20
 
 
 class SolvedSpec(ModelSpec, ABC):
-    """A model found without training; `solve` returns its explicit numbers."""
+    """Settings of a model that is solved without training. A model found without training;
+    `solve` returns its explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator: ...
@@ -38,8 +39,8 @@ class SolvedSpec(ModelSpec, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Linear state space by subspace identification with `block_rows` block rows; an SSM without
-    nonlinearity.
+    """Settings of subspace identification. Linear state space by subspace identification with
+    `block_rows` block rows; an SSM without nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
     and B is fitted again without it. N4SID takes one record: several are joined end to end, and
@@ -83,8 +84,8 @@ class N4SID(SolvedSpec):
 def input_matrix(
     a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs
 ) -> Float[np.ndarray, "n m"]:
-    """`argmin over B and each record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so
-    solved at once."""
+    """Estimate the input matrix for known dynamics by least squares. `argmin over B and each
+    record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
     n = len(a)
     m = records[0][0].shape[1]
     count = len(records)
@@ -107,8 +108,9 @@ def input_matrix(
 
 @dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
-    """Polynomial NARX of `degree` with `lags` past inputs and outputs; `terms` chosen by forward
-    regression. Of degree one with every term it is ARX; then `terms` may be null."""
+    """Settings of a polynomial NARX model. Polynomial NARX of `degree` with `lags` past inputs
+    and outputs; `terms` chosen by forward regression. Of degree one with every term it is ARX;
+    then `terms` may be null."""
 
     sizes: ClassVar = ("lags", "degree")
 
@@ -134,7 +136,8 @@ class NARX(SolvedSpec):
 
 @dataclass(frozen=True, kw_only=True)
 class OutputError(SolvedSpec):
-    """Linear recursion of `order` whose free run, not its prediction, has the least error."""
+    """Settings of an output-error model. Linear recursion of `order` whose free run, not its
+    prediction, has the least error."""
 
     sizes: ClassVar = ("order",)
 
@@ -163,7 +166,8 @@ def _refuse_short_records(data: DataSet, lags: int) -> None:
 
 
 def library(name: str) -> Any:
-    """An optional package; raises `BadRequest` with what to install where it is missing."""
+    """Import an optional package. An optional package; raises `BadRequest` with what to install
+    where it is missing."""
     try:
         return import_module(name)
     except ImportError as error:

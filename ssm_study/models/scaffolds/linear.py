@@ -19,7 +19,8 @@ from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, T
 
 @dataclass(frozen=True, kw_only=True)
 class LinearScaffold(Scaffold, names=("linear",)):
-    """`S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no nonlinearity"."""
+    """Linear static map. `S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no
+    nonlinearity"."""
 
     gain: Float[np.ndarray, "k m"]
 
@@ -51,7 +52,8 @@ class LinearScaffold(Scaffold, names=("linear",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Linear(Trainable):
-    """`S(v) = v`: nothing to train, for a gain would only repeat what B or C already hold."""
+    """Identity as input or output map, without parameters. `S(v) = v`: nothing to train, for a
+    gain would only repeat what B or C already hold."""
 
     fixed = ("gain",)
 

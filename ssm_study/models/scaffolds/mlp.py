@@ -31,7 +31,8 @@ StartingValues = dict[str, Float[np.ndarray, "..."]]
 
 @dataclass(frozen=True, kw_only=True)
 class MlpScaffold(Scaffold, names=("mlp",)):
-    """`S(v) = N(v) - N(0)`, N a perceptron of any depth and width with leaky ReLU.
+    """Multilayer perceptron with leaky ReLU as a static map, zero at zero. `S(v) = N(v) - N(0)`, N
+    a perceptron of any depth and width with leaky ReLU.
 
     For one input and one hidden layer the slope is constant between the break points `-b_i / w_i`.
     Source: [Z26] section IV.
@@ -203,8 +204,8 @@ def free_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingVa
 
 @dataclass(frozen=True, kw_only=True)
 class OneChannel(Trainable):
-    """`S = S_L o ... o S_1`, any piecewise-linear maps of one channel whose sectors multiply to the
-    one asked for.
+    """Trainable monotone perceptron of one channel. `S = S_L o ... o S_1`, any piecewise-linear
+    maps of one channel whose sectors multiply to the one asked for.
 
     `S_l(v) = int_0^v s(t) dt`, `s = lower + (upper - lower) sigmoid(base + sum of jumps passed)`:
     `width - 1` leaky ReLUs with slopes `lower, upper` and one linear neuron write every such map,
@@ -273,7 +274,8 @@ class OneChannel(Trainable):
 
 
 def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple[float, float]:
-    """The slopes one layer may have so that `depth` of them in a row keep `[lower, upper]`.
+    """Sector of slopes for each of `depth` layers, so that all layers together keep `[lower,
+    upper]`.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
     the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =

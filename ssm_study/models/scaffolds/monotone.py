@@ -25,8 +25,8 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class MonotoneScaffold(Scaffold, names=("monotone",)):
-    """`S_c(v) = int_0^v s_c(t) dt` in each channel c, `s_c = slopes[c, j]` between `breakpoints[c,
-    j-1]` and `[c, j]`.
+    """Piecewise-linear monotone map, one per channel. `S_c(v) = int_0^v s_c(t) dt` in each channel
+    c, `s_c = slopes[c, j]` between `breakpoints[c, j-1]` and `[c, j]`.
 
     Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope
     interval is the smallest and the largest of `slopes`; the Jacobian is diagonal, so the interval
@@ -104,8 +104,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
 def piece_offsets(
     breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
 ) -> Float[np.ndarray, "h1"]:
-    """Offsets of the pieces `slope v + offset`: zero for the piece that holds v = 0, and such that
-    the map is continuous."""
+    """Offsets of affine pieces that join continuously. Offsets of the pieces `slope v + offset`:
+    zero for the piece that holds v = 0, and such that the map is continuous."""
     home = int(np.searchsorted(breakpoints, 0.0, side="right"))
     jumps = (slopes[:-1] - slopes[1:]) * breakpoints
     left = -np.cumsum(jumps[:home][::-1])[::-1]
@@ -115,8 +115,8 @@ def piece_offsets(
 
 @dataclass(frozen=True, kw_only=True)
 class Monotone(Trainable):
-    """Slopes `lower + (upper - lower) sigmoid(free)` between sorted break points, `hidden_width` of
-    them per channel.
+    """Trainable piecewise-linear monotone map. Slopes `lower + (upper - lower) sigmoid(free)`
+    between sorted break points, `hidden_width` of them per channel.
 
     The Jacobian is diagonal, so the sector is the ball. The break points move with training: when
     two cross, the piece between them has zero width and the map stays continuous in its parameters.

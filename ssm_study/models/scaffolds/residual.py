@@ -18,8 +18,8 @@ from ssm_study.systems import JacobianBall
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualScaffold(Scaffold, names=("residual",)):
-    """`S(v) = alpha v + beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball
-    `alpha I + beta Delta`.
+    """Static map whose Jacobians lie in a ball by construction. `S(v) = alpha v + beta (G(v) -
+    G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
     is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
@@ -63,7 +63,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:
-        """It lies around `alpha I` already."""
+        """No centre to move into the linear part: the Jacobians lie around `alpha I` already."""
         return
 
     def portable(self) -> PortableMap:
@@ -74,8 +74,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Residual(Trainable):
-    """G is a stack of `depth` sandwich layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)`
-    closed by a linear one.
+    """Trainable static map with 1-Lipschitz sandwich layers. G is a stack of `depth` sandwich
+    layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
 
     With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
     written out, G is a perceptron with Lipschitz multipliers `Psi^2`. It couples the channels.
@@ -140,7 +140,8 @@ Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 def cayley(
     skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
 ) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
-    """`(A, B)` with `A A^T + B B^T = I` for any real `skew, tail`.
+    """Cayley transform to a matrix pair with orthonormal rows. `(A, B)` with `A A^T + B B^T = I`
+    for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
     """

@@ -26,8 +26,8 @@ FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what 
 
 
 class Explicit:
-    """A mixin of dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its
-    kind, or tuples."""
+    """Mixin that writes and reads the numbers of an object as JSON. A mixin of dataclasses whose
+    fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or tuples."""
 
     kind: ClassVar[str | None] = None
 
@@ -42,8 +42,8 @@ class Explicit:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """The inverse of `to_json`; raises `BadRequest` naming the entry that is missing or
-        malformed."""
+        """Construct the object from its JSON form. The inverse of `to_json`; raises `BadRequest`
+        naming the entry that is missing or malformed."""
         return _built(cls, data)
 
 
@@ -105,7 +105,8 @@ ROUNDING = (
 
 
 class Scaffold(Family, Explicit):
-    """A static map `S: R^m -> R^k` with `S(0) = 0` exactly, held as explicit parameters only.
+    """Base class of static maps with a known ball of Jacobians. A static map `S: R^m -> R^k` with
+    `S(0) = 0` exactly, held as explicit parameters only.
 
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
     JSON without loss.
@@ -140,15 +141,16 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def centre(self) -> Square | None:
-        """A matrix that the Jacobians lie around, which may be moved into the linear part; None if
-        there is none."""
+        """Centre matrix of the Jacobians, which may be moved into the linear part; None if there
+        is none."""
 
     def after(self, m: Square) -> "Scaffold":
-        """`v -> m S(v)`, m the inverse of `centre()`; asked of scaffoldings that have one."""
+        """The map followed by a matrix. `v -> m S(v)`, m the inverse of `centre()`; asked of
+        scaffoldings that have one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def before(self, m: Square) -> "Scaffold":
-        """`v -> S(m v)`, m the inverse of `centre()`."""
+        """The map preceded by a matrix. `v -> S(m v)`, m the inverse of `centre()`."""
         return self.after(m)
 
     @abstractmethod
@@ -177,8 +179,8 @@ class Frame:
 
 
 class Trainable(ABC):
-    """Free parameters -> explicit parameters -> `S(v)`: the constraint lives in the first map, and
-    only there.
+    """Base class of static maps that are trained. Free parameters -> explicit parameters -> `S(v)`:
+    the constraint lives in the first map, and only there.
 
     A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
     sector. The paper's perceptron with free weights is the exception, and says so.
@@ -190,7 +192,7 @@ class Trainable(ABC):
 
     @abstractmethod
     def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
-        """The free parameters at the start."""
+        """Initial values of the free parameters."""
 
     @abstractmethod
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
@@ -199,7 +201,7 @@ class Trainable(ABC):
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        """`S(v)`."""
+        """Evaluate the map, `S(v)`."""
 
     @abstractmethod
     def frozen(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
@@ -221,7 +223,7 @@ class Trainable(ABC):
 
 
 def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
-    """A tensor's explicit numbers in float64."""
+    """Convert a tensor to float64 numbers."""
     return values.detach().cpu().double().numpy().copy()
 
 
