@@ -149,10 +149,7 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Columns of a run's table: of data, model and design, and of the loop on the model.
-
-        A loaded design has those of its run.
-        """
+        """Columns of the record of data, model, design and loop; of a loaded design its run's."""
         if self.origin is None:
             return dict(self.stored_record)
         return self.origin.facts | self.facts | self._loop_facts()
@@ -197,8 +194,7 @@ class Design:
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Write C99: header `path`, and beside it the source and a replay, named as the header.
 
-        `real` is "double" or "float". Raises `BadRequest` with the reason where there is no
-        controller.
+        `real` is "double" or "float". Raises `BadRequest` where there is no controller.
         """
         path = Path(path)
         sources = targets.c_sources(self.folder, real=real, prefix=path.stem)
@@ -248,8 +244,7 @@ class Design:
         return pd.Series(lines, name="design", dtype=object)
 
     def _prediction_lines(self) -> dict[str, str]:
-        """Lines of the summary that predict from the records how the plant behaves in closed
-        loop."""
+        """Lines of the summary that predict how the plant behaves in closed loop."""
         facts = self.facts
         words = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
         margin = facts.get("resolved_margin")
