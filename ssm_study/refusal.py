@@ -59,7 +59,6 @@ def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
 
 
 def one_of(known: Iterable[Any], field: str, value: Any) -> None:
-    """Refuse a value outside a list of allowed values. Refuse what is not among the known, and
-    list them."""
+    """Refuse a value outside the allowed ones, and list them."""
     *others, last = map(str, names := tuple(known))
     require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

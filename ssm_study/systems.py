@@ -53,7 +53,7 @@ class StateSpace(_Recurrence):
 
     @property
     def integrates(self) -> bool:
-        """Whether the system has an eigenvalue at one. Whether one is an eigenvalue: constant
+        """Whether the system has an eigenvalue at one: constant
         inputs hold no state."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 

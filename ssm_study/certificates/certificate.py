@@ -294,8 +294,7 @@ class Design:
 
     @property
     def inverts(self) -> bool:
-        """Whether the control law applies the inverse of the input map. Whether the law undoes
-        the input map: `u = S_u^{-1}(K xh)`."""
+        """Whether the control law applies the inverse of the input map: `u = S_u^{-1}(K xh)`."""
         return "inverted_input" in str(
             getattr(self.state_feedback, "theorem", type(self.state_feedback))
         )

@@ -87,7 +87,7 @@ class SlopesNotIdentifiable(UserWarning):
 
 
 def input_coverage(data: DataSet) -> float:
-    """The share of `BINS` equal bins of the amplitude range that the training inputs visit, worst
+    """Share of the amplitude range that the training inputs visit, in `BINS` equal bins, worst
     input channel.
 
     The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
@@ -104,8 +104,7 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """The warning's sentence if some input takes two levels at most over the training records, else
-    None."""
+    """Warning about training inputs that take two levels at most, else None."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))

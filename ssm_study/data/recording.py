@@ -353,8 +353,7 @@ class Recording(Columns):
 
 
 def is_among(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
-    """Whether a column repeats the numbers of another. Whether a column holds the numbers of one
-    of these."""
+    """Whether a column holds the same numbers as one of several columns."""
     return any(np.array_equal(values, column, equal_nan=True) for column in columns)
 
 

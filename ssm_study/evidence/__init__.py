@@ -1,1 +1,1 @@
-"""Whether data and model allow a judgement of the plant at all."""
+"""Findings about whether records and model allow a prediction for the plant."""

@@ -1,1 +1,1 @@
-"""The models that are identified from records."""
+"""Model structures that are identified from records."""

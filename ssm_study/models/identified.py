@@ -101,8 +101,7 @@ class ScaffoldedModel(Simulator):
         return np.concatenate([lifted, scaled], axis=-1)
 
     def push(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch n"]:
-        """Contribution of measured disturbances to the next state. `B_d (d - d_eq) / d_scale`: what
-        measured disturbances add to the next state.
+        """Contribution of measured disturbances to the next state, `B_d (d - d_eq) / d_scale`.
 
         No state and no input enters it, so it cancels where two motions under the same d are
         subtracted (docs/theory.md, "Measured disturbances").

@@ -192,8 +192,7 @@ class ModalForm:
 
 
 def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
-    """State after the last sample. `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`: where the
-    recurrence stands after the last sample."""
+    """State after the last sample, `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`."""
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
     ages = powers(rate, samples).flip(0).to(modes.b.dtype)

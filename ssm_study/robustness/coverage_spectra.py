@@ -95,7 +95,7 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
 
 
 def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
-    """Power spectra of a record in open loop. Welch's powers of a record in open loop: its noise
+    """Welch's power spectra of a record in open loop: its noise
     counts as mismatch."""
     powers = _welch_powers(run)
     count = len(powers["angles"])
@@ -107,7 +107,7 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
 def averaged_spectrum_in_loop(
     run: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Power spectra of a record in closed loop. Welch's powers of a record in closed loop, which
+    """Welch's power spectra of a record in closed loop, which
     the noise drives too: as `noise` says, which records in open loop show; without any it is
     taken for white, as strong as e in its quietest bands."""
     powers = _welch_powers(run)

@@ -97,7 +97,7 @@ class Mismatch:
 
     @property
     def seen(self) -> float:
-        """Largest gain of the model error in any record. The largest gain of any record: from
+        """Largest gain of the model error in any record: from
         below, what the incremental gain of the mismatch is."""
         return max(view.gain for view in self.everywhere) if self.rests else float("inf")
 

@@ -1,1 +1,2 @@
-"""How a model is fitted to data. Lightning lives here and nowhere else."""
+"""Training: how a model is fitted to data. Lightning lives
+here and nowhere else."""

@@ -48,7 +48,8 @@ LEAST = 1e-6  # below it nothing is said to contract
 
 @dataclass(frozen=True, kw_only=True)
 class LimitedFeedback(StateFeedbackOfBall):
-    """The fields of `state_feedback` at the wider ball."""
+    """Certificate of a state feedback under input limits. The fields of `state_feedback` at the
+    wider ball."""
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:

@@ -76,8 +76,8 @@ OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDiscs(Theorem):
-    """`kappa` and its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`; empty for a linear
-    S_y.
+    """Certificate that the loop comes to rest on every plant within a measured disc. `kappa` and
+    its proof `p (n_xi, n_xi)`, `lambda_p`, `lambda_out (3,)`; empty for a linear S_y.
 
     The disc is `centre, floor, weight_output, weight_input`: `[A, B; C, D]` of a filter of one
     channel, applied to each. The loop is `a, b, k` (controlled), `c, d, l, alpha_out, beta_out`

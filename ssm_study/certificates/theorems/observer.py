@@ -46,7 +46,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverOfBall(OfProblem, Observer):
-    """[Z26] Theorem 2: beside `a, c, q, l` the matrices `u (n, n)`, `v (n, p)` and `eta > 0`."""
+    """Certificate of an observer for an output map with a ball of Jacobians. [Z26] Theorem 2:
+    beside `a, c, q, l` the matrices `u (n, n)`, `v (n, p)` and `eta > 0`."""
 
     u: Float[np.ndarray, "n n"]
     v: Float[np.ndarray, "n p"]

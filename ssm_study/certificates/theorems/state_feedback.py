@@ -47,7 +47,8 @@ from ssm_study.certificates.theorem import Blocks
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedbackOfBall(OfProblem, StateFeedback):
-    """[Z26] Theorem 1: beside `a, b, p, k` the matrices `y (n, n)`, `x (m, n)` and `sigma > 0`."""
+    """Certificate of a state feedback behind an input map with a ball of Jacobians. [Z26]
+    Theorem 1: beside `a, b, p, k` the matrices `y (n, n)`, `x (m, n)` and `sigma > 0`."""
 
     y: Float[np.ndarray, "n n"]
     x: Float[np.ndarray, "m n"]

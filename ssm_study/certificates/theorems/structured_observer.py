@@ -48,8 +48,8 @@ from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredObserver(OfProblem, Observer):
-    """The statement above: `e (n, q)`, `f (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q,
-    p)`, `lambda_ (q,)`."""
+    """Certificate of an observer for a model with neurons. The statement above: `e (n, q)`, `f
+    (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]

@@ -53,8 +53,8 @@ from ssm_study.certificates.theorem import Blocks, diagonal
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredStateFeedback(OfProblem, StateFeedback):
-    """The statement above: `e (n, q)`, `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_
-    (q,)`, `sigma > 0`."""
+    """Certificate of a state feedback for a model with neurons. The statement above: `e (n, q)`,
+    `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
 
     e: Float[np.ndarray, "n q"]
     f: Float[np.ndarray, "q n"]

@@ -60,8 +60,9 @@ from ssm_study.certificates.theorems.tolerance import Candidates, Tolerance
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredTolerance(Tolerance):
-    """The fields of `tolerance`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`,
-    `lambda_ (2 q,)`."""
+    """Certificate of the largest mismatch under which the loop of a model with neurons comes to
+    rest. The fields of `tolerance`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q,
+    p)`, `lambda_ (2 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]

@@ -84,8 +84,8 @@ Candidates = Iterator[dict[str, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class Tolerance(Theorem):
-    """`s` and its proof `p (n_xi, n_xi)`, `lambda_p`; the loop `a, b, k` (controlled), `c, l,
-    alpha_out` (observed).
+    """Certificate of the largest mismatch under which the loop contracts. `s` and its proof `p
+    (n_xi, n_xi)`, `lambda_p`; the loop `a, b, k` (controlled), `c, l, alpha_out` (observed).
 
     `weight (w + m, w + m)` is `[A_W, B_W; C_W, D_W]`, of order w: for a constant weight just `D_W`.
     """

@@ -57,8 +57,8 @@ FARTHEST = 1e6  # scaled: a gain that hardly moves an input reaches no limit fro
 
 @dataclass(frozen=True, kw_only=True)
 class UnlimitedStart(StateFeedbackOfBall):
-    """Beside the fields of `state_feedback` the limits `(m, 2)` and starts `(n, j)`, scaled, and
-    the level."""
+    """Certificate of initial outputs from which no input limit ever acts. Beside the fields of
+    `state_feedback` the limits `(m, 2)` and starts `(n, j)`, scaled, and the level."""
 
     limits: Float[np.ndarray, "m two"]
     starts: Float[np.ndarray, "n j"]

@@ -1,1 +1,1 @@
-"""Signals that excite a plant."""
+"""Excitation signals for identification experiments."""
