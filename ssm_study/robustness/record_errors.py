@@ -155,7 +155,8 @@ def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
 
 
 def view_of_averages(records: list[RecordErrors]) -> View:
-    """Mismatch from records whose input does not repeat: noise counts as mismatch, and nothing is split off."""
+    """Mismatch from records whose input does not repeat: noise counts as mismatch,
+    and nothing is split off."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
