@@ -2,7 +2,7 @@
 verdict."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import altair as alt
 import numpy as np
@@ -92,8 +92,8 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     layers += [_rule().encode(y=alt.datum(value)) for value in level]
     if panel.tick:  # on the points' scale: one of its own would include zero
         layers.append(_bars().encode(x=x, y=alt.Y(f"{panel.tick}:Q", scale=up)))
-    at_best = {"x": alt.X(f"{panel.x}:Q", scale=across), "y": alt.Y(f"{panel.y}:Q", scale=up)}
-    layers.append(_ring().encode(**at_best))
+    at_x = alt.X(f"{panel.x}:Q", scale=across)
+    layers.append(_ring().encode(x=at_x, y=alt.Y(f"{panel.y}:Q", scale=up)))
     points = _points().encode(x=x, y=y)
     chart = alt.layer(*layers, points, data=alt.NamedData("runs"))
     axes = f"{words(panel.y)} against {words(panel.x)}"
@@ -104,7 +104,13 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
 
 def _bars() -> alt.Chart:
     """Layer that draws a short bar per run, in the data set `ticks`."""
-    look = {"color": style.INK, "size": 16, "thickness": 1, "opacity": 0.8, "aria": False}
+    look: dict[str, Any] = {
+        "color": style.INK,
+        "size": 16,
+        "thickness": 1,
+        "opacity": 0.8,
+        "aria": False,
+    }
     hint = alt.TooltipContent("data")
     return alt.Chart(alt.NamedData("ticks")).mark_tick(orient="horizontal", tooltip=hint, **look)
 
@@ -115,7 +121,7 @@ def _ring() -> alt.Chart:
     return best.mark_point(size=170, strokeWidth=1.3, color=style.INK, opacity=1, aria=False)
 
 
-def _dressed(chart: alt.LayerChart) -> dict[str, Any]:
+def _dressed(chart: Any) -> dict[str, Any]:
     """Apply the page's fonts and colours to a chart."""
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
@@ -146,7 +152,7 @@ def groups_specification() -> dict[str, Any]:
     return _dressed(chart.properties(width="container", height=HEIGHT))
 
 
-def _points(*brushed: str) -> alt.Chart:
+def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
     """Layer that draws a point per run; a brush over both axes, or over those that are named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
@@ -167,7 +173,7 @@ def _points(*brushed: str) -> alt.Chart:
     ).add_params(_brush(*brushed), mask, chosen)
 
 
-def _brush(*encodings: str) -> alt.Parameter:
+def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
     """Selection parameter: a rectangle that the reader drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
