@@ -80,18 +80,25 @@ def findings(case: Case) -> Iterator[Finding]:
             "model.feedthrough=true."
         )
     elif closed and not at_once:
-        told = (
-            f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
-        )
+        shared = words_of_the_loop(earlier, present)
         remedy = (
             "check data.reference or data.controller"
             if share
             else "name its set point, data.reference, or PI"
         )
-        yield doubt(f"{told}, as in a closed-loop log: {remedy}, or record with the loop open.")
+        yield doubt(f"{shared}, as in a closed-loop log: {remedy}, or record with the loop open.")
     integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
     in_loop = (closed and not at_once) or share is not None
     yield from runs_away(case.data, closed=in_loop, integrated=integrated)
+
+
+def words_of_the_loop(earlier: float, present: float) -> str:
+    """Name the share that shows the loop: the one that exceeds its limit by more."""
+    if present - PRESENT >= earlier - EARLIER:
+        return (
+            f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
+        )
+    return f"Earlier outputs explain {100 * earlier:.0f} % of what is new in the input"
 
 
 def answers_at_once(data: DataSet) -> bool:
