@@ -370,8 +370,12 @@ class Model:
     def __init__(self, linear: StateSpace) -> None:
         self.linear = linear
 
-    def with_linear(self, linear: StateSpace) -> "Model":
-        return Model(linear)
+    @property
+    def driven_system(self) -> StateSpace:
+        return self.linear
+
+    def with_driven_system(self, system: StateSpace) -> "Model":
+        return Model(system)
 
 
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
