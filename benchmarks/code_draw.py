@@ -4,12 +4,15 @@
 first sentence) and sixty first sentences of docstrings. The seed is the first eight hexadecimal
 digits of the commit, HEAD by default, so that nobody chooses what is read. The reader says of each
 function whether its purpose is clear and its name right, and of each sentence whether it is
-understood at once, without the signature.
+understood at once, without the signature. An override without a docstring shows that of the method
+which it overrides, where a base class of the package has one.
 """
 
 import argparse
 import ast
+import re
 import subprocess
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +21,7 @@ from code_shape import Function, Source, read_sources
 PACKAGE = Path(__file__).resolve().parents[1] / "ssm_study"
 FUNCTIONS = 30
 SENTENCES = 60
+STOP = re.compile(r"(?<!e\.g)(?<!i\.e)(?<!\.\.)\. ")  # no full stop: that of e.g., i.e. and "..."
 
 
 def resolve_commit(name: str) -> str:
@@ -32,16 +36,39 @@ def first_sentence(node: ast.AST) -> str:
     """First paragraph of a docstring up to its first full stop; empty without a docstring."""
     text = ast.get_docstring(node) or ""  # type: ignore[arg-type]
     paragraph = " ".join(text.split("\n\n")[0].split())
-    head, stop, _ = paragraph.partition(". ")
-    return head + stop.strip()
+    stop = STOP.search(paragraph)
+    return paragraph if stop is None else paragraph[: stop.start() + 1]
 
 
-def describe_function(function: Function, source: Source) -> str:
+def overridden_by(function: Function, sources: Sequence[Source]) -> Iterator[Function]:
+    """Methods of base classes in the package that a method overrides, the nearest base first.
+
+    Classes are found by their names alone.
+    """
+    nodes = [node for source in sources for node in source.nodes]
+    classes = [node for node in nodes if isinstance(node, ast.ClassDef)]
+    queue = [owner for owner in classes if function in owner.body]
+    for owner in queue:  # grows by the bases of each
+        names = [ast.unparse(base).partition("[")[0].split(".")[-1] for base in owner.bases]
+        bases = [found for found in classes if found.name in names and found not in queue]
+        queue += bases
+        methods = [node for base in bases for node in base.body if isinstance(node, Function)]
+        yield from (method for method in methods if method.name == function.name)
+
+
+def sentence_of(function: Function, sources: Sequence[Source]) -> str:
+    """First sentence of a function, or of the first method with a docstring that it overrides."""
+    found = [function, *overridden_by(function, sources)]
+    sentences = [sentence for node in found if (sentence := first_sentence(node))]
+    return sentences[0] if sentences else "(no docstring)"
+
+
+def describe_function(function: Function, source: Source, sentence: str) -> str:
     """Place, signature and first sentence of a function."""
     place = source.path.relative_to(PACKAGE).as_posix()
     result = "" if function.returns is None else f" -> {ast.unparse(function.returns)}"
     signature = f"{function.name}({ast.unparse(function.args)}){result}"
-    return f"{place}: {signature}\n    {first_sentence(function) or '(no docstring)'}"
+    return f"{place}: {signature}\n    {sentence}"
 
 
 def main() -> None:
@@ -58,7 +85,8 @@ def main() -> None:
     sentences = [first_sentence(node) for source in sources for node in source.documented]
     print(f"seed {digits}: {FUNCTIONS} of {len(own)} functions")
     for number in rng.choice(len(own), FUNCTIONS, replace=False):
-        print(describe_function(*own[number]))
+        function, source = own[number]
+        print(describe_function(function, source, sentence_of(function, sources)))
     print(f"{SENTENCES} of {len(sentences)} first sentences")
     for number in rng.choice(len(sentences), SENTENCES, replace=False):
         print(sentences[number])

@@ -38,8 +38,8 @@ def taken_from(arguments: list[str]) -> list[str]:
 
 
 def trust(folder: Path) -> None:
-    """Make the package in this folder importable and its parts choosable. Raises `BadRequest` for
-    no such package."""
+    """Trust the package in this folder, so that it can be imported and a configuration can choose
+    its parts. Raises `BadRequest` for no such package."""
     folder = folder.resolve()
     whole = folder.name.isidentifier() and (folder / "__init__.py").is_file()
     require(whole, OPTION, folder, "is no study folder", "make one: ssm-study new FOLDER")

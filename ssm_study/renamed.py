@@ -453,6 +453,7 @@ def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
     defined = vars(base).get("__init_subclass__")
 
     def init_subclass(cls: type, **options: Any) -> None:
+        """Give a new subclass the old method names, then do what its base class does."""
         answer_to_both(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]

@@ -88,7 +88,7 @@ class Certification:
 
 
 def _limit_words(rate: float) -> str:
-    """Sentence on the largest rate that is possible."""
+    """Words on the largest contraction rate that any certificate can reach."""
     return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
 
 

@@ -48,7 +48,8 @@ class Estimator:
     model_: Model = field(init=False, repr=False)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
-        """Parameters by name; none of them has parameters of its own."""
+        """Settings by name, as scikit-learn reads them. None has parameters of its own, so `deep`
+        changes nothing."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":

@@ -184,6 +184,8 @@ def break_points(network: Network) -> list[Fraction]:
 
 
 def _pieces(network: Network) -> list[_Piece]:
+    """Affine pieces of a scalar network, found layer by layer. Refuses a network with several
+    inputs or outputs."""
     shape = (network.inputs, network.outputs)
     require(
         shape == (1, 1),
@@ -230,6 +232,7 @@ def _through(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> lis
 
 
 def _between(low: End, high: End) -> Fraction:
+    """A number between two ends of an interval, either of which may be infinite."""
     if isinstance(low, Fraction):
         return low + 1 if high == inf else (low + Fraction(high)) / 2
     return Fraction(high) - 1 if high != inf else Fraction(0)
@@ -301,6 +304,8 @@ def _channels(portable: PortableMap) -> list[PortableMap]:
 
 
 def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
+    """Break points, slopes and offsets of the inverse of a scalar map. None where the map is not
+    strictly monotone."""
     knots = np.unique(
         [float(t) for t in break_points(portable.as_network())]
     )  # pieces of one slope share a point

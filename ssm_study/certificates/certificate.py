@@ -88,8 +88,8 @@ class Side(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
-        """The same gain, certified at the largest rate that is proved for it; None where that is no
-        more."""
+        """Certificate of the same gain at the largest rate that is proved for it. None where that
+        is no larger than certified already."""
         return None
 
     @staticmethod
@@ -107,7 +107,7 @@ class OfProblem(Side, abstract=True):
     @staticmethod
     @abstractmethod
     def inequality(of: Any) -> Blocks:
-        """The one matrix inequality of the theorem, as named blocks."""
+        """The matrix inequality of the theorem, as the upper triangle of its blocks."""
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
@@ -338,8 +338,8 @@ class Design:
 
     @classmethod
     def from_json(cls, content: dict[str, Any]) -> "Design":
-        """Raises `BadRequest` for a missing part, an unknown or missing field, or a matrix that is
-        no matrix."""
+        """Read a design from the content of `certificate.json`. Raises `BadRequest` for a missing
+        part, an unknown or missing field, or a matrix that is no matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
         withdrawn = {name: content[name] for name in WITHDRAWN_PARTS if name in content}

@@ -73,8 +73,8 @@ def excite(options: argparse.Namespace) -> None:
 
 
 def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
-    """Settings of the excitation: those of the run of a first log, overridden by the given
-    options."""
+    """Settings of the excitation: those that an earlier run of the plant suggests, overridden by
+    the given options."""
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles

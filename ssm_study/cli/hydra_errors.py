@@ -56,7 +56,8 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
 
 
 def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
-    """Suggestion for a group that is named with its place, with the requested value."""
+    """Suggestion for an option of the configuration that is named together with its place, with the
+    requested value."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
     suggestions = " or ".join(f"{place}={value}" for place in at)

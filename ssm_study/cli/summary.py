@@ -51,8 +51,8 @@ def conclude_run(config: DictConfig) -> bool:
 
 
 def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[Any]:
-    """Stored list in the file, if it is newer than all records, starts and ends of runs and all
-    `files`; else an empty list.
+    """Read the JSON list in the file if it is newer than the study's records and all `files`. Else
+    the list is empty.
 
     Figures that are younger show another run of the study.
     """

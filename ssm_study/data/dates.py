@@ -87,7 +87,7 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
 
 
 def zone_seconds(zone: str) -> float:
-    """Offset of a time zone as `+02:00`, seconds."""
+    """Offset from UTC, in seconds, of a time zone written as `+02:00`, `Z` or `UTC`."""
     if zone in ("Z", "UTC"):
         return 0.0
     digits = zone[1:].replace(":", "")

@@ -1,4 +1,5 @@
-"""Dynamics of the plant as a log shows them: answer, integrator, loop, noise, in words.
+"""Dynamics of the plant as a log shows them, in words: delay and lag of the response, integrator,
+closed loop, noise.
 
 Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` and two earlier
 `dy`; a lag answers where its coefficient is `SURE` standard errors from zero.

@@ -44,8 +44,9 @@ class RecordedSource(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class AroundRest(RecordedSource):
-    """Base class of recorded data around an equilibrium. Records about an equilibrium: "zero" or
-    "mean" (of the training samples), or one number per channel, as given.
+    """Base class of recorded data about an equilibrium. It is "zero" or "mean" (of the training
+    samples), or one number per channel, as given. Records about an equilibrium: "zero" or "mean"
+    (of the training samples), or one number per channel, as given.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces

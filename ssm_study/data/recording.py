@@ -348,7 +348,7 @@ class Recording(Columns):
         return self.step_s is None
 
     def read(self) -> Trajectory:
-        """The experiment in physical units; refuses as `read_from`."""
+        """Read the experiment in physical units. Refuses what `read_from` refuses."""
         return self.read_from(Path(self.path), first=self.first, last=self.last)
 
 

@@ -22,7 +22,8 @@ class PlannedStages(Stages):
     noted: dict[str, StageResult] = field(default_factory=dict)
 
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
-        """Note a stage by its key, with an empty folder where the store does not have it."""
+        """Note that a run needs the stage with this key, and whether the store has it, without
+        computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
         folder = self.store.folder(name, key)

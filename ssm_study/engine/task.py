@@ -123,7 +123,7 @@ class Task(ABC, Generic[R]):
         request = self.request(settings)
 
         def work(run: Run) -> Facts:
-            """Take all stages and complete the record."""
+            """Run every stage and return the columns that complete the record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
             self.stages(request, RunStages(store_of(settings).root, run, announces))
             return self.run(request, run)

@@ -223,6 +223,7 @@ def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple
 def _standard_errors(
     moved: Rows, rise: Float[np.ndarray, "_"], before: Float[np.ndarray, "_"]
 ) -> float:
+    """Coefficient of the last regressor in a least-squares fit, in standard errors."""
     rows = np.column_stack([moved, before])
     weights, _, rank, _ = np.linalg.lstsq(rows, rise, rcond=ROUNDING)
     missed = rise - rows @ weights

@@ -49,7 +49,7 @@ class Judgement:
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
-        """Raises `BadRequest` for what is no list of findings."""
+        """Read the findings from JSON. Raises `BadRequest` for what is no list of findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")

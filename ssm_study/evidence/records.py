@@ -260,6 +260,7 @@ def _repeated(records: tuple[Trajectory, ...], length: int) -> float:
 
 def _spectrum(case: Case) -> Iterator[str]:
     def power(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
+        """Power spectrum of the input over several records, summed over the channels."""
         u, _ = _joined(case, records)
         _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
         return np.asarray(spectrum.sum(axis=1))

@@ -88,6 +88,7 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     """
 
     def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
+        """Cross spectra of two signals, summed over all records by their lengths."""
         spectra = []
         for part in parts:
             a = part[i][:, :, None]

@@ -200,7 +200,8 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
 
 
 def _within(device: Device, has_set_points: bool) -> str:
-    """Comment of the header on use within limits; measured disturbances are the last argument."""
+    """C comment of the header that says how to use the controller within input limits. Measured
+    disturbances are the last argument."""
     comment = WITHIN[has_set_points]
     if not device.controller.scale.disturbances:
         return comment

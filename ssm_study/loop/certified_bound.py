@@ -42,8 +42,8 @@ def in_inverse_metric(
 def distances(
     x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
 ) -> tuple[Distances, Distances]:
-    """Distance of the state from rest, and of the estimate from the state, in the certified
-    metrics.
+    """Distances of the state from the equilibrium and of the estimate from the state, in the
+    certified metrics.
 
     `||x||_M` with `M = P^{-1}` and `||xh - x||_Q`; integrators, the columns of `x_hat` beyond n,
     belong to the first.

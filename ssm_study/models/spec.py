@@ -230,8 +230,8 @@ class ModelSpec(ABC):
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
     def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """The model of training number `start` among several: the same, as each has a seed of its
-        own."""
+        """Settings for training number `start` of several. They are the same for all, as each
+        training has a seed of its own."""
         return self
 
 
@@ -281,8 +281,8 @@ class SSMSpec(ModelSpec):
                 require(fits, f"model.{name}", ends, problem, "correct the range")
 
     def at_start(self, start: int) -> "SSMSpec":
-        """Settings of a further training, which begins with random modes, real ones only to make
-        pairs."""
+        """Settings for training number `start` of several. From the second on it begins with random
+        modes, real ones only to make pairs."""
         return (
             replace(self, start="ring", real_modes=self.order - 2 * ((self.order - 1) // 2))
             if start

@@ -145,7 +145,8 @@ class StructuredSSM(ScaffoldedModel):
 
     @cached_property
     def matrices(self) -> "Matrices":
-        """The matrices and the codes of the neurons, as the compiled recurrence takes them."""
+        """Matrices of the recurrence and codes of its activation functions, as compiled code takes
+        them."""
         from ssm_study.models.structured_kernel import (
             Matrices,
         )  # numba: reading a model does without
@@ -154,7 +155,8 @@ class StructuredSSM(ScaffoldedModel):
 
     @cached_property
     def driven_matrices(self) -> "Matrices":
-        """The same with `(S_u(u), scaled d)` for the input: disturbances reach the state alone."""
+        """Matrices for compiled code, with `(S_u(u), scaled d)` as input. Disturbances reach the
+        state alone."""
         from ssm_study.models.structured_kernel import Matrices
 
         system = self.driven_system

@@ -133,8 +133,8 @@ def split(
 @compiled
 @no_type_check
 def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add to a row of derivatives `weights s`, what moves this row alone (from `own` on), and what
-    moves the neurons.
+    """Add one sample's contribution to the sensitivity of one state or output to all parameters. It
+    comes from `weights s`, from this row's own entries (from `own` on), and from the neurons.
 
     `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g,
     bias and scaffold_in.

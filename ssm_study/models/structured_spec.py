@@ -69,8 +69,8 @@ class Pieces:
         )
 
     def start(self, samples: Float[np.ndarray, "N c"]) -> Free:
-        """All slopes equal, the break points at equal shares of the samples' range: its ends are
-        seldom visited."""
+        """Initial parameters with all slopes equal and the break points evenly spaced over the
+        range of the samples. The points keep off the ends, which are seldom visited."""
         if not self.knots:
             return np.zeros(0)
         low = samples[:, : self.channels].min(axis=0)
@@ -266,5 +266,6 @@ class StructuredSpec(ModelSpec):
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
-        """Raises `TypeError`: there is a training of its own (`training.structured_fit`)."""
+        """Refuse to build a torch model, with `TypeError`. A structured model has a training of its
+        own (`training.structured_fit`)."""
         raise TypeError("it has a training of its own")

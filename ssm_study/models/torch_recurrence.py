@@ -241,8 +241,9 @@ def tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
 
 
 def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Rows `exp(rate)^k`, k = 0 ... count - 1; large tables by doubling, nine times cheaper than
-    the exponentials."""
+    """Powers `exp(rate)^k` of the modes, one row for each k from 0 to `count - 1`. Large tables are
+    made by doubling, nine times cheaper than the exponentials. count - 1; large tables by doubling,
+    nine times cheaper than the exponentials."""
     if count * len(rate) <= FEW_POWERS:
         return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
     step = torch.exp(rate)[None]

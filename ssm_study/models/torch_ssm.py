@@ -1,4 +1,5 @@
-"""The trainable model: scaffolding, linear recurrent unit, scaffolding, in scaled units."""
+"""Trainable model in torch: static map S_u, linear recurrent unit, static map S_y, in scaled
+units."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -316,6 +317,8 @@ class TorchSSM(TorchModel):
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
+        """Simulate from `x0`; the input after its map may be given as `lifted`. Returns the output
+        and the last state."""
         lifted = self.drive(u) if lifted is None else lifted
         modes = self.lru.modes()
         modal = self.lru.initial_state(x0)

@@ -1,4 +1,5 @@
-"""Start of a free run on a piece of a log: from its first samples, or from the log's past.
+"""Initial state of a free run on a piece of a log, estimated from the piece's first samples or
+simulated from the log before it.
 
 A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
 piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the
@@ -33,7 +34,8 @@ States = tuple[State | None, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class PieceStarts:
-    """Which start of a piece predicts better, and both starts of the validation and test records.
+    """Initial states of the validation and test records as the log before them gives them, and
+    whether these or the first samples predict better.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -52,7 +54,8 @@ class PieceStarts:
 
 
 def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
-    """Compare the two starts on pieces of the training and validation records.
+    """Choose whether the initial state of a piece comes from its first samples or from the log
+    before it, as the training and validation records predict better.
 
     Nothing of the test records is used but the inputs and outputs that precede them in their logs.
     """
@@ -77,7 +80,8 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
 
 
 def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean error of each start over pieces of the training and validation records.
+    """Mean error of a free run for each kind of initial state, over pieces of the training and
+    validation records.
 
     None where no piece has a past. Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
@@ -176,7 +180,8 @@ def log_stretches(data: DataSet) -> list[Trajectory]:
 
 
 def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and of the test records, from the better start."""
+    """Free runs of the validation and of the test records, from the kind of initial state that
+    predicts better."""
     starts = choose_piece_starts(model, data)
     window = data.start_up_samples
     validation = Simulation.of(model, data.validation, window, starts.chosen("validation"))
@@ -185,7 +190,8 @@ def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
 
 
 def other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
-    """Free run of the test records from the start that was not taken; None where they have none."""
+    """Free run of the test records from the kind of initial state that was not chosen. None where
+    they have none."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
         return None
     states: States = (None,) * len(data.test)

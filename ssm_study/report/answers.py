@@ -110,7 +110,8 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
 
 
 def limit_sentence(side: str, limit: pd.Series) -> str:
-    """Sentence on the range of the exact rate limits, and what they follow from."""
+    """Sentence on the range of the largest certifiable rate over the models of a study, and what
+    determines it."""
     reach = f"{limit.max():.3g}"
     if limit.nunique() > 1:
         reach = f"from {limit.min():.3g} to {reach}"
@@ -167,7 +168,8 @@ def prediction_question(table: pd.DataFrame) -> str:
 
 
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences on how many loops settle on either side of the prediction, and what that bounds."""
+    """Sentences on how many loops settle where stability was predicted, how many where it was not,
+    and how often the prediction may fail."""
     share = column(table, "stable_fraction")
     stable = predicted_stable(table)
     known = column(table, "predicted_stable").notna() & share.notna()

@@ -25,8 +25,8 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """A requirement that one part of a record's spectrum puts on the weights. One requirement on
-    the weights: `seen <= sum over lines of (X model + Y input)` at its angles.
+    """A requirement that one part of a record's spectrum puts on the weights, `seen <= sum over
+    lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -124,8 +124,8 @@ class RepeatingPower:
 
 
 def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
-    """Requirements on the weights from a record with two periods. Bands, groups of bands and the
-    total of a record with two periods; in one that is `sure` whatever repeats counts."""
+    """Requirements on the weights from the bands, groups of bands and total power of a record with
+    two periods. In one that is `sure` whatever repeats counts."""
     powers = RepeatingPower.of(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
@@ -154,8 +154,8 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
 
 
 def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
-    """Requirements on the weights from a record that does not repeat. Bins and the total of a
-    record that does not repeat."""
+    """Requirements on the weights from each frequency bin of a record that does not repeat, and
+    from its total power."""
     seen = record.deviation_power(centre)
     dark = record.input_power < EXCITED * record.input_power.mean()
     items = list[Item]()

@@ -56,6 +56,7 @@ def coverage_table(
 
 
 def _row(band: Item, weights: Weights, kappa: float, need: float, *, decides: bool) -> CoverageBand:
+    """Row of one band: measured and proved radius of the disc there."""
     model_power = float(band.model_power.sum())
     measured = None
     proved_radius = None

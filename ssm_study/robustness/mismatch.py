@@ -166,9 +166,9 @@ def measure_mismatch(
 def _rests_after_motion(
     moving: list[RecordErrors], response: int
 ) -> tuple[list[float], list[float]]:
-    """Offsets and swings of the output where the input has come to rest: all offsets above
-    `AT_REST`, and the swings above `FAINT`, which a decay may not show, since it starts
-    elsewhere."""
+    """Remaining offsets and oscillations of the output after the input has come to a constant
+    value. Offsets count above `AT_REST`, oscillations above `FAINT`: a decay may not show these,
+    since it starts elsewhere."""
     offsets = []
     swings = []
     for errors in moving:

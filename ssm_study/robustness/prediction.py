@@ -287,7 +287,7 @@ def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gai
 def _largest_gain_of_mixtures(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
 ) -> float:
-    """Largest gain with a phase of mixtures of two neighbouring amplitudes."""
+    """Largest small-gain bound over mixtures of the mismatch at two neighbouring amplitudes."""
     gains = []
     for share in MIXTURES:
         linear_part = (1 - share) * smaller.linear_part + share * larger.linear_part
@@ -327,6 +327,6 @@ def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains
 
 
 def _slope_at_rest(scaffold: Scaffold, ball: JacobianBall) -> float:
-    """The largest slope of a scaffolding at zero, with the sign and within the ends of its ball."""
+    """Largest slope of a static map at zero, with its sign, clipped to the slopes of its ball."""
     size = np.linalg.norm(scaffold.jacobian(np.zeros(scaffold.inputs)), 2)
     return float(np.clip(np.sign(ball.alpha) * size, ball.lower, ball.upper))

@@ -1,4 +1,4 @@
-"""Errors of the model in one record, and what they show of the mismatch: a `View`.
+"""Errors of the model in one record, and the mismatch that they show at one amplitude of the input.
 
 Two periods of one input tell what repeats from noise; of an input that does not repeat there are
 Welch's averages, in which noise counts as mismatch; a trial in closed loop has its own rule.
@@ -36,8 +36,8 @@ Spectra = tuple[
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Mismatch seen in the records of one amplitude, scaled units, at `ANGLES`: see the module for
-    `linear` (Q) and `rest`.
+    """Mismatch between plant and model in the records of one input amplitude, in scaled units. See
+    the module for `linear` (Q) and `rest`, both at `ANGLES`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
     agree, zero where the plant holds still.

@@ -76,7 +76,7 @@ def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
 def _by_input(
     scale: Scale, records: list[Trajectory]
 ) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
-    """The scaled outputs of the returns, by the scaled input at which each ends."""
+    """Scaled outputs of the records that return to a constant input, grouped by that input."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
         held = scale.with_disturbances_as_inputs().scaled_input(record.driven_by[-1])

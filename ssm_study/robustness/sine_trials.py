@@ -83,14 +83,16 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"], period: in
 def measure_sines(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
-    """The mismatch at the line of each record, with the noise that the other records show."""
+    """Measure the mismatch at the sine's frequency in each record, with the noise power that the
+    broadband records show."""
     noise = np.array(mismatch.noise)
     return [measure_sine(RecordErrors.of(model, record, 0), noise, period) for record in records]
 
 
 def with_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
-    """Add the results of single-sine experiments to a mismatch, at the nearest amplitudes; sines
-    well below the smallest have a view of their own, which is else the smallest one's."""
+    """Add the mismatch measured with single sines to that of the broadband records, at the nearest
+    amplitude. Sines well below the smallest amplitude get one of their own, which else equals the
+    smallest one's."""
     views = list(mismatch.views)
     smallest = views[0]
     below = [sine for sine in sines if sine.amplitude < smallest.amplitude / 2]

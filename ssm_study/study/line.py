@@ -239,6 +239,7 @@ class Study(Task["Specification"]):
         )
 
     def preload(self, again: Set[str]) -> None:
+        """Import what all jobs use, except what only the stages other than `again` use."""
         from ssm_study.study.preload import preload
 
         preload(again)

@@ -96,7 +96,7 @@ class RecordedCases:
 
     @property
     def rest_s(self) -> float:
-        """Time shortly after the last response of a closed loop has settled in the band.
+        """Time shortly after the last response of a closed loop has settled, in seconds.
 
         The whole horizon where one does not.
         """

@@ -165,8 +165,8 @@ class RunFiles:
 
     @property
     def excitation(self) -> dict[str, float]:
-        """Settings for exciting the plant again (`OwnPlantRecord`), derived from this run: its
-        inputs with their rest, and its model's response time in seconds."""
+        """Settings of a next excitation of the plant (`OwnPlantRecord`), from this run's input
+        range, equilibrium input and sampling and response times."""
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)

@@ -59,7 +59,8 @@ def compute_logged(
 
 
 def _write_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
-    """Write the data set with trials among the records for the mismatch, and their recording."""
+    """Write the data set with the trials added to the records that measure the mismatch, and write
+    the trials as a recording."""
     mismatch_records = (*data.mismatch_records, *trials)
     write_dataset(folder, replace(data, mismatch_records=mismatch_records))
     write_records(folder / LOOPS, data, trials)

@@ -112,7 +112,8 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
 
 
 def _cause(finding: Checked) -> str:
-    """Text of a finding; the stored value is left out where nothing derives the column."""
+    """Reason that a failed finding gives, by which failures are grouped. Where no file derives the
+    column, the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found
 
 

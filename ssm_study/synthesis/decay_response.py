@@ -100,7 +100,8 @@ def _closed_outputs(
     decays: Float[np.ndarray, "N T p"],
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N T p"]:
-    """Output of every pair's loop, started at every decay."""
+    """Outputs of the closed loop with each controller and observer, started from the initial state
+    of each recorded decay."""
     k = gains.k.transpose(0, 2, 1)[:, : model.order]
     l_ = gains.l.transpose(0, 2, 1)
     l_z = None if gains.l_z is None else gains.l_z.transpose(0, 2, 1)

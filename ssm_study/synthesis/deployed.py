@@ -90,8 +90,8 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
 
 
 def at_largest_rate(part: Side) -> Side | None:
-    """Side with the same gain, certified at the largest rate that is proved for it; None where that
-    is no larger.
+    """Certificate of the same gain at the largest rate that is proved for it. None where that is no
+    larger than certified already.
 
     A plug-in's theorem says itself how (`Side.at_largest_rate`).
     """

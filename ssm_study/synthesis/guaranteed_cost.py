@@ -127,7 +127,8 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost(log_step: float) -> float:
-        """Guaranteed cost at a step of the logarithm of tau."""
+        """Guaranteed cost at a value of the search variable, the logarithm of `tau / tau_min -
+        1`."""
         point = at_tau(problem, tau_min * (1 + np.exp(log_step)))
         tried.append((FAR if point is None else point.cost, point))
         return tried[-1][0]

@@ -130,7 +130,8 @@ class LoopCoverage:
         return cls(context=context, items=items)
 
     def around(self, gains: dict[str, Any], centre: float) -> float:
-        """Largest kappa of the joint program around one centre; zero where it has no solution."""
+        """Largest radius kappa of the mismatch disc around one centre, with weights and multipliers
+        chosen together. Zero where there is no solution."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
         from ssm_study.synthesis.measured_discs_search import theorem_of
         from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
@@ -151,8 +152,8 @@ class LoopCoverage:
             return 0.0
 
     def largest(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
-        """Largest kappa over the centres, and its centre; the search ends at the first that is
-        `enough`."""
+        """Largest radius kappa of the mismatch disc over all centres, and the centre that has it.
+        The search ends at the first radius that is `enough`."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
             best = max(best, (self.around(gains, centre), centre))
@@ -164,8 +165,8 @@ class LoopCoverage:
 def coverage_by_frequency(
     design: Design, model: Model, balls: Balls, premise: Premise, enough: float = np.inf
 ) -> float:
-    """Largest kappa of the joint program for a design over all centres; the search ends at the
-    first that is `enough`."""
+    """Largest radius kappa of the mismatch disc that a design tolerates, over all centres and by
+    frequency. The search ends at the first radius that is `enough`."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     loop = LoopCoverage.of(model, controlled_system(model, feedback), balls, premise)

@@ -68,8 +68,8 @@ def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
 def largest_kappa(
     context: VerificationContext, weights: Weights, centre: float
 ) -> MeasuredDiscs | None:
-    """Largest certified kappa for given weights; None where none is certified, and where no
-    mismatch has an effect."""
+    """Certificate with the largest radius kappa of the mismatch disc for given weights. None where
+    none is certified, and where no mismatch has an effect."""
     started = time.perf_counter()
     theorem = theorem_of(context)
     try:

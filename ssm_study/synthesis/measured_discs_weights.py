@@ -218,8 +218,8 @@ class WeightProgram:
     def widened(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
-        """Widest weights beyond the records at a fixed nu, each band up to `WIDEST`; a margin of
-        `room` times each free signal's own weight is left in the loop."""
+        """Widen the weights as far as the loop stays proved at a fixed `nu`, each band up to
+        `WIDEST`. A margin of `room` times each free signal's own weight is left in the loop."""
         multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
         own = own_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)

@@ -37,7 +37,8 @@ def goal_and_constraints(
 
 
 def _bordered(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
-    """Upper triangle with rows of performance appended, coupled to block `at`."""
+    """Extend a block matrix, given by its upper triangle, by the rows of a performance measure.
+    They are coupled to block `at`."""
     zeros: list[Any] = [0] * len(performance)
     bordered = [[*row, *zeros] for row in upper]
     bordered[at][-len(zeros) :] = [rows.T for rows in performance]

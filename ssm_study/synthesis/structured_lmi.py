@@ -182,8 +182,8 @@ def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) 
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """Side with the same gains, certified at the largest rate; None where that is no larger than
-    certified already."""
+    """Certificate of the same gain of a model with neurons at the largest rate that is proved for
+    it. None where that is no larger than certified already."""
     started = time.perf_counter()
     problem, gains = part.as_problem()
     rate = largest_rate(problem, gains) * (1 - INSIDE)

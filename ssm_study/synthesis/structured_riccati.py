@@ -201,7 +201,7 @@ def continue_to_rate(
 
 
 def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
-    """Admissible multipliers of least cost that a search finds from these."""
+    """Log multipliers of least guaranteed cost, found by a search from these admissible ones."""
     for barrier, evaluations in LAST:
         logs = minimise_goal(game, logs, barrier, evaluations)
     return logs

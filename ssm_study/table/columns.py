@@ -68,8 +68,8 @@ def setting_of(name: str) -> str:
 
 
 def settings(table: pd.DataFrame) -> list[str]:
-    """Names of columns that repeat settings, those of the command line last; `rates_chosen` is left
-    out."""
+    """Names of the columns that hold settings of the configuration, those without a declared column
+    last. `rates_chosen` is left out. `rates_chosen` is left out."""
     declared_names = [column.name for column in SETTINGS]
     further = sorted(name for name in map(str, table) if FURTHER.covers(name))
     names = [*declared_names, *further]

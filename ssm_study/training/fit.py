@@ -171,6 +171,7 @@ class Fit(pl.LightningModule):
         self.starts = self._free_starts(cut)
 
     def _free_starts(self, cut: Cut) -> InitialStates | None:
+        """Initial states of the windows as trainable parameters. None where none is free."""
         model = self.model
         weight = self.settings.windows.continuity_weight
         how = self.settings.initial_state
@@ -197,6 +198,7 @@ class Fit(pl.LightningModule):
             rates.step()
 
     def _evaluate(self) -> Tensor:
+        """Compute the loss and its gradient."""
         self.zero_grad()
         loss = self.loss()
         loss.backward()

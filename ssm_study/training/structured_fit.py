@@ -129,8 +129,8 @@ class StructuredFit(pl.LightningModule):
         self.damping.fill_(at.damping)
 
     def _starting_point(self) -> Theta:
-        """Parameters to begin with, made on few samples: a linear fit, S_u, then neurons drawn at
-        random race, and the best draw is taken."""
+        """Initial parameters of the training, fitted to few samples. A linear fit and S_u come
+        first; then neurons are drawn at random several times, and the best draw is taken."""
         spec = self.spec
         rng = np.random.default_rng(self.seed)
         stretch = self.problem.records.moving_stretch(START_SAMPLES)

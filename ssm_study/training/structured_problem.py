@@ -54,8 +54,9 @@ class Batch(NamedTuple):
         return Batch(*(part[:count, :samples] for part in self))
 
     def moving_stretch(self, samples: int) -> "Batch":
-        """`cut(samples)` if input and output move there, else the stretch of one record that moves
-        most. Raises `BadRequest` where none does."""
+        """A stretch of so many samples in which input and output move. It is `cut(samples)` if they
+        move there, else the stretch of one record that moves most. Raises `BadRequest` where none
+        does."""
         beginning = self.cut(samples)
         if self._movement(beginning) >= STILL:
             return beginning
@@ -259,8 +260,8 @@ def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
 
 
 def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
-    """One Levenberg-Marquardt step of the structured model. One accepted step in the blocks
-    `free`, or none."""
+    """Take one accepted Levenberg-Marquardt step of the structured model in the blocks `free`, or
+    none."""
     residual, j, turn = problem.linearised(at.theta, free)
     flat = pack(at.theta, free)
     ridges = [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]

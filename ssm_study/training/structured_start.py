@@ -231,8 +231,8 @@ def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Ge
 
 
 def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
-    """The nearest model on the path of `contracting.projected`, in its metric's coordinates and
-    free parameters."""
+    """Initial parameters of a contracting model near the given one, in the coordinates of its
+    metric. It is the nearest on the path of `contracting.projected`."""
     v, _, states = problem.simulated(theta)
     scored = problem.records.scored
     x = states[:, :-1][scored]

@@ -37,8 +37,8 @@ class Windows:
             positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
     def cut(self, records: Sequence[Trajectory], start_up_samples: int) -> "Cut":
-        """Raises `BadRequest` where a record is shorter than a window, or its start-up samples fill
-        one."""
+        """Cut the training records into windows. Raises `BadRequest` where a record is shorter than
+        a window, or its start-up samples fill one."""
         if self.samples is None:
             unscored = (start_up_samples,) * len(records)
             return Cut(tuple(records), unscored, tuple(range(len(records))))

@@ -67,7 +67,7 @@ def _ratio(units: tuple[str, str]) -> str:
 def _bands(
     model: Model, slopes: JacobianBall | None, hertz: Angles, magnitude: Angles
 ) -> tuple[Band, ...]:
-    """Gains that the slopes of the input map allow."""
+    """Shaded range of the gain between the smallest and the largest slope of the input map."""
     if slopes is None or model.scaffold_in.inputs != 1:
         return ()
     slope_at_rest = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])

@@ -134,7 +134,7 @@ def _seen_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, fl
 
 
 def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
-    """One line per case; the first has the name."""
+    """Curves of one signal in all cases, of which the first is named in the legend."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
     return tuple(

@@ -101,8 +101,8 @@ def largest_rate(
 
 
 def at_largest_rate(part: Any) -> Side | None:
-    """The part's gain with a metric at the largest rate; None where that is no more than is
-    certified already."""
+    """Certificate of the same gain, with a new metric, at the largest rate that is proved for it.
+    None where that is no larger than certified already."""
     started, (problem, found) = time.perf_counter(), part.as_problem()
     limit = largest_rate(problem.a, problem.b, found.k, problem.ball)
     try:

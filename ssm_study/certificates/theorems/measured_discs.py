@@ -1,4 +1,5 @@
-"""Rest of the closed loop on every plant whose mismatch stays within a disc that records show.
+"""Certificate that the closed loop comes to rest on every plant whose mismatch stays within a disc
+that records show.
 
 Problem. The loop `u = K xh` with its observer runs on a plant whose output is `y = m + e`, m the
 model's output for the same input. Records bound e in a disc around `c m`, by frequency, with two

@@ -1,5 +1,5 @@
-"""Rest of the closed loop of a model with neurons on every plant whose mismatch stays within a
-measured disc.
+"""Certificate that the loop of a model with neurons comes to rest on every plant whose mismatch
+stays within a measured disc.
 
 Problem. As in `measured_discs`, for the model and the observer of `structured_observer`.
 

@@ -57,6 +57,7 @@ class ObserverOfBall(OfProblem, Observer):
 
     @staticmethod
     def inequality(of: Any) -> Blocks:
+        """Blocks of the inequality of Theorem 2 for these matrices."""
         return [
             [
                 (1 - of.rate) * of.q - of.eta * (of.c.T @ of.c),

@@ -58,6 +58,7 @@ class StateFeedbackOfBall(OfProblem, StateFeedback):
 
     @staticmethod
     def inequality(of: Any) -> Blocks:
+        """Blocks of the inequality of Theorem 1 for these matrices."""
         return [
             [
                 (1 - of.rate) * of.p - of.sigma * (of.b @ of.b.T),

@@ -64,6 +64,7 @@ class StructuredObserver(OfProblem, Observer):
 
     @staticmethod
     def inequality(of: Any) -> Blocks:
+        """Blocks of the theorem's inequality with the multipliers of the certificate."""
         weights = diagonal(of.lambda_)
         return inequality(of, weights, weights @ of.l_z)
 

@@ -68,6 +68,7 @@ class StructuredStateFeedback(OfProblem, StateFeedback):
 
     @staticmethod
     def inequality(of: Any) -> Blocks:
+        """Blocks of the theorem's inequality with the multipliers of the certificate."""
         weights = diagonal(of.lambda_)
         return inequality(of, (weights, np.eye(weights.shape[0]), weights))
 

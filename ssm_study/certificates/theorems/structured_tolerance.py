@@ -73,7 +73,8 @@ class StructuredTolerance(Tolerance):
 
     @staticmethod
     def matrices(of: Any) -> Any:
-        """`[A_xi B_p B_e B_w B_d]`, `C_u` and `Z` of the statement, in the numbers of `of`."""
+        """Matrices `[A_xi B_p B_e B_w B_d]`, `C_u` and `Z` of the theorem's statement, from the
+        fields of `of`."""
         (s, m), (p, n), q = of.b.shape, of.c.shape, of.g.shape[0]
         (linear, into_u), filtered = Tolerance.matrices(of), of.weight.shape[0] - m
         inside = of.e[:n, :] + of.alpha_out * (of.l @ of.h)

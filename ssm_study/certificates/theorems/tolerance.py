@@ -122,7 +122,8 @@ class Tolerance(Theorem):
 
     @staticmethod
     def matrices(of: Any) -> Any:
-        """`[A_xi B_p B_e]`, `C_u` of the statement, in the numbers of `of`."""
+        """Matrices `[A_xi B_p B_e]` and `C_u` of the theorem's statement, from the fields of
+        `of`."""
         s, m = of.b.shape
         p, n = of.c.shape
         w = of.weight.shape[0] - m

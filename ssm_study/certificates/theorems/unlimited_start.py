@@ -1,4 +1,4 @@
-"""Starts from which no limit ever acts, so that the full rates hold.
+"""Initial states from which no input limit ever acts, so that the full rates hold.
 
 Problem. The input is limited: from which initial states does the loop never reach a limit?
 

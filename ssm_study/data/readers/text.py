@@ -87,7 +87,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         )
 
     def _table(self, path: Path) -> tuple[TextLayout, pa.Table]:
-        """The layout and the cells, taken apart once for each reader."""
+        """Layout and cells of a text file, parsed once for each reader."""
         if self._parsed is None or self._parsed[0] != path:
             layout = find_layout(path, path.read_bytes(), self.settings)
             self._parsed = (path, layout, parse_rows(path, layout))

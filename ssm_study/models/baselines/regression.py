@@ -301,6 +301,7 @@ class _OutputError:
 
 
 def _filtered(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    """Filter a signal by `1 / (1 + f_1 z^-1 + ...)`."""
     from scipy.signal import lfilter  # SciPy loads this part at its first use, in half a second
 
     return np.asarray(lfilter([1.0], [1.0, *f], signal))
@@ -372,6 +373,7 @@ def baseline_facts(data: DataSet) -> dict[str, object] | None:
 
 
 def _scored(words: str, model: Polynomial, data: DataSet) -> Baseline:
+    """A fitted baseline with its fit on the validation records."""
     with np.errstate(all="ignore"):
         fit = Simulation.of(model, data.validation, data.start_up_samples).fit_percent
     return Baseline(

@@ -251,7 +251,8 @@ class OneChannel(Trainable):
         return torch.stack([scaffold.roughness(slopes) for _, slopes, _ in explicit]).sum(0)
 
     def frozen(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
-        """First weights one, positive slopes `upper`; the last neuron is linear."""
+        """Write the trained pieces of each layer as a leaky-ReLU network. First weights are one,
+        positive slopes `upper`; the last neuron is linear."""
         lower, upper = layer_sector(*slopes, self.depth, channels=1)
         lasts = []
         biases = []

@@ -42,7 +42,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def part_of(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
-    """One side's certificate, with what is proved of the gains where the run knows it."""
+    """One certificate, of controller or observer, with what is proved of the gains where the run
+    knows it."""
     deployed = certificate.get(f"{side}_deployed") or {}
     return (certificate.get(side) or {}) | deployed
 
@@ -81,7 +82,8 @@ def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray,
 
 
 def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any]) -> None:
-    """Bound, worst pair and median pair over the samples."""
+    """Draw the certified bound, and the worst and the median pair of trajectories, at each
+    sample."""
     k = np.arange(d.shape[1])
     r = np.sqrt(1 - part["rate"])
     median = np.median(d, axis=0)
@@ -95,6 +97,6 @@ def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any])
 
 
 def name_axes(axes: Axes, title: str) -> None:
-    """Samples below, the distance of the titled side beside, the legend above."""
+    """Label the axes with the sample and the relative distance, and place the legend above."""
     axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
     style.above(axes)

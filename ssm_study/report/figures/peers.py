@@ -78,6 +78,7 @@ def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
 
 
 def label_decades(axes: Axes) -> None:
-    """Labels at 1, 2 and 5 of each decade; with minor ones 3 x 10^-1 would stand beside 0.5."""
+    """Label a logarithmic axis at 1, 2 and 5 of each decade. With minor ones 3 x 10^-1 would stand
+    beside 0.5."""
     major = LogLocator(subs=(1.0, 2.0, 5.0))
     axes.xaxis.set(major_formatter="{x:g}", major_locator=major, minor_formatter=NullFormatter())

@@ -234,6 +234,8 @@ def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _recordings(run: RunFolder) -> dict[str, Any]:
+    """Recordings of one run as the page draws them: its closed loop and its free run on the
+    validation record."""
     found: dict[str, Any] = {}
     if (loop := run.closed_loop) is not None:
         until = int(np.searchsorted(loop.time_s("output"), loop.rest_s)) + 1

@@ -28,7 +28,8 @@ class FailureGroup:
 
 
 def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
-    """Groups of runs whose reasons differ in their numbers alone, the worst first."""
+    """Group the runs whose reasons for failing differ in their numbers alone, the worst group
+    first."""
     groups: dict[str, list[tuple[int, str]]] = {}
     needed = table[[name for name in NEEDED if name in table]]
     for place, verdict in enumerate(table["verdict"]):

@@ -123,6 +123,6 @@ def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
-            """Nothing: a line every two seconds would bury what matters."""
+            """Print nothing for a request: a line every two seconds would bury what matters."""
 
     return Handler

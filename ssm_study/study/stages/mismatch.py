@@ -37,7 +37,7 @@ def _as_floats(array: Any) -> list[float]:
 
 
 def read_mismatch(folder: Path) -> Mismatch:
-    """Mismatch of the stage, with its views at each amplitude."""
+    """Stored mismatch between plant and model, at every amplitude of the input."""
     content = json.loads((folder / FILE).read_text(encoding="utf-8"))
     views = tuple(_read_view(view) for view in content.pop("views"))
     loop = content.pop("loop")
