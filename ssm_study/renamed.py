@@ -69,6 +69,7 @@ MODULES: Mapping[str, str] = {
 
 # Classes, functions and constants, by the module in which an import looks for them today.
 NAMES: Mapping[str, str] = {
+    "certificates.certificate.OfProblem": "certificates.certificate.ProblemCertificate",
     "certificates.theorem.Known": "certificates.theorem.VerificationContext",
     "data.simulated.trials": "data.simulated.mismatch_records",
     "data.splits.repeats": "data.splits.periodic_segments",
@@ -97,7 +98,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.design.broken_claims": "synthesis.design.failed_checks",
     "synthesis.integrated_error.at_rest": "models.structured.at_rest",
     "synthesis.lmi.aim": "synthesis.objectives.goal_and_constraints",
-    "synthesis.lmi.solved": "certificates.semidefinite.solved",
+    "synthesis.lmi.solved": "certificates.semidefinite.solve_program",
     "synthesis.model_selection.FastestCertified": (
         "synthesis.model_selection.LargestCertifiableRate"
     ),
@@ -117,7 +118,7 @@ NAMES: Mapping[str, str] = {
 # Methods by their class: a subclass that defines the old name answers to the new one, and whoever
 # calls the old name reaches the new method.
 METHODS: Mapping[str, Mapping[str, str]] = {
-    "certificates.certificate.OfProblem": {"posed": "as_problem"},
+    "certificates.certificate.ProblemCertificate": {"posed": "as_problem"},
     "certificates.theorem.Theorem": {
         "broken": "failed_checks",
         "given": "model_data",

@@ -16,7 +16,12 @@ from ssm_study.api.model import html_table
 from ssm_study.api.systems import read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import frontier
-from ssm_study.certificates.problem import NoSolution, Problem, Solution, within_floats
+from ssm_study.certificates.problem import (
+    NoSolution,
+    Problem,
+    Solution,
+    linear_algebra_failures_as_no_solution,
+)
 from ssm_study.certificates.theorems.deployed_rate import INSIDE, SLACKS, largest_rate
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -195,7 +200,7 @@ def _prove_at(
     started = time.perf_counter()
     factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
     try:
-        with within_floats():
+        with linear_algebra_failures_as_no_solution():
             coordinates = _coordinates(problem, k, factor)
             inverse = np.linalg.inv(coordinates)
             p = least_metric(problem, k, factor, coordinates, inverse, slack)

@@ -99,7 +99,7 @@ class Side(Theorem, abstract=True):
         method's answer `found` to `problem`: every number that `conditions` uses."""
 
 
-class OfProblem(Side, abstract=True):
+class ProblemCertificate(Side, abstract=True):
     """Mixin for a certificate whose theorem is the inequality of one synthesis problem. Beside
     `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
     `LETTERS`."""

@@ -117,7 +117,7 @@ class Problem:
         return self.b / self.contraction
 
     @property
-    def of_neurons(self) -> Neurons:
+    def required_neurons(self) -> Neurons:
         """Neurons of the model in the problem's coordinates. The neurons; raises `ValueError`
         for a problem without any."""
         if self.neurons is None:
@@ -167,7 +167,7 @@ class NoSolution(Exception):
 
 
 @contextmanager
-def within_floats() -> Iterator[None]:
+def linear_algebra_failures_as_no_solution() -> Iterator[None]:
     """Turn a failure of linear algebra inside the block into `NoSolution`, so that it ends one
     attempt and not the run."""
     try:

@@ -27,7 +27,7 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
 
     Raises `NoSolution` when neither gives one.
     """
-    s = doubled(a, kappa * b @ b.T, q)
+    s = solve_riccati_by_doubling(a, kappa * b @ b.T, q)
     if s is not None:
         sb = s @ b
         inner = s - kappa * sb @ np.linalg.solve(np.eye(b.shape[1]) + kappa * b.T @ sb, sb.T)
@@ -43,7 +43,7 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
     return symmetric(s)
 
 
-def doubled(a: Square, g: Square, q: Square) -> Square | None:
+def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
     """Solve a discrete Riccati equation by structure-preserving doubling. The stabilising S of `S =
     A^T (S^{-1} + G)^{-1} A + Q` by structure-preserving doubling; None without a limit.
 
@@ -90,7 +90,9 @@ def least_metric(
     k = k @ right
     a_closed = left @ problem.a @ right / contraction + problem.ball.alpha * b @ k
     noise = b @ b.T + slack * np.eye(len(b))
-    p = doubled(np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise)
+    p = solve_riccati_by_doubling(
+        np.ascontiguousarray(a_closed.T), -(problem.ball.beta**2) * k.T @ k, noise
+    )
     if p is None:
         raise NoSolution("the bounded-real equation has no solution in floats")
     return symmetric(right @ p @ right.T)

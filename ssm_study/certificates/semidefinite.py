@@ -29,7 +29,7 @@ INSIDE_LARGEST = (1e-3, 1e-2, 0.1)  # likewise of a tolerance, in order of trial
 Rows = Float[np.ndarray, "_ _"]
 
 
-def solved(program: cp.Problem, solver: str) -> str:
+def solve_program(program: cp.Problem, solver: str) -> str:
     """Solve a cvxpy program in place and return its status. Raises `NoSolution` when the solver
     returns no matrices."""
     try:
@@ -86,14 +86,14 @@ def largest_mismatch(
         supply = ball - gain + mismatch.T @ mismatch
         return state.T @ p @ state - step.T @ p @ step + sectors + sectors.T + supply
 
-    solved(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
+    solve_program(cp.Problem(cp.Maximize(mu), [room(mu) >> 0]), "CLARABEL")
     if not float(np.asarray(mu.value)) > 0:  # below zero the mismatch would have to help
         raise NoSolution("the loop is not proved to rest without any mismatch")
     deepest = cp.Problem(cp.Maximize(t), [room(given) >> t * one])
     left = np.linalg.inv(right)
     for share in INSIDE_LARGEST:
         given.value = np.asarray(mu.value) * (1 - share) ** 2
-        solved(deepest, "CLARABEL")
+        solve_program(deepest, "CLARABEL")
         numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
         sizes = {
             "s": float(np.sqrt(given.value)) / w,

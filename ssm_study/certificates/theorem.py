@@ -81,7 +81,7 @@ def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
     return (scaled + scaled.T) / 2
 
 
-def margin(matrix: Float[np.ndarray, "s s"]) -> float:
+def smallest_eigenvalue(matrix: Float[np.ndarray, "s s"]) -> float:
     """Smallest eigenvalue of a symmetric matrix: at most one if it is scaled to a unit diagonal."""
     return float(np.linalg.eigvalsh(matrix)[0])
 
@@ -211,7 +211,7 @@ class Theorem(ABC):
         these numbers: products rounded, verdict exact; `started` by `time.perf_counter`."""
         information |= {
             "certified": cls.holds(**numbers),
-            "margin": margin(next(iter(cls.as_floats(**numbers).values()))),
+            "margin": smallest_eigenvalue(next(iter(cls.as_floats(**numbers).values()))),
             "condition": condition(numbers[cls.metric_matrix]),
             "solver_status": status,
             "seconds": time.perf_counter() - started,

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
-from ssm_study.certificates.theorem import UNFIT, Theorem, condition, margin
+from ssm_study.certificates.theorem import UNFIT, Theorem, condition, smallest_eigenvalue
 from ssm_study.certificates.theorems.integral_action import (
     augmented,
     controlled_system,
@@ -215,7 +215,7 @@ def information_errors(part: Theorem | Infeasible) -> list[str]:
     derived again."""
     if isinstance(part, Infeasible):
         return []
-    again = margin(next(iter(part.as_floats(**part.variables).values())))
+    again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))
     wrong = []
     # So written that NaN is wrong.
     if not abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE:

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
-from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage import Premise
@@ -201,7 +201,7 @@ def certified_at_gain(part: Any, **gains: Any) -> Any:
     """Theorem of one side for other gains, at the largest rate that is proved for them; None if no
     rate is."""
     try:
-        with within_floats():
+        with linear_algebra_failures_as_no_solution():
             return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
     except NoSolution:
         return None

@@ -19,21 +19,21 @@ from ssm_study.certificates.certificate import (
     OF_LIMITS,
     Design,
     Infeasible,
-    OfProblem,
+    ProblemCertificate,
     Side,
     StateFeedback,
 )
-from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
 from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems import deployed_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
-from ssm_study.certificates.theorems.limited_input import LimitedFeedback, from_everywhere
+from ssm_study.certificates.theorems.limited_input import LimitedFeedback, certify_under_limits
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
-from ssm_study.certificates.theorems.unlimited_start import unlimited
+from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
@@ -95,7 +95,7 @@ def at_largest_rate(part: Side) -> Side | None:
 
     A plug-in's theorem says itself how (`Side.at_largest_rate`).
     """
-    if not isinstance(part, OfProblem):
+    if not isinstance(part, ProblemCertificate):
         return part.at_largest_rate()
     if hasattr(part, "lambda_"):
         from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
@@ -118,7 +118,7 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     hold_rest = ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
     if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
-    everywhere = within_reach(partial(from_everywhere, feedbacks[0]))
+    everywhere = within_reach(partial(certify_under_limits, feedbacks[0]))
     certificates: dict[str, Any] = {EVERYWHERE: everywhere}
     if isinstance(everywhere, StateFeedbackOfBall):
         feedbacks.append(everywhere)
@@ -126,7 +126,9 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     if corners is not None:
         internal_states = feedbacks[0].k.shape[1] - model.order
         corners = np.pad(corners, ((0, internal_states), (0, 0)))
-        certificates[SETS] = within_reach(partial(unlimited, feedbacks, corners, limits))
+        certificates[SETS] = within_reach(
+            partial(certify_unlimited_start, feedbacks, corners, limits)
+        )
     return {label: part for label, part in certificates.items() if part is not None}
 
 
@@ -213,7 +215,7 @@ def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
     """Theorem that `find` returns; None where its numbers exceed floating point, so that nothing is
     claimed and the design remains."""
     try:
-        with within_floats():
+        with linear_algebra_failures_as_no_solution():
             return find()
     except NoSolution:
         return None

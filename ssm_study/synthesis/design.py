@@ -30,7 +30,7 @@ from ssm_study.certificates.problem import (
     Problem,
     Solution,
     dual,
-    within_floats,
+    linear_algebra_failures_as_no_solution,
 )
 from ssm_study.certificates.theorem import Theorem, VerificationContext, theorem_named
 from ssm_study.certificates.theorems.integral_action import frequencies, with_modes
@@ -124,7 +124,7 @@ class DesignAttempt:
         status = "no attempt"
         for attempt in attempts:
             try:
-                with within_floats():
+                with linear_algebra_failures_as_no_solution():
                     best = self.verified(problem, attempt())
             except NoSolution as error:
                 status = str(error)

@@ -47,7 +47,13 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import Frontier
-from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric, within_floats
+from ssm_study.certificates.problem import (
+    NoSolution,
+    Problem,
+    Solution,
+    linear_algebra_failures_as_no_solution,
+    symmetric,
+)
 from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.minimum_energy import minimum_energy_attempts
@@ -79,7 +85,7 @@ class GuaranteedCost:
         return float(self.tau * np.trace(self.s_over_tau))
 
 
-@within_floats()
+@linear_algebra_failures_as_no_solution()
 def guaranteed_cost(problem: Problem) -> Solution:
     """Certified gain with the least guaranteed cost over tau; raises `NoSolution` if no tau is
     admissible."""

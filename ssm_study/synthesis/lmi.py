@@ -20,7 +20,7 @@ from jaxtyping import Float
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import Frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric
-from ssm_study.certificates.semidefinite import SOLVERS, solved
+from ssm_study.certificates.semidefinite import SOLVERS, solve_program
 from ssm_study.certificates.theorem import Blocks, full
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest, one_of
@@ -80,7 +80,7 @@ class CompiledLmi:
         known = {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
         for name, value in known.items():
             parts[name].value = value
-        status = solved(self.problem, solver)
+        status = solve_program(self.problem, solver)
         p = symmetric(parts["p"].value)
         y = p if parts["y"] is parts["p"] else parts["y"].value
         try:

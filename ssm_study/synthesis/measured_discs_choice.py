@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ssm_study.certificates.certificate import Design, StateFeedback
-from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.models.structured import Model
@@ -146,7 +146,7 @@ class LoopCoverage:
             basis=WeightBasis(),
         )
         try:
-            with within_floats():
+            with linear_algebra_failures_as_no_solution():
                 return float(max(program.largest()[0], 0.0) ** 0.5)
         except NoSolution:
             return 0.0

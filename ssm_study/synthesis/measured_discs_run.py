@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
-from ssm_study.certificates.problem import NoSolution, within_floats
+from ssm_study.certificates.problem import NoSolution, linear_algebra_failures_as_no_solution
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
@@ -58,7 +58,7 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
     )
     find = partial(measured_discs_search.largest_coverage, context, premise)
     try:
-        with within_floats():
+        with linear_algebra_failures_as_no_solution():
             certificate = find().certificate
     except NoSolution:
         certificate = None

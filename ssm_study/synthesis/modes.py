@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ssm_study.certificates.frontier import energy_root
 from ssm_study.certificates.problem import NoSolution, Problem, symmetric
 from ssm_study.certificates.riccati import least_metric
-from ssm_study.certificates.theorem import margin
+from ssm_study.certificates.theorem import smallest_eigenvalue
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 # Of the slow modes' metric: from dominating to negligible beside the fast.
@@ -105,7 +105,7 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     margins = []
     for p in candidates:
         conditions = StateFeedbackOfBall.as_floats(a=a, b=b, k=k, p=p, y=p, **numbers)
-        margins.append(margin(conditions["inequality"]))
+        margins.append(smallest_eigenvalue(conditions["inequality"]))
     best = max(margins)
     if not best > 0:
         raise NoSolution("no metric of this form holds in floats")

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import LETTERS, Side
 from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
-from ssm_study.certificates.semidefinite import solved
+from ssm_study.certificates.semidefinite import solve_program
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
 from ssm_study.synthesis.objectives import goal_and_constraints
@@ -44,7 +44,7 @@ class StructuredLmi:
     def __init__(self, *, problem: Problem, objective: str, fixed: Solution | None = None) -> None:
         self.problem = problem
         self.fixed = fixed
-        neurons = problem.of_neurons.scaled()
+        neurons = problem.required_neurons.scaled()
         self.of = self._unknowns(neurons)
         upper, multiplier_rows = self._inequality(self.of, neurons)
         if problem.ball.beta == 0:
@@ -86,7 +86,7 @@ class StructuredLmi:
             return structured_state_feedback.inequality(named, (np.eye(q), t, t)), [1, 4]
         of.n = cp.Variable((q, m)) if neurons.injects else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
-            injected = self.fixed.k_w / self.problem.of_neurons.units
+            injected = self.fixed.k_w / self.problem.required_neurons.units
             of.n = t @ injected.T
         turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
@@ -97,9 +97,9 @@ class StructuredLmi:
         status when it returns none."""
         of = self.of
         fixed = self.fixed
-        neurons = self.problem.of_neurons
+        neurons = self.problem.required_neurons
         of.rate.value = rate
-        status = solved(self.program, solver)
+        status = solve_program(self.program, solver)
         p = symmetric(of.p.value)
         k = of.k.value
         if fixed is None:
@@ -119,7 +119,7 @@ class StructuredLmi:
         """Program with the gains given, for gains that do not act on the neurons."""
         n, m = problem.b.shape
         one = np.eye(n)
-        none = np.zeros((m, problem.of_neurons.e.shape[1]))
+        none = np.zeros((m, problem.required_neurons.e.shape[1]))
         fixed = Solution(p=one, y=one, k=np.zeros((m, n)), sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
@@ -141,7 +141,7 @@ def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
 def is_confirmed(problem: Problem, solution: Solution) -> bool:
     """Whether exact arithmetic confirms the theorem for this solution."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
-    if problem.of_neurons.observes:
+    if problem.required_neurons.observes:
         theorem = structured_observer.StructuredObserver
     return theorem.holds(**theorem.numbers_of(problem, solution))
 

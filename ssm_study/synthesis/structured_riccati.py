@@ -66,7 +66,7 @@ class Game:
     @cached_property
     def neurons(self) -> Neurons:
         """Scaled neurons of the problem; raises `ValueError` if it has none."""
-        return self.problem.of_neurons.scaled()
+        return self.problem.required_neurons.scaled()
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
@@ -210,10 +210,10 @@ def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
 def logs_of(problem: Problem, found: Solution) -> Vector:
     """Log multipliers of given matrices of the inequality; inverse of `solution`."""
     assert found.multipliers is not None
-    units = problem.of_neurons.units
+    units = problem.required_neurons.units
     r2 = 1 - problem.rate
     beta = problem.ball.beta
-    observes = problem.of_neurons.observes
+    observes = problem.required_neurons.observes
     weights = r2 / (found.multipliers * units**2) if observes else found.multipliers / units**2
     bound = [1 / (found.sigma / (r2 * beta**2) if observes else found.sigma)] if beta > 0 else []
     return np.log(np.append(weights, bound))
@@ -260,7 +260,7 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     found = Solution(
         p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
     )
-    return found.of_neurons(problem.of_neurons)
+    return found.of_neurons(problem.required_neurons)
 
 
 def multiplier_without_ball(
@@ -271,7 +271,7 @@ def multiplier_without_ball(
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """
-    if problem.of_neurons.observes:
+    if problem.required_neurons.observes:
         return float(
             BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300)
         )

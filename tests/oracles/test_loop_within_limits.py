@@ -12,8 +12,8 @@ import pytest
 import ssm_study as st
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.certificates.certificate import Design
-from ssm_study.certificates.theorems.limited_input import from_everywhere, limited
-from ssm_study.certificates.theorems.unlimited_start import unlimited
+from ssm_study.certificates.theorems.limited_input import ball_behind_limits, certify_under_limits
+from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
 from ssm_study.loop.certified_bound import violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
@@ -99,7 +99,7 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
     pair: tuple[SSM, Design],
 ) -> None:
     feedback = pair[1].state_feedback
-    proved = from_everywhere(feedback)
+    proved = certify_under_limits(feedback)
     assert proved is not None
     own = 1 - np.abs(np.linalg.eigvals(feedback.a)).max() ** 2
     assert 0.5 * own < proved.rate <= own < feedback.rate
@@ -115,7 +115,7 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
     rng = np.random.default_rng(0)
     ball = JacobianBall(alpha=-1.0, beta=0.5)
-    wide = limited(ball, inputs=2)
+    wide = ball_behind_limits(ball, inputs=2)
     worst = 0.0
     for _ in range(2000):
         turned = np.linalg.qr(rng.standard_normal((2, 2)))[
@@ -125,11 +125,11 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
         worst = max(worst, float(np.linalg.norm(cut - wide.alpha * np.eye(2), 2)))
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
     assert (
-        limited(ball, inputs=1).lower
+        ball_behind_limits(ball, inputs=1).lower
         <= ball.lower
         < ball.upper
         < 0
-        == limited(ball, inputs=1).upper
+        == ball_behind_limits(ball, inputs=1).upper
     )
 
 
@@ -137,7 +137,7 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
     """`d+ <= r d + c e` with the rate from everywhere; the full rate, or one a little higher, does
     not hold there."""
     model, design = pair
-    saturated = from_everywhere(design.state_feedback)
+    saturated = certify_under_limits(design.state_feedback)
     assert saturated is not None
     loop = Loop(
         horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0]
@@ -287,7 +287,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     rest, _, gain = model.linear.held()
     mapped = rest @ np.linalg.inv(gain) @ np.array([[1.0, 1.0], [-1.0, 1.0]])
     limits = np.stack(ends, axis=1)
-    old = unlimited([design.state_feedback], mapped, limits)
+    old = certify_unlimited_start([design.state_feedback], mapped, limits)
     assert old is not None
     bounding = outputs_of(model, old.starts)[1] * np.array([1.0, -1.0])
     assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)

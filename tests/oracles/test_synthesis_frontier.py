@@ -16,7 +16,7 @@ from synthesis_ratio import ratio_limit
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
 from ssm_study.certificates.frontier import energy_root, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.riccati import doubled, solve_riccati
+from ssm_study.certificates.riccati import solve_riccati, solve_riccati_by_doubling
 from ssm_study.certificates.theorem import condition
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis import modes
@@ -295,7 +295,9 @@ def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.Mo
     q = np.eye(4)
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
     for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
-        monkeypatch.setattr("ssm_study.certificates.riccati.doubled", lambda *_, s=spoilt: s)
+        monkeypatch.setattr(
+            "ssm_study.certificates.riccati.solve_riccati_by_doubling", lambda *_, s=spoilt: s
+        )
         np.testing.assert_allclose(
             solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6
         )
@@ -313,8 +315,8 @@ def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem
 def test_doubling_gives_up_where_a_step_is_singular() -> None:
     """`I + G H = 0`: no solution by this route, said without an exception."""
     one = np.ones((1, 1))
-    assert doubled(one, -one, one) is None
-    assert doubled(one, 0.5 * one, one) is not None
+    assert solve_riccati_by_doubling(one, -one, one) is None
+    assert solve_riccati_by_doubling(one, 0.5 * one, one) is not None
 
 
 def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:

@@ -15,7 +15,7 @@ from ssm_study import exact
 from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.theorem import VerificationContext, margin, unit_diagonal
+from ssm_study.certificates.theorem import VerificationContext, smallest_eigenvalue, unit_diagonal
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
@@ -61,7 +61,7 @@ def test_margins_are_of_a_unit_diagonal() -> None:
     matrix = np.array([[4.0, 1.0], [1.0, 9.0]])
     scaled = unit_diagonal(matrix)
     np.testing.assert_allclose(scaled, [[1, 1 / 6], [1 / 6, 1]])
-    assert margin(scaled) == pytest.approx(5 / 6)
+    assert smallest_eigenvalue(scaled) == pytest.approx(5 / 6)
 
 
 def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
@@ -247,7 +247,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     )
     np.testing.assert_allclose(ours, unit_diagonal(exactly.rounded()), atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
-    assert type(part).proved(numbers, **known).margin == margin(ours)
+    assert type(part).proved(numbers, **known).margin == smallest_eigenvalue(ours)
 
 
 def test_what_stands_beside_the_matrices() -> None:

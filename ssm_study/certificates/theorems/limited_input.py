@@ -29,7 +29,7 @@ Example. `x+ = 0.5 x + sat(-0.4 x)`: between 0.5 and 0.1 of a distance is left, 
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
 >>> numbers = dict(a=0.5 * one, b=one, k=-0.4 * one, p=one, y=one)
 >>> numbers |= dict(sigma=0.5, alpha=1.0, beta=0.0, rate=0.1)
->>> found = from_everywhere(StateFeedbackOfBall.proved(numbers, **told))
+>>> found = certify_under_limits(StateFeedbackOfBall.proved(numbers, **told))
 >>> print(f"{found.rate:.2f} < 1 - {0.5}^2, certified: {found.certified}")
 0.75 < 1 - 0.5^2, certified: True
 """
@@ -53,10 +53,10 @@ class LimitedFeedback(StateFeedbackOfBall):
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
-        return limited(context.balls.input, context.controlled.b.shape[1])
+        return ball_behind_limits(context.balls.input, context.controlled.b.shape[1])
 
 
-def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
+def ball_behind_limits(ball: JacobianBall, inputs: int) -> JacobianBall:
     """Ball of Jacobians of the input map behind a saturation. The ball of `S_u(sat(.))`, its
     radius rounded up so that it holds zero and the ball of `S_u`."""
     half = math.nextafter((abs(ball.alpha) + ball.beta) / 2, math.inf)
@@ -67,10 +67,10 @@ def limited(ball: JacobianBall, inputs: int) -> JacobianBall:
     )
 
 
-def from_everywhere(part: StateFeedbackOfBall) -> LimitedFeedback | None:
+def certify_under_limits(part: StateFeedbackOfBall) -> LimitedFeedback | None:
     """Certificate of the same gain under input limits, from every initial state. The part's gain
     near its largest rate with limits; None where none is proved."""
-    ball = limited(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
+    ball = ball_behind_limits(JacobianBall(alpha=part.alpha, beta=part.beta), part.b.shape[1])
     told = {"rate": LEAST, "rate_limit": frontier(part.a, part.b, ball).rate_limit}
     found = at_largest_rate(LimitedFeedback(**(vars(part) | vars(ball) | told)))
     assert found is None or isinstance(found, LimitedFeedback)

@@ -40,12 +40,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import Observer, OfProblem
+from ssm_study.certificates.certificate import Observer, ProblemCertificate
 from ssm_study.certificates.theorem import Blocks
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObserverOfBall(OfProblem, Observer):
+class ObserverOfBall(ProblemCertificate, Observer):
     """Certificate of an observer for an output map with a ball of Jacobians. [Z26] Theorem 2:
     beside `a, c, q, l` the matrices `u (n, n)`, `v (n, p)` and `eta > 0`."""
 

@@ -41,12 +41,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import OfProblem, StateFeedback
+from ssm_study.certificates.certificate import ProblemCertificate, StateFeedback
 from ssm_study.certificates.theorem import Blocks
 
 
 @dataclass(frozen=True, kw_only=True)
-class StateFeedbackOfBall(OfProblem, StateFeedback):
+class StateFeedbackOfBall(ProblemCertificate, StateFeedback):
     """Certificate of a state feedback behind an input map with a ball of Jacobians. [Z26]
     Theorem 1: beside `a, b, p, k` the matrices `y (n, n)`, `x (m, n)` and `sigma > 0`."""
 

@@ -42,12 +42,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import Observer, OfProblem
+from ssm_study.certificates.certificate import Observer, ProblemCertificate
 from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuredObserver(OfProblem, Observer):
+class StructuredObserver(ProblemCertificate, Observer):
     """Certificate of an observer for a model with neurons. The statement above: `e (n, q)`, `f
     (q, n)`, `h (p, q)`, `u (n, n)`, `v (n, p)`, `l_z (q, p)`, `lambda_ (q,)`."""
 

@@ -47,12 +47,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import OfProblem, StateFeedback
+from ssm_study.certificates.certificate import ProblemCertificate, StateFeedback
 from ssm_study.certificates.theorem import Blocks, diagonal
 
 
 @dataclass(frozen=True, kw_only=True)
-class StructuredStateFeedback(OfProblem, StateFeedback):
+class StructuredStateFeedback(ProblemCertificate, StateFeedback):
     """Certificate of a state feedback for a model with neurons. The statement above: `e (n, q)`,
     `f (q, n)`, `g (q, m)`, `y (n, n)`, `x (m, n)`, `lambda_ (q,)`, `sigma > 0`."""
 

@@ -56,7 +56,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.certificates.problem import DUAL, symmetric
-from ssm_study.certificates.riccati import doubled
+from ssm_study.certificates.riccati import solve_riccati_by_doubling
 from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
@@ -303,7 +303,9 @@ def _energy(
     energy = scaled_u.T @ scaled_u + scaled_w.T @ scaled_w
     scaled_b = left @ b
     slack_of_energy = slack * np.trace(energy) * one
-    p = doubled(left @ a @ right, -scaled_b @ scaled_b.T, energy + slack_of_energy)
+    p = solve_riccati_by_doubling(
+        left @ a @ right, -scaled_b @ scaled_b.T, energy + slack_of_energy
+    )
     if p is None:
         return None
     return symmetric(left.T @ p @ left)

@@ -33,7 +33,8 @@ Example. `x+ = x + u`, `u = -0.5 x`, `|u| < 1`: no limit acts from within 2.
 >>> told = dict(rate_limit=1.0, method="", started=0.0, status="")
 >>> numbers = dict(a=one, b=one, k=-0.5 * one, p=one, y=one)
 >>> numbers |= dict(sigma=0.1, alpha=1.0, beta=0.0, rate=0.5)
->>> found = unlimited([StateFeedbackOfBall.proved(numbers, **told)], one, np.array([[-1.0, 1.0]]))
+>>> limits = np.array([[-1.0, 1.0]])
+>>> found = certify_unlimited_start([StateFeedbackOfBall.proved(numbers, **told)], one, limits)
 >>> print(f"{found.starts[0, 0]:.6f}, certified: {found.certified}")
 2.000000, certified: True
 """
@@ -81,7 +82,7 @@ class UnlimitedStart(StateFeedbackOfBall):
         return found
 
 
-def unlimited(
+def certify_unlimited_start(
     parts: Sequence[StateFeedbackOfBall],
     corners: Float[np.ndarray, "n j"],
     limits: Float[np.ndarray, "m two"],
