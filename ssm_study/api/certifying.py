@@ -56,7 +56,7 @@ class GainCertificate:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Certification:
-    """Certificates of a state feedback, an observer, or both; None for a gain that was not
+    """Certificates of a state feedback, an observer, or both. None stands for a gain that was not
     given."""
 
     controller: GainCertificate | None
@@ -217,8 +217,8 @@ def _prove_at(
 def _coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
-    """Coordinates in which the certification is well conditioned. Cholesky factor of the loop's
-    own Gramian at the mean slope: well-scaled coordinates."""
+    """State coordinates in which the certification is numerically well conditioned. Cholesky factor
+    of the loop's own Gramian at the mean slope: well-scaled coordinates."""
     closed = (problem.a + problem.ball.alpha * problem.b @ k) / factor
     drive = problem.b @ problem.b.T / factor**2
     size = max(float(np.trace(drive)) / len(drive), np.finfo(float).tiny)

@@ -105,7 +105,7 @@ def compare_simulations(
     states: Mapping[str, int | None],
     start_up_samples: int = 0,
 ) -> ModelComparison:
-    """Score simulations of the same records, best fit first; the longest record is what is drawn.
+    """Score simulations of the same records, best fit first. The longest record is drawn.
 
     The first `start_up_samples` of each record are not scored: they tell the initial state.
     """
@@ -129,7 +129,7 @@ def compare_simulations(
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Models by the name of their class, numbered where several share one."""
+    """Give each model the name of its class, with a number where several share one."""
     kinds = [type(model.simulator).__name__ for model in models]
     names = []
     for i, kind in enumerate(kinds):

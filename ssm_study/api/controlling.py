@@ -72,7 +72,7 @@ def control(
 
 
 def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
-    """Raise `BadRequest` for a setting that would make another model."""
+    """Raise `BadRequest` for a setting of the control design that would change the model."""
     for word in overrides:
         part = part_of(word)
         remedy = "give it to fit"
@@ -88,8 +88,8 @@ def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
 def _rates_of_a_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Settings of the rates for a system without records. Raises `BadRequest` where they would
-    be chosen by them."""
+    """Rates of the design of a linear system that comes without records. Raises `BadRequest` where
+    they would be chosen by them."""
     choice = parts.choices["synthesis"]
     problem = "chooses by a validation record, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
@@ -142,7 +142,8 @@ def _design_for_system(
 
 
 def read_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
-    """Ball of Jacobians of a map whose slopes lie between two numbers of one sign."""
+    """Ball of Jacobians of a map from the smallest and the largest of its slopes, which have the
+    same sign."""
     pair = np.asarray(slopes, dtype=float)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"

@@ -76,7 +76,8 @@ class Design:
 
     @cached_property
     def folder(self) -> Path:
-        """Folder with the files that export reads: a loaded design's own, else a scratch one."""
+        """Folder with the files that the export reads: that of a loaded design, else a temporary
+        one."""
         return self.run_folder or self._write_files(new_folder())
 
     def _write_files(self, folder: Path) -> Path:
@@ -89,7 +90,7 @@ class Design:
         return folder
 
     def _write_records(self, folder: Path) -> None:
-        """Write the inputs that trained and the outputs that validated, for ranges and names."""
+        """Write training inputs and validation outputs, for ranges and names in the export."""
         assert self.origin is not None
         data = self.origin.data
         inputs = [
@@ -136,7 +137,8 @@ class Design:
         return facts
 
     def _coverage_facts(self) -> dict[str, Any]:
-        """Columns of the coverage; the test records of the log are the fresh data."""
+        """Columns of the coverage, the test records of the log as fresh data. The test records of
+        the log are the fresh data."""
         from ssm_study.api.steps import measure_coverage_premise
         from ssm_study.robustness.coverage import measure_premise
 
@@ -149,13 +151,14 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Columns of the record of data, model, design and loop; of a loaded design its run's."""
+        """Columns of the record on data, model, design and loop. A loaded design has its run's. A
+        loaded design has those of its run."""
         if self.origin is None:
             return dict(self.stored_record)
         return self.origin.facts | self.facts | self._loop_facts()
 
     def _loop_facts(self) -> dict[str, Any]:
-        """Columns of the loop, closed on the identified model in the place of the plant."""
+        """Columns of the loop, closed on the identified model."""
         from ssm_study.loop.metrics import behaviour, certificate_columns
 
         assert self.origin is not None
@@ -314,7 +317,7 @@ class Design:
         )
 
     def margin_plot(self) -> Any:
-        """Draw the stability margin at each frequency, line at 1, for every amplitude on record.
+        """Draw the stability margin over frequency for every recorded amplitude, with a line at 1.
 
         A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
         without records.
@@ -371,11 +374,13 @@ class Design:
 
     @property
     def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
-        """Inputs of the training records; none of a bare system or a loaded design."""
+        """Inputs of the training records, if the design has any. A linear system or a loaded design
+        has none."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _origin_with_records(self) -> Model:
-        """Identified model of the design. Raises `BadRequest` for a design without records."""
+        """Identified model of the design, with its records. Raises `BadRequest` for a design
+        without records."""
         origin = self.origin
         require(
             origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
@@ -385,7 +390,7 @@ class Design:
 
 
 def _place(plant: "Plant | None") -> str:
-    """Words for where a loop runs, on a plant or on the model."""
+    """Words for where the loop was closed, on a plant or on the model."""
     return "the simulated plant" if plant else "the identified model"
 
 

@@ -48,12 +48,12 @@ class Estimator:
     model_: Model = field(init=False, repr=False)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
-        """Settings by name, as scikit-learn reads them. None has parameters of its own, so `deep`
-        changes nothing."""
+        """Settings by name, as scikit-learn reads them. No setting has settings of its own, so
+        `deep` changes nothing. None has parameters of its own, so `deep` changes nothing."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":
-        """Change parameters. Raises `BadRequest` for a name that is none."""
+        """Change settings by name. Raises `BadRequest` for a name that is none."""
         names = self.get_params()
         for name, value in parameters.items():
             known = ", ".join(names)
@@ -112,7 +112,7 @@ class Estimator:
         return self.model_
 
     def __sklearn_tags__(self) -> Any:
-        """Description that scikit-learn asks for; it is imported only then."""
+        """Tags that scikit-learn asks an estimator for. It is imported only then."""
         from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
 
         return Tags(

@@ -111,7 +111,8 @@ def fit(
 
 
 def read_sampling_time(step_s: Any) -> float:
-    """Seconds of a number or a time difference. Raises `BadRequest` for what is none."""
+    """Sampling time in seconds, from a number or a time difference. Raises `BadRequest` for what is
+    none."""
     remedy = "give it in seconds"
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()

@@ -22,7 +22,7 @@ Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 
 def identified_plant(design: "Design") -> IdentifiedPlant:
-    """The identified model in the place of the plant, with the channels of its records."""
+    """Make a plant of the identified model, with the channels of its records."""
     if design.origin is None:
         return IdentifiedPlant.of(design.model)
     data = design.origin.data
@@ -53,14 +53,16 @@ def close_loop(
 
 
 def _disturbance_names(design: "Design") -> list[str]:
-    """Names of the measured disturbances of a design; by number where its records are not known."""
+    """Names of the measured disturbances of a design. They are numbered where its records are not
+    known."""
     if design.origin is None:
         return [f"d_{k + 1}" for k in range(design.model.scale.disturbances)]
     return [channel.name for channel in design.origin.data.disturbances]
 
 
 def rollout_table(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
-    """One row per case and sample: `case, time_s`, inputs and outputs by name."""
+    """Table of closed loops with one row per case and sample. Its columns are `case, time_s`,
+    inputs and outputs by name."""
     names = [channel.name for channel in (*plant.inputs, *plant.outputs)]
     tables = []
     for i, (u, y) in enumerate(zip(rollouts.u, rollouts.y, strict=True)):

@@ -364,7 +364,8 @@ def import_python_control(function: str) -> Any:
 
 
 def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
-    """Draw a picture. Raises `BadRequest` with the reason where there is none."""
+    """Draw a picture, or raise `BadRequest` where there is nothing to show. Raises `BadRequest`
+    with the reason where there is none."""
     from ssm_study.api.pictures.drawing import draw_picture
     from ssm_study.api.pictures.picture import NothingToShow
 
@@ -382,7 +383,7 @@ def _name_with_unit(channel: Any) -> str:
 
 
 def _samples(data: DataSet) -> str:
-    """Number of samples in training, validation and test, as words."""
+    """Words on the numbers of samples in training, validation and test."""
     parts = ("training", "validation", "test")
     counts = [sum(len(record) for record in getattr(data, part)) for part in parts]
     return ", ".join(f"{count} {part}" for count, part in zip(counts, parts, strict=True))

@@ -82,7 +82,7 @@ class Replacement(dict[str, Any]):
 
 
 def merge(tree: Tree, other: Mapping[str, Any]) -> None:
-    """Merge `other` into `tree`, in place; what is a `Replacement` replaces."""
+    """Merge `other` into `tree`, in place. A `Replacement` replaces instead."""
     for key, value in other.items():
         is_merged = isinstance(value, dict) and isinstance(tree.get(key), dict)
         if is_merged and not isinstance(value, Replacement):
@@ -145,7 +145,8 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def part_of(word: str) -> str:
-    """Name of the part that a word sets: `loop` of `reference@loop.reference=step`."""
+    """Name of the part that a word of the command sets, `loop` of
+    `reference@loop.reference=step`."""
     key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
     return key.replace("/", ".").partition(".")[0]
 
@@ -199,8 +200,8 @@ class Parts:
         assign(self.trees, key, value)
 
     def _sign(self, path: str) -> str:
-        """Signs that Hydra wants before an override: Hydra takes fields that the yaml files lack
-        only as additions."""
+        """Sign that a word of the command needs before it. Hydra takes fields that the yaml files
+        lack only as additions."""
         if not self._has(path):
             self.added.add(path)
         return "++" if path in self.added else ""
@@ -215,7 +216,7 @@ class Parts:
         return True
 
     def set_given(self, part: str, **settings: Any) -> None:
-        """Set fields of a part, those that are not None."""
+        """Set the fields of a part that are given, not None."""
         for name, value in settings.items():
             if value is not None:
                 sign = self._sign(f"{part}.{name}")
@@ -230,7 +231,7 @@ class Parts:
         return construct_part(part, tree)
 
     def words_about(self, *names: str) -> tuple[str, ...]:
-        """Words among those given that concern these parts, or the seeds named here."""
+        """Select the words of the command that concern these parts, or the seeds named here."""
         return tuple(word for word in self.given if part_of(word) in names)
 
     def words_for_command(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A folder for what must lie in files for a while; it goes with the program."""
+"""A temporary folder that is deleted when the program ends."""
 
 import atexit
 import shutil

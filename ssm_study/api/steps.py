@@ -1,5 +1,5 @@
-"""The steps from records to a certified controller, as functions of values: no folders, no
-cache."""
+"""The steps from records to a certified controller, as functions of values. They use no folders and
+no cache."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,7 +38,7 @@ def identify(
     workplace: Path,
     keep_on_interrupt: bool = False,
 ) -> tuple[Any, "Identification"]:
-    """Train a model on the training records; returns it with its dead time, and how it was found.
+    """Train a model on the training records. Returns it with its dead time, and how it was found.
 
     A model of one layer with a dead time is trained on records shifted by it. Checkpoints lie in a
     folder of `workplace` while the training runs. With `keep_on_interrupt` Ctrl-C ends the training

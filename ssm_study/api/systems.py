@@ -39,7 +39,7 @@ def read_step(step_s: Any) -> float:
 def read_matrix(
     name: str, values: Any, shape: tuple[int | None, int | None]
 ) -> Float[np.ndarray, "r c"]:
-    """A finite matrix of the shape that the others give; None leaves a side free.
+    """Read a finite matrix and check its shape against the others. None leaves a dimension free.
 
     Raises `BadRequest` that names the matrix, its shape and the one that fits.
     """
@@ -65,7 +65,7 @@ def _read_tuple(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
 
 
 def _state_space(matrices: list[Any]) -> StateSpace:
-    """The state space of four matrices, their shapes checked."""
+    """Make a state space of four matrices, their shapes checked."""
     a = read_matrix("A", matrices[0], (None, None))
     n = len(a)
     a = read_matrix("A", a, (n, n))

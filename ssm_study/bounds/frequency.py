@@ -51,8 +51,8 @@ def hinf_norm(system: StateSpace) -> float:
 
 
 def _peak(system: StateSpace) -> float:
-    """Largest gain over all frequencies of a stable system, by raising a level until no
-    frequency crosses it."""
+    """Largest gain of a stable system over all frequencies. A level is raised until no frequency
+    crosses it."""
     poles = np.linalg.eigvals(system.a)
     angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
     best = float(gains(system, angles).max())
@@ -74,8 +74,8 @@ def _peak(system: StateSpace) -> float:
 
 
 def _bilinear(system: StateSpace) -> StateSpace:
-    """The continuous-time system with the same norm: `z = (1 + s) / (1 - s)`, so `w = tan(angle /
-    2)`."""
+    """Continuous-time system with the same H-infinity norm, by `z = (1 + s) / (1 - s)`, so `w =
+    tan(angle / 2)`."""
     one = np.eye(system.order)
     root2 = np.sqrt(2)
     shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable

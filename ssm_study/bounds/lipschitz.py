@@ -1,5 +1,5 @@
-"""The exact verdict on a Lipschitz certificate: whether stored multipliers prove `|N(v) - N(w)| <=
-|v - w|`.
+"""Exact decision whether stored multipliers prove a network 1-Lipschitz, `|N(v) - N(w)| <= |v -
+w|`.
 
 Neurons of slopes `lo <= hi`, diagonal `T_l > 0`: the network is 1-Lipschitz if
 
@@ -20,7 +20,8 @@ from ssm_study.exact import Exact, is_positive_definite
 
 
 def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndarray, "_"]]) -> bool:
-    """Whether these multipliers prove that the network is 1-Lipschitz; decided, not estimated.
+    """Whether these multipliers prove that the network is 1-Lipschitz. It is decided exactly, not
+    estimated.
 
     False says that they prove nothing, not that the network expands.
     """

@@ -70,7 +70,7 @@ COLUMNS = (
 
 
 def bound_facts(model: Any) -> dict[str, Any]:
-    """The columns that are proved of a model by itself, and beside them the paper's slopes (unsound
+    """Columns of what is proved of a model alone. Beside them stand the paper's slopes (unsound
     below).
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without

@@ -101,9 +101,8 @@ class Network:
 
 @dataclass(frozen=True, kw_only=True)
 class PortableMap:
-    """Static map of a scaffolding as plain matrices, which no framework is needed to evaluate.
-    `S(v) = linear v + N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear
-    (k, m)`."""
+    """Static map as plain matrices, which no framework is needed to evaluate. `S(v) = linear v +
+    N(v)`, N a leaky-ReLU network around its value at zero, or None. `linear (k, m)`."""
 
     linear: Float[np.ndarray, "k m"]
     network: Network | None
@@ -150,8 +149,8 @@ Row = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True)
 class _Piece:
-    """One affine piece of a scalar network in exact integer arithmetic. On `(low, high)` the
-    layer's output is `(slope t + offset) / 2^bits`, vectors of integers."""
+    """Affine piece of a scalar network, in exact integer arithmetic. On `(low, high)` the layer's
+    output is `(slope t + offset) / 2^bits`, vectors of integers."""
 
     low: End
     high: End

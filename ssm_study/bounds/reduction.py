@@ -1,4 +1,4 @@
-"""The configured step between identification and synthesis: balanced coordinates, fewer states.
+"""Order reduction between identification and synthesis, by balanced truncation to fewer states.
 Source: Moore 1981."""
 
 from dataclasses import dataclass

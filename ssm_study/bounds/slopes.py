@@ -1,5 +1,5 @@
-"""Proved bounds on the slopes of a scaffolding: the ball that holds its Jacobians (docs/theory.md),
-and how each bound earned its trust."""
+"""Proved bounds on the slopes of the static maps S_u and S_y: the balls that hold their Jacobians
+(docs/theory.md), and how each was proved."""
 
 from dataclasses import dataclass
 from fractions import Fraction
@@ -19,7 +19,7 @@ ROUNDING_SHARE = 1e-12
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeBound:
-    """Proved ball of Jacobians of a static map, with the method that proved it. The ball `J = alpha
+    """Proved ball of Jacobians of a static map, and the method that proved it. The ball `J = alpha
     I + beta Delta` that holds every Jacobian; the least and the greatest slope, with sign.
 
     In several dimensions these are the ends `alpha -+ beta` of the ball.
@@ -63,8 +63,8 @@ def _rounded_down(value: Fraction) -> float:
 
 
 def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
-    """A ball around `alpha I` that holds the ball around `centre`: the distance between the centres
-    is paid for.
+    """Ball around `alpha I` that holds a given ball. Its radius grows by the distance between the
+    centres.
 
     `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which
     synthesis refuses.
@@ -156,7 +156,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 
 
 def jacobian_ball(scaffold: Any) -> SlopeBound:
-    """A ball `alpha I + beta Delta` that holds every Jacobian of the scaffolding, with sign.
+    """Ball `alpha I + beta Delta` that holds every Jacobian of a static map. Alpha carries the sign
+    of the slopes.
 
     Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
     or the narrower of LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is
@@ -174,8 +175,7 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
 
 
 def certified_balls(model: Any) -> Balls:
-    """The balls of `scaffold_in` and `scaffold_out` for the theorems, sound on both sides. Refuses
-    as above."""
+    """Balls of Jacobians of S_u and S_y for the theorems, sound for both. Refuses as above."""
     return Balls(
         input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball
     )

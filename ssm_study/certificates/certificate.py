@@ -46,8 +46,8 @@ LETTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """A gain with which differences contract by `r = sqrt(1 - rate)` a step, whatever the Jacobians
-    in the ball.
+    """Certificate of one gain, of controller or observer. Differences shrink by `r = sqrt(1 -
+    rate)` a step, whatever the Jacobians in the ball.
 
     `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
     a state feedback.
@@ -67,13 +67,13 @@ class Side(Theorem, abstract=True):
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices that are deployed, by their letters: `k`, or `l` and, where neurons are
-        injected into, `l_z`."""
+        """Gain matrices that are deployed, by their letters. They are `k`, or `l` and, where
+        neurons are injected into, `l_z`."""
         return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
 
     @property
     def gain(self) -> Float[np.ndarray, "r c"]:
-        """K, or L."""
+        """Gain matrix, K of a controller or L of an observer."""
         return self.gains["l" if self.observes else "k"]
 
     @property
@@ -83,8 +83,8 @@ class Side(Theorem, abstract=True):
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
-        """The ball of Jacobians that this side is certified for. That of `S_u`, of an observer
-        that of `S_y`."""
+        """Ball of Jacobians for which this certificate holds. That of `S_u`, of an observer that of
+        `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
@@ -213,8 +213,9 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """Entry of a design for a side that has no certificate, with the reason. No certificate at
-    these settings: a result, not an error. `rate_limit` says how much was possible.
+    """Entry of a design in place of a controller or observer that has no certificate, with the
+    reason. No certificate at these settings: a result, not an error. `rate_limit` says how much was
+    possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -285,7 +286,7 @@ class Design:
 
     @property
     def pair(self) -> Gains:
-        """The gains of controller and observer together; `BadRequest` as of `parts`."""
+        """Gains of controller and observer together. Raises `BadRequest` as `parts` does."""
         feedback, observer = self.parts()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
@@ -301,7 +302,7 @@ class Design:
 
     @property
     def content(self) -> dict[str, Theorem | Infeasible]:
-        """Every part, as the file names it."""
+        """Parts of the design by the names that they have in the file."""
         return {
             "state_feedback": self.state_feedback,
             "observer": self.observer,
@@ -315,7 +316,7 @@ class Design:
         return {letter: gain for side in sides for letter, gain in side.gains.items()}
 
     def certified_rate(self, side: str) -> float | None:
-        """The largest rate that is proved for the gain of this side; None without any."""
+        """Largest rate that is proved for the gain of controller or observer. None without any."""
         parts = self.content[side], self.extra_certificates.get(f"{side}_deployed")
         return max(
             (part.rate for part in parts if isinstance(part, Side) and part.certified), default=None

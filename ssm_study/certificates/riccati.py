@@ -1,4 +1,4 @@
-"""Riccati equations by doubling, and the least metric of a gain that is given.
+"""Riccati equations solved by doubling, and the smallest metric of a given gain.
 
 Derivation: docs/theory.md, "The gain in closed form".
 """

@@ -1,4 +1,4 @@
-"""Semidefinite programs: how one is solved, and the one whose solution proves
+"""Solution of semidefinite programs by cvxpy, and the program that proves
 `theorems.structured_tolerance`."""
 
 import warnings

@@ -1,4 +1,4 @@
-"""End of a command: its exit status, and the message for an error that ended it."""
+"""Exit status of a command, and the message for an error that ended it."""
 
 import errno
 

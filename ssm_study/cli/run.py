@@ -47,7 +47,7 @@ def _warning_text(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    """Text of a warning; our own are sentences for the user, without the line of code."""
+    """Text of a warning, without the line of code. Our own warnings are sentences for the user."""
     if category.__module__.startswith("ssm_study"):
         return f"ssm-study: {message}\n"
     return PYTHONS_WARNING(message, category, filename, lineno, line)

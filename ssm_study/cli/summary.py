@@ -68,8 +68,8 @@ def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[An
 def _outcome(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
-    """Gather and draw a study, and return the text on how the run ended, for a coloured terminal of
-    that width."""
+    """Gather and draw a study, and return the text on how the run ended. It is coloured for a
+    terminal of that width."""
     from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.table.gather import gather

@@ -1,5 +1,4 @@
-"""Law of the whole line: every choice of a swappable part runs from data to record; a new yaml is a
-new test case."""
+"""Law that every choice of a part runs from data to record. A new yaml is a new test case."""
 
 import json
 import os
@@ -41,8 +40,7 @@ def every_choice() -> list[tuple[str, ...]]:
 
 @pytest.fixture(autouse=True)
 def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without the check of every call that a test run may ask of jaxtyping: here whole lines run,
-    step by step.
+    """Switch off jaxtyping's check of every call and the figures, since here whole runs are tested.
 
     No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
     returns.

@@ -1,5 +1,5 @@
-"""Arrays, series and frames as logs, so that what is given in Python is read, checked and named as
-any recording."""
+"""Arrays, series and frames given in Python, written as logs so that they are read, checked and
+named as any recording."""
 
 import hashlib
 from collections.abc import Sequence
@@ -173,8 +173,8 @@ def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> N
 
 
 def check_index(u: Any, y: Any, step_s: float | None) -> None:
-    """Refuse series or frames whose indexes differ, or show another sampling time than is given, or
-    no even one."""
+    """Check that the indexes of series or frames agree with each other and with the sampling time,
+    and are evenly spaced. Refuses others."""
     sides = (("u", u), ("y", y))
     tables = pd.Series | pd.DataFrame
     indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
@@ -217,7 +217,7 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
 
 
 def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
-    """Times of an index in seconds; None of one that counts rows or names them."""
+    """Times of an index in seconds. None for an index that counts rows or names them."""
     if len(index) < 3:
         return None
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):

@@ -1,5 +1,5 @@
-"""From records to a data set: scales as pure gains about the equilibrium, and what must hold of
-every record.
+"""Assembly of records into a data set: scales as pure gains about the equilibrium, and the checks
+that every record must pass.
 
 And a data set as named arrays and one json-able dictionary, and back, bit for bit: how the store
 keeps it.

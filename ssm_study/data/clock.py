@@ -36,8 +36,8 @@ class EvenRows:
 
 
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
-    """Mean period of times that increase and lie within `tolerance` periods of an even clock;
-    refuses others."""
+    """Mean period of times that lie within `tolerance` periods of an evenly spaced clock. Refuses
+    others."""
     at_least(2, f"{where} (time)", len(time_s), "use a longer record")
     refuse_backwards(time_s, where)
     mean_s, late = lateness(time_s)
@@ -54,7 +54,7 @@ def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) 
 
 
 def lateness(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
-    """Mean period of the times, and how many periods each sample is early or late."""
+    """Mean period of the times, and by how many periods each sample is early or late."""
     mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     even = time_s[0] + mean_s * np.arange(len(time_s))
     return mean_s, np.abs(time_s - even) / mean_s
@@ -139,9 +139,9 @@ def rounded_rows(
 def rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
 ) -> EvenRows:
-    """Check rounded times against a stated sampling time and give the rows an even clock. Rows
-    with times that were rounded, on the sampling time that is given; refuses another one than
-    the first rows show."""
+    """Compare rounded times with a stated sampling time and give the rows an even clock. Rows with
+    times that were rounded, on the sampling time that is given; refuses another one than the first
+    rows show."""
     refuse_backwards(time_s[np.append(True, np.diff(time_s) != 0)], where)
     span_s = float(time_s[-1] - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
@@ -201,7 +201,8 @@ def cut_at_holes(
 def hole_remarks(
     steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
 ) -> list[str]:
-    """Sentences on the holes of a log. How many holes there are, and how long, in words."""
+    """Sentences that describe the holes of a log. How many holes there are, and how long, in
+    words."""
     if not len(holes):
         return []
     missing_s = float(steps[holes].sum()) - len(holes) * period_s
@@ -272,8 +273,8 @@ def held_or_linear(
     column: Float[np.ndarray, "T"],
     is_input: bool,
 ) -> Float[np.ndarray, "K"]:
-    """Interpolate a column at other times: an input that holds levels is held, anything else is
-    on lines."""
+    """Interpolate a column at other times. An input that holds levels is held, anything else is
+    interpolated linearly."""
     if is_input and (np.diff(column) == 0).mean() > HELD:
         last = np.searchsorted(times, clock * (1 + 1e-12) + 1e-12, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]

@@ -79,7 +79,8 @@ def clock_unit(title: str, stated: str) -> float | None:
 
 
 def is_clock_name(title: str) -> bool:
-    """Whether a title is that of a clock: `time`, `t`, `Timestamp (ms)`, `time_s`, `date`, ..."""
+    """Whether a column's title is that of a clock, as `time`, `t`, `Timestamp (ms)`, `time_s` or
+    `date` are."""
     plain = title_without_unit(title)
     if folded(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
         return True
@@ -88,13 +89,14 @@ def is_clock_name(title: str) -> bool:
 
 
 def has_clock_word(title: str) -> bool:
-    """Whether a title begins or ends with a clock's word: `t_now`, `sensor_timestamp`."""
+    """Whether a title begins or ends with a word for a clock, as `t_now` and `sensor_timestamp`
+    do."""
     words = words_of(title_without_unit(title))
     return any(folded(word) in WORDS for word in (*words[:1], *words[-1:]))
 
 
 def words_of(title: str) -> list[str]:
-    """The words of a title in small letters, divided at spaces, underscores, points, dashes."""
+    """Words of a title in small letters, separated at spaces, underscores, points and dashes."""
     return [word for word in re.split(r"[\s_.\-/]+", title.lower()) if word]
 
 
@@ -143,7 +145,7 @@ def runs_forwards(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> b
 
 
 def runs_evenly(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the times increase by the same step from row to row, to a thousandth of it."""
+    """Whether the steps from row to row are equal, to a thousandth."""
     if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
@@ -183,7 +185,8 @@ def clock_seconds(
 
 
 def counts_small_units(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether times are whole numbers several apart, and no whole minutes apart."""
+    """Whether times are whole numbers with a median step of several units that is no whole number
+    of minutes."""
     known = times[np.isfinite(times)]
     steps = np.diff(known)
     if len(steps) < 2 or not np.array_equal(known, np.round(known)):

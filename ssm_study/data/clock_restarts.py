@@ -1,4 +1,4 @@
-"""Several experiments in one file: a clock that starts again cuts the log there."""
+"""Detection of several experiments in one file. Where the clock starts again, the log is cut."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -14,8 +14,8 @@ APART = 2  # samples between two experiments: none follows the other
 
 
 def clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Find the rows at which a clock starts again, where a file holds several experiments; none
-    of a clock that runs backwards elsewhere too."""
+    """Find the rows at which a clock starts again, where a file holds several experiments. A clock
+    that runs backwards elsewhere too has none."""
     known = time_s[np.isfinite(time_s)]
     if len(known) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
@@ -40,7 +40,7 @@ def on_even_clocks(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """The rows on an even clock, each experiment of a file by itself (`on_even_clock`).
+    """Put the rows on an even clock, each experiment of a file by itself (`on_even_clock`).
 
     Raises `BadRequest` as that does, and for experiments of different sampling times.
     """

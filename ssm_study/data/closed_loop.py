@@ -1,5 +1,5 @@
-"""A log made in a closed loop whose set point is known: the input as the set point alone would make
-it.
+"""Input of a closed-loop log as the known set point alone would make it, in place of the recorded
+input.
 
 A fit from the one to the other takes the controller for part of the plant where noise is slow. What
 the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`;
@@ -29,8 +29,8 @@ Rows = Float[np.ndarray, "_ r"]
 def from_set_points(
     logs: Sequence[Trajectory], references: Sequence[Rows]
 ) -> tuple[list[Trajectory], float]:
-    """Replace the input of closed-loop logs by its part that the set point explains, `u_r`, with
-    one filter for all, and return that part's share of the input's power.
+    """Replace the input of closed-loop logs by the part `u_r` that the set point explains. One
+    filter serves all logs; that part's share of the input's power is returned, too.
 
     Raises `BadRequest` for logs that are too short.
     """

@@ -1,4 +1,4 @@
-"""Dates and times of common forms, as seconds since the first."""
+"""Dates and times in common forms, converted to seconds since the first."""
 
 import re
 
@@ -27,7 +27,7 @@ def is_date(cell: str) -> bool:
 
 
 def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
-    """Seconds since the first of the cells that is a date; NaN where a cell is none.
+    """Seconds since the first date among the cells. NaN where a cell is no date.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
     `AmbiguousDates` where both do and differ.
@@ -64,7 +64,8 @@ def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
 
 
 def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
-    """Seconds since 1970 in the order of day, month and year that fits all cells."""
+    """Seconds since 1970 of all cells, read in the order of day, month and year that fits them
+    all."""
     within = clock_seconds(parts)
     shift = parts["zone"].map(zone_seconds, na_action="ignore").fillna(0.0).to_numpy(dtype=float)
     readings = []
@@ -96,7 +97,7 @@ def zone_seconds(zone: str) -> float:
 
 
 def the_reading_that_increases(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
-    """Choose from several readings of the same dates the one in which time runs forwards, and
+    """Choose among several readings of the same dates the one in which time runs forwards, and
     evenly."""
     if not readings:
         return np.full(samples, np.nan)
@@ -116,6 +117,6 @@ def known_steps(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
 
 
 def is_even(seconds: Float[np.ndarray, "T"]) -> bool:
-    """Whether no step is longer than one and a half of the median step."""
+    """Whether no step is longer than 1.5 times the median step."""
     steps = known_steps(seconds)
     return bool(len(steps)) and bool(steps.max() <= 1.5 * np.median(steps))

@@ -69,8 +69,8 @@ class RecordedExperiments(AroundRest):
         )
 
     def _parts(self) -> Parts:
-        """Training, validation and test; of a fold, what is kept also validates, as it does without
-        folds."""
+        """Records of training, validation and test. Of a fold, what is kept also validates, as it
+        does without folds."""
         folder = self.located()
         if self.fold is None:
             return (
@@ -85,7 +85,7 @@ class RecordedExperiments(AroundRest):
         return kept, kept, [piece for _, piece in parts]
 
     def located(self) -> Path:
-        """The folder of the records; `BadRequest` where there is none."""
+        """Folder that holds the records. Raises `BadRequest` where there is none."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
         require(
@@ -124,8 +124,8 @@ def benchmark_folder(benchmark: str) -> Path:
 
 
 def file_in(folder: Path, name: str) -> Path:
-    """Find a file in a folder by its name, or by its stem as CSV or MAT: records are distributed
-    as both. Refuses without."""
+    """Find a file in a folder by its name, or by its stem as CSV or MAT. Records are distributed as
+    both. Refuses without."""
     exact = folder / name
     twins = sorted(
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")

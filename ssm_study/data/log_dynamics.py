@@ -38,8 +38,8 @@ Signal = Float[np.ndarray, "T"]
 
 @dataclass(frozen=True, kw_only=True)
 class InputShares:
-    """Shares of the output's level and of its change over a window that the input explains; the
-    share of its level that the output loses over that window, and at that pace over the log."""
+    """Shares of the output's level, and of its change over a window, that the input explains. Also
+    the share of its level that the output loses over that window, and at that pace over the log."""
 
     level: float
     change: float
@@ -49,14 +49,15 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the plant integrates its input, judged by these shares: it changes by it, and
-        forgets nothing."""
+        """Whether the plant integrates its input: the input explains the output's change, and the
+        output forgets nothing."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
 
 def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
-    """Rests, answer, integrator, closed loop and noise of the longest stretch, in words."""
+    """Describe the longest stretch of a log in words: returns of the input, delay of the response,
+    integrator, closed loop and noise."""
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
@@ -83,7 +84,7 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
 
 
 def same_sample_sentence() -> str:
-    """Sentence on an output that answers within the same sample, as it does in a loop."""
+    """Sentence on an output that responds within the same sample, as it does in a closed loop."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
@@ -95,8 +96,8 @@ def rest_sentence(rests: int) -> str:
 
 
 def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
-    """Sentence on the delay of the output's answer. After how many samples the output answers;
-    of an integrator, its change from row to row."""
+    """Sentence on the number of samples after which the output responds to the input. Of an
+    integrator it is the output's change that responds."""
     rate = np.diff(y)
     answering = rate if shares.is_integrator else y[1:]
     word = "the output's change" if shares.is_integrator else "the output"
@@ -125,7 +126,7 @@ def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
 
 
 def lag_sentence(lag: int, word: str) -> str:
-    """Sentence on the lag of the answer, in samples."""
+    """Sentence on the delay of the response, in samples."""
     if lag == 0:
         return f"{word} answers within the same sample ({FEEDTHROUGH})"
     if lag == 1:
@@ -136,7 +137,7 @@ def lag_sentence(lag: int, word: str) -> str:
 
 
 def slow_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on a lag that was found in steps of several samples."""
+    """Sentence on the delay of a slow response, which was found in steps of several samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -145,7 +146,8 @@ def slow_sentence(lag: int, stride: int, word: str) -> str:
 
 
 def first_answer(u: Signal, y: Signal) -> int | None:
-    """The first lag at which the output answers a change of the input; None where none is sure."""
+    """Smallest lag at which the output responds to a change of the input. None where none is
+    significant."""
     if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:
         return None
     x, target = increments(u, y)
@@ -215,14 +217,14 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
 
 
 def explained_level(u: Signal, y: Signal) -> float:
-    """Largest share of the output's level that the input's mean explains, over windows of several
-    lengths."""
+    """Largest share of the output's level that the input's mean over a window explains, among
+    windows of several lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
     return max((shares_over(u, y, window).level for window in windows), default=0.0)
 
 
 def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
-    """Shares that the input's mean explains over windows of one length."""
+    """Shares of the output that the input's mean over windows of one length explains."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
@@ -243,7 +245,7 @@ def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
 
 
 def explained_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of the target's variance that least squares explains."""
+    """Share of the target's variance that a least-squares fit explains."""
     residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
     return 1.0 - float(residual.var() / max(float(target.var()), 1e-300))
 

@@ -1,4 +1,5 @@
-"""Overview of a log on one screen: columns, clock, what moves what, and the command that fits it.
+"""Overview of a log on one screen: its columns, its clock, how the output responds to the input,
+and a command that fits it.
 
 Each sentence is a measurement on the log alone; none of them decides anything about a model.
 """
@@ -55,7 +56,7 @@ class ColumnFacts:
     rows: int
 
     def line(self) -> str:
-        """The facts as a line of a table."""
+        """One line of a table on the column's range, levels and gaps."""
         name = (self.name or "(no name)")[:28]
         unit = f"[{self.unit}]" if self.unit else ""
         return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
@@ -75,7 +76,7 @@ class ColumnFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """The columns and the clock of a log as its user states them; None is to be found."""
+    """Columns and clock of a log as its user states them. None leaves a setting to be found."""
 
     input: str | None = None
     output: str | None = None
@@ -84,7 +85,7 @@ class LogSettings:
     text: TextSettings = field(default_factory=TextSettings)
 
     def source(self, path: Path, u: str, y: str) -> RecordedData:
-        """The data of a run with these settings."""
+        """Data source of a run with these settings."""
         return RecordedData(
             path=str(path),
             input=u,
@@ -97,7 +98,7 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """The stated settings as words of a command."""
+        """The stated settings as words of the command."""
         words = [f"data.time={quoted(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         for name, value in vars(self.text).items():
@@ -128,7 +129,7 @@ class LogLook:
 
 
 def skipped_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines of text on columns that were skipped. Lines on what was skipped and why; of a long
+    """Lines of text on the columns that were skipped. Lines on what was skipped and why; of a long
     list, those with numbers, and how many more."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
@@ -196,7 +197,7 @@ def look(
 def set_point_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
-    """Which other columns are named like set points, in words."""
+    """Sentences on other columns whose names are those of set points."""
     names = [column.name for column in facts if is_set_point(column.name)]
     others = [name for name in names if name not in (*signals, stated.time)]
     if not others:
@@ -206,7 +207,7 @@ def set_point_sentences(
 
 
 def clock_of(table: Table) -> str | None:
-    """The column that is the clock, or that counts the rows."""
+    """Name of the column that is the clock, or that counts the rows."""
     if counts_in_first_column(table):
         return next(iter(table.columns))
     return find_clock(table, ())
@@ -215,8 +216,8 @@ def clock_of(table: Table) -> str | None:
 def examine(
     path: Path, table: Table, clock: str | None, source: RecordedData
 ) -> tuple[list[Trajectory], bool, list[str]]:
-    """The signals as a run reads them, whether the sampling time is known, and sentences on them,
-    or on what hinders the reading.
+    """Read the signals as a run does and describe them in sentences, or say what hinders the
+    reading. Also returns whether the sampling time is known.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """
@@ -255,7 +256,7 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
 
 
 def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:
-    """The columns that are most likely input and output: by their words, then by their levels."""
+    """Guess which columns are input and output, by words in their titles, then by their levels."""
     moving = [column for column in facts if column.name != clock and column.levels > 1]
     if len(moving) < 2:
         return None, None
@@ -268,14 +269,15 @@ def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str 
 
 
 def is_set_point(name: str) -> bool:
-    """Whether a title is that of a set point: `r`, `ref`, `T1 setpoint`, `TSP1`, `speed_target`."""
+    """Whether a title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
+    `speed_target` are."""
     return word_score(name, SET_POINT_WORDS) == 1.0
 
 
 def other_columns(
     facts: Sequence[ColumnFacts], clock: str | None, signals: tuple[str, str]
 ) -> list[str]:
-    """The columns that move besides input and output, and where one of them belongs."""
+    """Columns that move besides input and output, and the setting to which one of them belongs."""
     titles = [column.name for column in facts]
     places = [place_in(titles, name) for name in (*signals, clock)]
     moving = [
@@ -305,9 +307,9 @@ def place_in(titles: Sequence[str], name: str | None) -> int | None:
 
 
 def input_score(column: ColumnFacts) -> float:
-    """Score of how much a column looks like an input. How much a column looks like an input: by
-    its name, by how it holds few levels, and by how far it moves. Columns that are alike in this
-    are taken in their order."""
+    """Score of how much a column looks like an input of the plant. How much a column looks like an
+    input: by its name, by how it holds few levels, and by how far it moves. Columns that are alike
+    in this are taken in their order."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
@@ -326,7 +328,7 @@ def word_score(name: str, words: tuple[str, ...]) -> float:
 
 
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
-    """Which column the clock is and what period it shows, in words."""
+    """Sentences on which column is the clock and what period it shows."""
     if clock is None or clock not in table.columns:
         return ["no clock found: give data.step_s in seconds, or name the column data.time"]
     if counts_in_first_column(table):
@@ -345,7 +347,7 @@ def run_command(
     step_is_known: bool,
     sentences: Sequence[str],
 ) -> str:
-    """The command that fits the log, ready to paste."""
+    """Command that runs a study on the log, ready to paste."""
     if u is None or y is None:
         return f"ssm-study run data=recorded data.path={quoted(str(path))} ..."
     words = ["ssm-study run data=recorded", f"data.path={quoted(str(path))}"]
@@ -358,7 +360,7 @@ def run_command(
 
 
 def quoted(text: str) -> str:
-    """Quote a value for shell and configuration. A value as shell and configuration read it
+    """Quote a value for the shell and the configuration. A value as shell and configuration read it
     back: letters and digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):
         return text

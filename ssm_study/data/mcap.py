@@ -122,8 +122,7 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
 
 
 def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
-    """The topics as they are written: those below one name become that name where their clocks are
-    one."""
+    """Merge topics below one name into that name, where their clocks are the same."""
     below: dict[str, list[SignalGroup]] = defaultdict(list)
     for group in groups:
         below[group.topic.rpartition("/")[0]].append(group)
@@ -143,8 +142,8 @@ def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
 def _open_channel(
     context: foxglove.Context, topic: str, parts: list[SignalGroup]
 ) -> foxglove.Channel:
-    """A topic whose schema is one message of doubles, or one of such messages; field numbers in the
-    order given."""
+    """Open a topic whose schema is one message of doubles, or one of such messages. Field numbers
+    follow the order given."""
     words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
     message = "".join(word[0].upper() + word[1:] for word in words)
     file = descriptor_pb2.FileDescriptorProto(

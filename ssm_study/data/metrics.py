@@ -1,5 +1,5 @@
-"""The numbers of a record that describe the data: where they come from, what they identify, how
-benchmarks score."""
+"""Columns of a record that describe the data: their origin, what they identify, and the scores of
+public benchmarks."""
 
 import warnings
 from typing import Any
@@ -87,8 +87,8 @@ class SlopesNotIdentifiable(UserWarning):
 
 
 def input_coverage(data: DataSet) -> float:
-    """Share of the amplitude range that the training inputs visit, in `BINS` equal bins, worst
-    input channel.
+    """Share of the amplitude range that the training inputs visit, in `BINS` equal bins. The worst
+    input channel counts.
 
     The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
     [0, 1].
@@ -104,7 +104,7 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """Warning about training inputs that take two levels at most, else None."""
+    """Warning where the training inputs take two levels at most, else None."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))

@@ -1,4 +1,4 @@
-"""Titles of columns as the plain names that recordings and tables take."""
+"""Conversion of column titles to the plain names that recordings and tables take."""
 
 import re
 import unicodedata

@@ -31,15 +31,15 @@ Splitter = Callable[[Trajectory], Pieces]
 
 
 class RecordedSource(ABC):
-    """Data that lies in files: what is read from where, and the data set it makes."""
+    """Data source that reads files. It names the files and builds the data set."""
 
     @abstractmethod
     def files(self) -> tuple[Path, ...]:
-        """Every file that `build` reads; each exists, or `BadRequest` is raised."""
+        """Every file that `build` reads. Each exists, or `BadRequest` is raised."""
 
     @abstractmethod
     def build(self, seed: int) -> DataSet:
-        """Build the data set; `seed` only names the run, for nothing here is random."""
+        """Build the data set. `seed` only names the run, as nothing here is random."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class AroundRest(RecordedSource):
         )
 
     def assembled(self, parts: Parts, channels: tuple[Channels, ...], **about: str) -> DataSet:
-        """The data set of these parts; refuses what `assemble` refuses."""
+        """Assemble a data set from these parts. Refuses what `assemble` refuses."""
         require(
             len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
         )
@@ -188,7 +188,7 @@ class RecordedData(Columns, AroundRest):
 
     @property
     def disturbances(self) -> Channels:
-        """Channels that are measured, and that no actuator moves."""
+        """Channels of the measured disturbances."""
         names = self.disturbance or ()
         return (
             read_channels(names, self.disturbance_unit, "disturbance", self.apart) if names else ()
@@ -244,7 +244,8 @@ class RecordedData(Columns, AroundRest):
         return replace(data, mismatch_records=self._mismatch_records(logs))
 
     def _mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """Records for the mismatch alone: the rests of whole logs, and repeated periods."""
+        """Records that serve the mismatch alone: stretches of constant input in whole logs, and
+        repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
         periodic = [splits.periodic_segments(piece, self.start_up_samples) for piece in pieces]
@@ -254,8 +255,8 @@ class RecordedData(Columns, AroundRest):
         return tuple(one for found in segments for one in found if len(one) > least)
 
     def _paths(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """The files of every log; two files of which one has the inputs and the other the outputs
-        are one log."""
+        """Pair the files of every log. Two files of which one has the inputs and the other the
+        outputs are one log."""
         files = self.files_of(field, outputs)
         if len(files) != 2 or self.apart:
             return files
@@ -268,8 +269,8 @@ class RecordedData(Columns, AroundRest):
         return [(first, second)] if apart else files
 
     def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
-        """Every log, counted from the number of those before it; with the input that the set point
-        makes, and its share, where set point or PI are known."""
+        """Read every log. Where set point or PI are known, the input is the part that the set point
+        makes, and its share is noted."""
         source = self
         if self.reference is not None:
             columns = [*listed(self.input), *listed(self.reference)]
@@ -335,7 +336,7 @@ class RecordedData(Columns, AroundRest):
         return splits.over_pieces(log, splitter, self.start_up_samples + 2)
 
     def _splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
-        """How a log is cut into three parts, and the same in words."""
+        """Function that splits a log into training, validation and test, and the same in words."""
         if self.validation is not None:
             named = {"validation": self.validation, "test": self.test or []}
             return partial(by_intervals, named=named), "into named intervals"

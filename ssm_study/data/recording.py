@@ -84,12 +84,12 @@ class Columns:
 
     @property
     def apart(self) -> bool:
-        """Whether the outputs stand in files of their own."""
+        """Whether the outputs are in files of their own."""
         return False
 
     @property
     def searches_clock(self) -> bool:
-        """Whether a clock that is not named is looked for among the columns."""
+        """Whether an unnamed clock is looked for among the columns."""
         return True
 
     @property
@@ -98,8 +98,8 @@ class Columns:
 
     @property
     def measured(self) -> tuple[Channel, ...]:
-        """Channels that are read from the files: the `outputs`, unless `differentiate` makes
-        those rates, in the unit per second."""
+        """Channels that are read from the files. They are the `outputs`, unless `differentiate`
+        makes those rates, in the unit per second."""
         return read_channels(self.output, self.output_unit, "output", self.apart)
 
     @property
@@ -115,8 +115,8 @@ class Columns:
         first: int = 0,
         last: int | None = None,
     ) -> Trajectory:
-        """Samples `first` to before `last`, in physical units, outputs from `output_path` where it
-        is given.
+        """Read the samples `first` to before `last`, in physical units. Outputs come from
+        `output_path` where it is given.
 
         Raises `BadRequest`, always in one sentence; also for a log with holes, which is several.
         """
@@ -134,7 +134,8 @@ class Columns:
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """The stretches of a log between its holes and missing values, and how it was read.
+        """Read the stretches of a log between its holes and missing values, and say how it was
+        read.
 
         Each piece says at which sample of the log it begins. A refusal of what the file holds ends
         with the command that shows it.
@@ -170,7 +171,7 @@ class Columns:
         return Trajectory(u=u, y=y, step_s=step_s, name=path.name)
 
     def _on_clock(self, path: Path, output_path: Path) -> tuple[EvenRows, list[str]]:
-        """The rows on an even clock, and how the files were read, in words."""
+        """Put the rows on an even clock, and say how the files were read."""
         time_s, stated_s, values, remarks = self._read(path, output_path)
         if time_s is None:
             period_s = stated_s if self.step_s is None else self.step_s
@@ -199,8 +200,8 @@ class Columns:
     def _read(
         self, path: Path, output_path: Path
     ) -> tuple[Float[np.ndarray, "T"] | None, float | None, Float[np.ndarray, "T2 c"], list[str]]:
-        """Times, the sampling time that a file states, inputs beside outputs, and remarks; the rows
-        of two files must go together."""
+        """Read times, the sampling time that a file states, inputs beside outputs, and remarks. The
+        rows of two files must go together."""
         sides = [
             (path, listed(self.input), self.inputs),
             (output_path, listed(self.output), self.measured),
@@ -242,7 +243,7 @@ class Columns:
         require(close, "data.output_path", output_path, problem, "log both on one clock")
 
     def _read_one(self, file: Path, units: dict[str, str]) -> "_LogFile":
-        """The columns of one file that are wanted of it, and its clock."""
+        """Read the columns of one file that are wanted of it, and its clock."""
         reader = reader_for(file, self.text_settings)
         wanted = dict(units)
         if self.time is not None:
@@ -263,7 +264,7 @@ class Columns:
     def _found_clock(
         self, file: Path, reader: Reader, table: Table, signals: list[str]
     ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
-        """Times of the column that is the clock by its name or place, and which one that is."""
+        """Times of the clock that is recognised by its name or place, and which column it is."""
         try:
             contents = reader.contents(file)
         except BadRequest:
@@ -282,8 +283,9 @@ class Columns:
     def _counted_rows(
         self, contents: Table, length: int
     ) -> tuple[Float[np.ndarray, "T"] | None, list[str]]:
-        """Times from a first column that counts the rows: in seconds in a file without names (which
-        the evidence doubts), none where the sampling time is given; refused otherwise."""
+        """Times of a log whose first column counts the rows. They are in seconds in a file without
+        names (which the evidence doubts), none where the sampling time is given; refused
+        otherwise."""
         if not counts_in_first_column(contents):
             return None, []
         if self.step_s is not None:
@@ -306,12 +308,12 @@ class _LogFile:
 
 
 def pieces_end(pieces: EvenRows) -> int:
-    """Samples of the log up to the end of its last piece."""
+    """Number of samples of the log up to the end of its last piece."""
     return pieces.starts[-1] + len(pieces.values[-1])
 
 
 def with_look(error: BadRequest, path: Path) -> BadRequest:
-    """Extend a refusal by the command that shows what is in the file."""
+    """Add to a refusal the command that shows what is in the file."""
     remedy = error.remedy.rstrip(".")
     is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
     if "look" in remedy or is_foreign or not path.is_file():
@@ -320,7 +322,8 @@ def with_look(error: BadRequest, path: Path) -> BadRequest:
 
 
 def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
-    """Refuse two signals that are one column, by two of its names, or hold the same numbers."""
+    """Refuse two signals that are read from one column under two names, or hold the same
+    numbers."""
     for k, name in enumerate(signals):
         for other in signals[:k]:
             equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
@@ -360,8 +363,8 @@ def is_among(values: Float[np.ndarray, "T"], columns: list[np.ndarray]) -> bool:
 def decimated(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], every: int
 ) -> tuple[Float[np.ndarray, "T2 m"], Float[np.ndarray, "T2 p"]]:
-    """Decimate a record: every n-th output, and the mean input of the samples from there to the
-    next: what a hold would have applied."""
+    """Decimate a record by taking every n-th output, with the mean input of the samples from there
+    to the next. A hold would have applied that mean."""
     periods = len(u) // every
     blocks = u[: periods * every].reshape(periods, every, -1)
     return blocks.mean(axis=1), y[: periods * every : every]

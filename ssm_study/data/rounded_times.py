@@ -1,4 +1,4 @@
-"""Clocks written with few digits: the even clock that explains every written time, if one does.
+"""Clocks written with few digits, and the even clock that explains every written time, if one does.
 
 A time `t_k` that was rounded to a multiple of `q_k` lies within `q_k / 2` of the instant it stands
 for, one that was cut off within `q_k`. An even clock `t_0 + k h` explains the column where it keeps
@@ -41,7 +41,8 @@ def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | No
 def possible_periods_s(
     time_s: Float[np.ndarray, "T"], error_s: Float[np.ndarray, "T"]
 ) -> tuple[float, float] | None:
-    """Shortest and longest period of an even clock within so much of every time; None without."""
+    """Shortest and longest period of an even clock that stays within a tolerance of every time.
+    None without any."""
     rows = len(time_s) - 1
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s
@@ -60,7 +61,8 @@ def possible_periods_s(
 
 
 def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Last written digit of each time, for columns of so many decimals or so many digits."""
+    """Value of the last written digit of each time, for columns of so many decimals or so many
+    digits."""
     written = [f"{time:.{DIGITS}g}" for time in time_s]
     decimals = max(decimal_places(text) for text in written)
     digits = max(significant_digits(text) for text in written)

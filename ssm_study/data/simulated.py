@@ -1,5 +1,5 @@
-"""Data from a plant of this project: excite, simulate, add measurement noise, keep the three parts
-apart.
+"""Data from a plant of this project: it is excited, simulated and measured with noise, and the
+three parts are kept apart.
 
 A few more records are for one purpose only: how far the plant is from its model where the loop will
 take it. No fit uses them. An excitation at full amplitude, held for some samples at a time, says
@@ -94,7 +94,8 @@ class SimulatedData:
         at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
-        """The data set of this plant under this excitation; equal seeds give equal numbers."""
+        """Simulate the data set of this plant under this excitation. Equal seeds give equal
+        numbers."""
         rng = np.random.default_rng(seed)
         scoring = self.scoring_excitation
         training = self._records(plant, excitation, rng, self.trajectories, self.samples)
@@ -115,8 +116,8 @@ class SimulatedData:
         return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """`fresh_sets` further validation records and trials of the plant, each with a seed of its
-        own."""
+        """Simulate `fresh_sets` further validation records and trials of the plant, each with a
+        seed of its own."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
@@ -136,8 +137,8 @@ class SimulatedData:
         )
 
     def deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
-        """Standard deviation of the sensor's noise, physical: `noise_variance`, or the plant's
-        own."""
+        """Standard deviation of the sensor's noise, in physical units, from `noise_variance` or the
+        plant's own."""
         variance = np.array(plant.noise_variance)
         if self.noise_variance is not None:
             variance = np.full_like(variance, self.noise_variance)
@@ -153,7 +154,7 @@ class SimulatedData:
         *,
         noisy: bool = True,
     ) -> list[Trajectory]:
-        """`count` records from rest."""
+        """Simulate `count` records that begin at the equilibrium."""
         request = SignalRequest(
             samples=samples,
             step_s=plant.step_s,
@@ -238,7 +239,7 @@ def sine_records(
 
 
 def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Random levels with random holding times. Levels uniform in [-1, 1], held from one sample
-    to `longest`, short and long equally often on a log scale."""
+    """Excitation with random levels and random holding times. Levels uniform in [-1, 1], held from
+    one sample to `longest`, short and long equally often on a log scale."""
     holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
     return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

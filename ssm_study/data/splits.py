@@ -1,5 +1,5 @@
-"""Which part of a log trains, validates and tests: by time, named intervals, interleaved blocks, or
-folds."""
+"""Split of a log into training, validation and test: by time, named intervals, interleaved blocks,
+or folds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -89,8 +89,8 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
 
 
 def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Cut a record into `folds` equal pieces: number `fold` tests, the one before it validates
-    (before the first: the last), the others train."""
+    """Cut a record into `folds` equal pieces, of which number `fold` tests and the one before it
+    validates. Before the first comes the last; the others train."""
     piece = folds * np.arange(len(record)) // len(record)
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
@@ -107,8 +107,8 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Cut out every stretch at rest input, which is the input at which the record ends, with the
-    sample before it; none where it ends moving. Measured disturbances count as inputs: while they
+    """Cut out every stretch of constant input, at the value with which the record ends, with the
+    sample before it. None where it ends moving. Measured disturbances count as inputs: while they
     move nothing rests.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
@@ -118,8 +118,8 @@ def rest_segments(record: Trajectory) -> list[Trajectory]:
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """Cut out the segments between two rests whose input repeats itself, with half of the rest
-    before and all behind.
+    """Cut out the segments whose input repeats itself between two stretches of constant input. Half
+    of the stretch before and all behind belong to them.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
@@ -136,8 +136,8 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
 
 
 def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Stretches of samples at the input at which the record ends, from the sample before; `first`:
-    at its beginning, too."""
+    """Index ranges of the stretches of constant input at the value with which the record ends, from
+    the sample before. With `first`, one at its beginning counts, too."""
     moving = record.driven_by
     moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
@@ -148,7 +148,7 @@ def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
 
 
 def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Records of one part of a split, one for each run of consecutive samples; 0 trains, 1
+    """Records of one part of a split, one for each run of consecutive samples. 0 trains, 1
     validates, 2 tests."""
     pieces: Pieces = ([], [], [])
     edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
@@ -158,7 +158,8 @@ def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
 
 
 def end_is_unlike(parts: Pieces) -> bool:
-    """Whether the last piece's output differs in mean or deviation from the training output."""
+    """Whether the output of the last piece differs in mean or deviation from the training
+    output."""
     if not parts[0] or not parts[2]:
         return True
     trained = np.concatenate([record.y for record in parts[0]])

@@ -1,4 +1,4 @@
-"""How a text file is laid out: encoding, separator, decimal mark, comments, names, units.
+"""Detection of a text file's layout: encoding, separator, decimal mark, comments, names, units.
 
 All of it is found in the text itself, and any of it may be stated instead (`TextSettings`). The
 rows of numbers decide: a separator and a decimal mark fit if they cut the rows into equally many
@@ -198,7 +198,8 @@ def is_number(cell: str, decimal: str) -> bool:
 
 
 def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
-    """Separator and decimal mark under which the rows are most nearly a table of values."""
+    """Find the separator and decimal mark under which the rows are most nearly a table of
+    values."""
     separators = SEPARATORS if settings.mark is None else (settings.mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
     rows = sampled(lines)
@@ -236,7 +237,8 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
 
 
 def numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
-    """Which columns hold values in nine of ten sampled rows, and not only missing ones."""
+    """Which columns hold values in nine of ten sampled rows. Columns of missing values alone do not
+    count."""
     regular = [row for row in rows if len(row) == columns]
     numeric = []
     for j in range(columns):
@@ -280,8 +282,8 @@ def is_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
 def refuse_shifted_names(
     path: Path, cells: list[list[str]], above: list[list[str]], columns: int
 ) -> None:
-    """Refuse a last row above the numbers that has one name too many or too few, and a trace whose
-    variables stand one below the other."""
+    """Refuse a last row above the numbers that has one name too many or too few. A trace whose
+    variables stand one below the other is refused, too."""
     stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
@@ -293,7 +295,8 @@ def refuse_shifted_names(
 
 
 def names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
-    """The names, and the units where the last of two rows above the numbers can be units."""
+    """Names of the columns, and their units where the last of two rows above the numbers can be
+    units."""
     if not above:
         return None, []
     *before, last = above
@@ -306,7 +309,7 @@ def names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]
 def names_in_comment(
     comments: list[str], separator: str, columns: int, decimal: str
 ) -> list[str] | None:
-    """Names that stand in the last comment line, as NumPy writes them; None without."""
+    """Names of the columns in the last comment line, as NumPy writes them. None without."""
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
@@ -318,7 +321,8 @@ def names_in_comment(
 def counting_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Names `0,1,2` or `1,2,3` above rows of numbers, and how many rows they take.
+    """Names `0,1,2` or `1,2,3` for columns without names above rows of numbers, and how many rows
+    they take.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

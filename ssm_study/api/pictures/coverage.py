@@ -83,5 +83,5 @@ def _mark(band: CoverageBand, kappa: float, step_s: float) -> Series:
 
 
 def _two_digits(coverage: float) -> str:
-    """Coverage rounded down, so that it is never rounded up across one."""
+    """Coverage as text, rounded down so that no value below one is printed as one."""
     return f"{np.floor(100 * coverage) / 100:.2f}"

@@ -75,4 +75,4 @@ class Picture:
 
 
 class NothingToShow(Exception):
-    """Why there is no such picture, in a sentence."""
+    """Error that says in a sentence why a picture would be empty."""

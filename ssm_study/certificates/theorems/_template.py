@@ -59,7 +59,7 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
         }
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """The fields that are the model's."""
+        """Fields of the certificate that come from the model."""
         return {"a": context.controlled.a, "b": context.controlled.b}
 
     @classmethod
@@ -69,6 +69,6 @@ class NameOfTheTheorem(StateFeedback, abstract=True):
 
     @staticmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Every number that `conditions` uses."""
+        """Collect every number that `conditions` uses."""
         asked = {"alpha": problem.ball.alpha, "beta": problem.ball.beta, "rate": problem.rate}
         return asked | {"a": problem.a, "b": problem.b, "p": found.p, "k": found.k}

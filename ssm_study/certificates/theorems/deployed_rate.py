@@ -1,5 +1,5 @@
-"""The largest rate that one metric proves for a gain that is given: what is deployed often does
-more than was asked.
+"""The largest rate that one metric proves for a given gain, which is often faster than the rate it
+was designed for.
 
 Problem. A gain K is deployed with a certificate at the rate that was asked; find the largest rate
 at which some metric certifies this very gain. For an observer the same of `(A^T, C^T, L^T)`.

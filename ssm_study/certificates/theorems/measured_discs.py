@@ -146,14 +146,15 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def inputs_of(cls, of: Any) -> dict[str, int]:
-        """How many entries each free signal has, in the order of the columns."""
+        """Number of entries of each free signal, in the order of the columns."""
         (_, m), (p, _) = of.b.shape, of.c.shape
         bent = {"r1": p, "r2": p} if of.lambda_out.shape[1] else {}
         return {"p": m, "e": p, **bent}
 
     @classmethod
     def signals(cls, of: Any) -> SimpleNamespace:
-        """Every signal of the statement as rows over `(xi, p, e, ...)`, in the numbers of `of`."""
+        """Rows over `(xi, p, e, ...)` that give every signal of the theorem's statement, from the
+        fields of `of`."""
         (s, m), (p, n) = of.b.shape, of.c.shape
         filters = {
             "x_w": (len_of(of.weight_output) - 1) * p,
@@ -218,7 +219,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """No rate, which is None: this theorem claims none."""
+        """Return None, as this theorem claims no rate."""
 
 
 def len_of(matrix: Any) -> int:

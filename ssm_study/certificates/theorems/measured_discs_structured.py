@@ -78,7 +78,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
-        """Rows of what the neurons add to the output."""
+        """Rows that give the neurons' contribution to the output."""
         return of.h @ (rows.w if letter == "w" else rows.d_w)
 
     @classmethod
@@ -88,8 +88,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
 
     @classmethod
     def neuron_pairs(cls, of: Any, rows: Any) -> list[tuple[Any, Any]]:
-        """Pairs of the neurons' outputs and inputs: model against rest, observer against model,
-        observer against rest."""
+        """Differences of the neurons' outputs and inputs, compared in three ways. They are model
+        against equilibrium, observer against model, observer against equilibrium."""
         n = of.c.shape[1]
         z = of.f @ rows.x + of.g @ rows.drive
         dz = of.f[:, :n] @ rows.eps + of.l_z @ rows.injected

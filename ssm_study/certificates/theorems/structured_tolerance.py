@@ -103,8 +103,8 @@ class StructuredTolerance(Tolerance):
     def candidates(
         cls, into_w: Any, beta: float, loop: Any, into_u: Any, seen: Any = None
     ) -> Candidates:
-        """Candidates like those of `Tolerance`, with `lambda_`: a semidefinite program that
-        maximises `s^2`, then a point a little inside with room to round."""
+        """Candidates like those of `Tolerance`, with `lambda_`. A semidefinite program maximises
+        `s^2`; each candidate lies a little inside, with room to round."""
         from ssm_study.certificates.semidefinite import largest_mismatch  # CVXPY
 
         for found in largest_mismatch(loop, into_u, seen, into_w, beta):

@@ -141,8 +141,8 @@ class Tolerance(Theorem):
 
     @staticmethod
     def seen(of: Any) -> Any:
-        """Output matrix of the weighted signal that the gain from the error e is measured to,
-        `C_W`."""
+        """Output matrix `C_W` of the weighted input, to which the gain from the error e is
+        measured."""
         n = of.c.shape[1]
         m = of.b.shape[1]
         w = of.weight.shape[0] - m
@@ -155,8 +155,8 @@ class Tolerance(Theorem):
 
     @classmethod
     def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
-        """Every field that is the model's, or a gain; `alpha_out` is no number for a nonlinear
-        output map."""
+        """Fields of the certificate that come from the model or are gains. `alpha_out` is NaN for a
+        nonlinear output map."""
         numbers: dict[str, Any] = {}
         for name in (part.name for part in fields(cls) if part.name in DUAL):
             system = context.system if name in ("c", "h") else context.controlled
@@ -169,8 +169,8 @@ class Tolerance(Theorem):
     def candidates(
         cls, into_w: Into, beta: float, loop: Float[np.ndarray, "x c"], into_u: Into
     ) -> Candidates:
-        """`s, lambda_p, p` inside the largest s, in order of trial, with the `status` each is told
-        by.
+        """Candidates `s, lambda_p, p` inside the largest s, in the order in which they are tried,
+        each with the `status` that reports it.
 
         A search over the one multiplier: at a given `lambda_p` the largest s is a peak over
         frequency, and P the least solution of a Riccati equation. No solver is asked; one is the
@@ -196,7 +196,7 @@ class Tolerance(Theorem):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> None:
-        """No rate, which is None: this theorem claims none."""
+        """Return None, as this theorem claims no rate."""
 
 
 def largest_tolerance(

@@ -60,7 +60,7 @@ class Excitation(ABC):
     @property
     @abstractmethod
     def kind(self) -> str:
-        """The name under which records file it."""
+        """Name of the excitation in the records."""
 
     @abstractmethod
     def unit_signal(
@@ -75,7 +75,8 @@ class Excitation(ABC):
         return self.unit_signal(asked, rng) * np.array(asked.amplitude)
 
     def _asked(self, request: SignalRequest) -> SignalRequest:
-        """The request with this excitation's own amplitude and clock in place of the plant's."""
+        """The request with this excitation's own amplitude and clock, where it has them, in place
+        of the plant's."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
         given = (
             (float(amplitude),) * request.inputs

@@ -1,4 +1,4 @@
-"""The user's own excitation, from a file."""
+"""Excitation signal that the user supplies in a file."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""An input to apply to a plant of one's own, so that its log shows what a controller must know."""
+"""Excitation for the user's own plant, chosen so that its log shows what a controller must know."""
 
 from dataclasses import dataclass
 from pathlib import Path

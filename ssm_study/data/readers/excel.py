@@ -1,4 +1,5 @@
-"""Spreadsheets, read by pandas where one of its engines is installed: the first sheet, as text."""
+"""Reader of spreadsheets, by pandas where one of its engines is installed. The first sheet is read
+as text."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""MATLAB files of the formats 4 and 5 (to version 7), real matrices only.
+"""Reader of MATLAB files of the formats 4 and 5 (to version 7), real matrices only.
 
 Format 5 is read in plain Python with every length checked: `scipy.io.loadmat` ends the whole
 process on some damaged files of it (2026-11, found by fuzzing); there it is the tests' oracle.
@@ -55,7 +55,7 @@ Value = np.ndarray | str  # a string says what it is instead of a real matrix
 
 
 class Text(str):
-    """A text of a file, shown as what it is; `content` is what it says."""
+    """Text in a MATLAB file, which is shown but not read as a signal. `content` is what it says."""
 
     content: str = ""
 
@@ -131,8 +131,8 @@ def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
 def numbers_of(
     path: Path,
 ) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
-    """Read all numbers of a MATLAB file. Vectors by name, matrices by columns, why other objects
-    were skipped, and texts; raises `BadRequest` where the file is not whole."""
+    """Read all numeric variables of a MATLAB file. Vectors by name, matrices by columns, why other
+    objects were skipped, and texts; raises `BadRequest` where the file is not whole."""
     try:
         contents = parse(path)
     except BadRequest:
@@ -212,7 +212,7 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
 
 
 def _named_values(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
-    """A variable by its name, fields of structs and cells of cell arrays by theirs.
+    """Variable by its name. Fields of structs and cells of cell arrays have names of their own.
 
     What kind of object it is is looked at before its shape: objects of new classes have neither
     shape nor name where matrices have them.

@@ -1,4 +1,4 @@
-"""MAT files of version 7.3, which are HDF5: read by h5py where it is installed.
+"""Reader of MAT files of version 7.3, which are HDF5, by h5py where it is installed.
 
 MATLAB stores a matrix by columns, HDF5 by rows, so each one is turned back; a struct is a group,
 and what a variable is stands in its attribute `MATLAB_class`.
@@ -40,7 +40,8 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, np.ndarray | str]:
 
 
 def named_values(name: str, node: Any) -> Iterator[tuple[str, Any]]:
-    """Data sets of a variable by name, not read yet; words for what holds no real numbers."""
+    """Numeric data sets of a variable by name, not read yet. Words stand for what holds no real
+    numbers."""
     if name.startswith(OWN):
         return
     kind = class_of(node)
@@ -61,7 +62,7 @@ def named_values(name: str, node: Any) -> Iterator[tuple[str, Any]]:
 
 
 def class_of(node: Any) -> str:
-    """Class of a variable as MATLAB states it; "" in a file of another program."""
+    """Class of a variable as MATLAB states it. Empty in a file of another program."""
     stated = node.attrs.get("MATLAB_class", b"")
     return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
 

@@ -1,4 +1,5 @@
-"""MCAP as columns: `field`, or `topic.field` where several topics have a field of that name."""
+"""Reader of MCAP recordings as columns, named `field`, or `topic.field` where several topics have a
+field of that name."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,5 @@
-"""Parquet: number columns by name; a field's metadata may state its unit under the key `unit`."""
+"""Reader of Parquet files. Number columns have their names, and a field's metadata may state its
+unit under the key `unit`."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""File formats: each answers with its columns of numbers, and how to point at one of its rows."""
+"""Interface of the file readers. Each returns columns of numbers, and can name one of its rows."""
 
 import re
 import unicodedata
@@ -76,7 +76,7 @@ class Reader(Family):
 
 
 def reader_for(path: Path, settings: TextSettings | None = None) -> Reader:
-    """The reader of a file, by its suffix; a suffix that no format has is tried as text.
+    """Reader of a file, chosen by its suffix. A suffix that no format has is tried as text.
 
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
@@ -151,7 +151,7 @@ def check_named(
     whole: str = "file",
     remedy: str = "name one of these",
 ) -> None:
-    """Refuse a name that is not known, or known more than once; `whole` holds the known ones."""
+    """Refuse a column name that is unknown or ambiguous. `whole` holds the known ones."""
     for name in names:
         count = list(known).count(name)
         named = [title for title in known if title]
@@ -161,12 +161,13 @@ def check_named(
 
 
 def title_without_unit(title: str) -> str:
-    """A title without its unit in brackets: `speed [rad/s]`, `speed (rad/s)` -> `speed`."""
+    """Title of a column without its unit in brackets, `speed` of `speed [rad/s]` or `speed
+    (rad/s)`."""
     return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
 
 
 def folded(title: str) -> str:
-    """A title by its letters and digits alone, in lower case: both micro signs are `μ`."""
+    """Letters and digits of a title in lower case. Both micro signs are `μ`."""
     return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", title)).lower()
 
 

@@ -1,4 +1,5 @@
-"""Text of any suffix: separator, decimal mark, encoding, names and units are found in the file."""
+"""Reader of text files of any suffix. Separator, decimal mark, encoding, names and units are found
+in the file."""
 
 import re
 from pathlib import Path
@@ -34,7 +35,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
     @classmethod
     def of_text(cls, path: Path, text: str, settings: TextSettings) -> "TextReader":
-        """A reader of a text that stands for the file at `path`, a sheet for example."""
+        """Make a reader of a text that stands for the file at `path`, such as a sheet."""
         reader = cls()
         reader.settings = settings
         layout = find_layout(path, text.encode(), settings)
@@ -95,7 +96,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
 
 def without_copies(titles: list[str], table: pa.Table) -> list[str]:
-    """The titles, without those of columns that repeat an earlier one under the same name."""
+    """Remove the titles of columns that repeat an earlier column under the same name."""
     kept = list(titles)
     for place, title in enumerate(titles):
         first = titles.index(title)
@@ -105,7 +106,7 @@ def without_copies(titles: list[str], table: pa.Table) -> list[str]:
 
 
 def drop_empty_end(columns: dict[str, Any], title: str, nameless: bool) -> None:
-    """Leave out an empty column that a separator at the end of every row makes."""
+    """Remove the empty last column that a separator at the end of every row makes."""
     is_last = (title == "" or nameless) and len(columns) > 1 and title in columns
     if is_last and not np.isfinite(columns[title]).any():
         del columns[title]
@@ -120,7 +121,7 @@ def titles_of(layout: TextLayout) -> list[str]:
 
 
 def units_of(layout: TextLayout) -> list[str]:
-    """The unit that names or a row of units state for each column, "" without."""
+    """Unit of each column, stated in its name or in a row of units. Empty where none is stated."""
     if layout.units:
         return (layout.units + [""] * layout.columns)[: layout.columns]
     matches = [STATED_UNIT.match(title) for title in titles_of(layout)]
@@ -128,8 +129,8 @@ def units_of(layout: TextLayout) -> list[str]:
 
 
 def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
-    """The rows as columns of text; raises `BadRequest` where a row has not as many cells as the
-    others."""
+    """Parse the rows to columns of text. Raises `BadRequest` where a row has not as many cells as
+    the others."""
     separator = layout.separator
     rows = layout.rows
     if separator == " ":
@@ -179,7 +180,7 @@ def is_missing(cells: pa.ChunkedArray) -> pa.ChunkedArray:
 def column_values(
     column: pa.ChunkedArray, layout: TextLayout
 ) -> tuple[Float[np.ndarray, "T"] | None, str]:
-    """The numbers of a column, or None and what it holds instead."""
+    """Numbers of a column. For a column without numbers, None and what it holds instead."""
     cells = trimmed(column)
     missing = is_missing(cells)
     plain = pc.replace_substring(cells, ",", ".") if layout.decimal == "," else cells
@@ -211,7 +212,7 @@ def date_values(
 
 
 def dated_columns(table: pa.Table, places: dict[str, int]) -> frozenset[str]:
-    """The columns that hold dates."""
+    """Names of the columns that hold dates."""
     dated = set()
     for name, place in places.items():
         cells = trimmed(table.column(place)).slice(0, 50).to_pylist()
