@@ -76,8 +76,8 @@ class Design:
 
     @cached_property
     def folder(self) -> Path:
-        """Folder with the files that the export reads: that of a loaded design, else a temporary
-        one."""
+        """Folder with the files that the export reads, a temporary one unless the design was
+        loaded."""
         return self.run_folder or self._write_files(new_folder())
 
     def _write_files(self, folder: Path) -> Path:
@@ -137,8 +137,7 @@ class Design:
         return facts
 
     def _coverage_facts(self) -> dict[str, Any]:
-        """Columns of the coverage, the test records of the log as fresh data. The test records of
-        the log are the fresh data."""
+        """Columns of the coverage, with the test records of the log as fresh data."""
         from ssm_study.api.steps import measure_coverage_premise
         from ssm_study.robustness.coverage import measure_premise
 
@@ -151,8 +150,7 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Columns of the record on data, model, design and loop. A loaded design has its run's. A
-        loaded design has those of its run."""
+        """Columns of the record on data, model, design and loop. A loaded design has its run's."""
         if self.origin is None:
             return dict(self.stored_record)
         return self.origin.facts | self.facts | self._loop_facts()
@@ -374,13 +372,11 @@ class Design:
 
     @property
     def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
-        """Inputs of the training records, if the design has any. A linear system or a loaded design
-        has none."""
+        """Inputs of the training records, if the design has any."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
     def _origin_with_records(self) -> Model:
-        """Identified model of the design, with its records. Raises `BadRequest` for a design
-        without records."""
+        """Identified model of the design. Raises `BadRequest` for a design without records."""
         origin = self.origin
         require(
             origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
