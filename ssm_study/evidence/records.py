@@ -17,9 +17,9 @@ from ssm_study.robustness.return_to_rest import (
     FAINT,
     RESPONSES,
     after_motion,
-    ends_apart,
     is_return,
-    left,
+    remaining_offset,
+    spread_of_rest_points,
 )
 from ssm_study.signals import DataSet, Trajectory
 
@@ -284,7 +284,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
     and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
     rests = [after_motion(*case.driven(record), response) for record in case.data.test]
-    offsets = [left(y) for y in rests if len(y)]
+    offsets = [remaining_offset(y) for y in rests if len(y)]
     off = max((*shown.stuck, *offsets), default=0.0)
     if not shown.rests:
         told = (
@@ -302,7 +302,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             "Record more returns to rest."
         )
     elif shown.left_at_rest is None:
-        apart = ends_apart(
+        apart = spread_of_rest_points(
             case.model.scale, [one for one in case.data.mismatch_records if is_return(one)]
         )
         problem = "No two returns to rest input outlast the model's response"

@@ -168,7 +168,7 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
             proved = f"{printed(record, name)} per sample ({theorem})"
             yield name, label, f"{proved}; {asked}"
     yield from limit_rows(record)
-    yield from covered_rows(record)
+    yield from coverage_rows(record)
 
 
 def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
@@ -190,7 +190,7 @@ def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     yield "limit_lower", label, value
 
 
-def covered_rows(record: Mapping[str, Any]) -> Iterator[Row]:
+def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Table rows on whether the proof covers the model error that the records show.
 
     Below one it covers nothing, and no share is printed; of an older run the tolerance is.

@@ -15,7 +15,7 @@ def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
     return (np.abs(spectrum) ** 2).sum(axis=1)
 
 
-def divided(
+def safe_ratio(
     values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
 ) -> Inexact[np.ndarray, "F"]:
     """Ratio of values to a power that may vanish."""
@@ -29,7 +29,7 @@ def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
     return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
 
 
-def banded(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
+def band_means(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
     """Mean of a spectrum over each band of `ANGLES`."""
     bands, counts = bands_of(len(lines))
     return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts

@@ -20,7 +20,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.structured import Model
-from ssm_study.robustness.coverage_items import Item, averaged_items, repeating_items
+from ssm_study.robustness.coverage_items import (
+    Item,
+    requirements_from_average,
+    requirements_from_periods,
+)
 from ssm_study.robustness.coverage_spectra import (
     AveragedSpectrum,
     MismatchSpectrum,
@@ -69,10 +73,10 @@ class Weights:
         """Smallest radius of the disc at which every requirement of the records is met. The
         least kappa at which every item holds, and where it is needed; infinite where a reference
         vanishes."""
-        needs = [(self.need_of_item(item), item.where) for item in items]
+        needs = [(self.required_radius(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
-    def need_of_item(self, item: Item) -> float:
+    def required_radius(self, item: Item) -> float:
         """Smallest radius `kappa` of the disc at which one requirement of the records is met."""
         if item.seen <= 0:
             return 0.0
@@ -113,9 +117,9 @@ class Premise:
         largest = max((record.amplitude for record in self.repeating), default=0.0)
         items = list[Item]()
         for record in self.repeating:
-            items += repeating_items(record, centre, sure=record.amplitude == largest)
+            items += requirements_from_periods(record, centre, sure=record.amplitude == largest)
         for averaged in self.averaged:
-            items += averaged_items(averaged, centre)
+            items += requirements_from_average(averaged, centre)
         return items
 
     def missing(self, centre: float) -> str | None:

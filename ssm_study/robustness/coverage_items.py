@@ -123,7 +123,7 @@ class RepeatingPower:
         )
 
 
-def repeating_items(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
+def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
     """Requirements on the weights from the bands, groups of bands and total power of a record with
     two periods. In one that is `sure` whatever repeats counts."""
     powers = RepeatingPower.of(record, centre)
@@ -153,7 +153,7 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
     return items
 
 
-def averaged_items(record: AveragedSpectrum, centre: float) -> list[Item]:
+def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
     """Requirements on the weights from each frequency bin of a record that does not repeat, and
     from its total power."""
     seen = record.deviation_power(centre)

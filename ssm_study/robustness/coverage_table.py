@@ -47,7 +47,7 @@ def coverage_table(
     than the need that `coverage` is taken over.
     """
     bands = [item for item in premise.items(centre) if item.is_band]
-    needs = [weights.need_of_item(band) for band in bands]
+    needs = [weights.required_radius(band) for band in bands]
     largest = max(needs, default=0.0)
     return [
         _row(band, weights, kappa, need, decides=need > 0 and need == largest)

@@ -65,7 +65,7 @@ def _counted_gain(
     with_phase = loop.gain_with_phase(condition.linear_part, condition.remainder)
     if not with_phase < condition.small_gain:
         return np.asarray(plain)
-    returned = loop.returned(condition.linear_part)
+    returned = loop.return_difference(condition.linear_part)
     remainder = np.interp(loop.angles, ANGLES, condition.remainder)
     return np.asarray(remainder * loop.size / np.abs(returned))
 

@@ -39,7 +39,7 @@ from ssm_study.robustness.return_to_rest import (
     after_motion,
     after_returns,
     is_return,
-    left,
+    remaining_offset,
     swing,
 )
 from ssm_study.signals import Trajectories
@@ -149,7 +149,7 @@ def measure_mismatch(
     returns = [trial for trial in mismatch_records if is_return(trial)]
     still, offsets = after_returns(model.scale, returns, response)
     own_offsets, swings = _rests_after_motion(moving, response)
-    decays = [left(errors.output) for errors in resting]
+    decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
@@ -175,7 +175,7 @@ def _rests_after_motion(
         rest = after_motion(errors.moving, errors.output, response)
         if not len(rest):
             continue
-        if (offset := left(rest)) > AT_REST:
+        if (offset := remaining_offset(rest)) > AT_REST:
             offsets.append(offset)
         if (size := swing(rest)) > FAINT:
             swings.append(size)

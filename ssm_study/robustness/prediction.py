@@ -39,10 +39,10 @@ from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_radius,
-    ends,
     largest_singular_values,
     sensitivity,
     sensitivity_peak,
+    slope_combinations,
 )
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
@@ -119,7 +119,9 @@ def tested_loops(
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
     """Every loop of constant slopes, with the records whose mismatch applies to it."""
     for met_balls, records in _balls_of_records(model, balls, mismatch):
-        for linear, own_gains, slope_in, slope_out in ends(model.system, pair, met_balls):
+        for linear, own_gains, slope_in, slope_out in slope_combinations(
+            model.system, pair, met_balls
+        ):
             yield linear, own_gains, (slope_in, slope_out), records
 
 
@@ -203,7 +205,7 @@ class LoopResponse:
         """Small-gain bound of the loop, `max_w g(w) |T_ue(w)|`."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
-    def returned(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
+    def return_difference(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
         """Return difference of the loop with the linear part of the mismatch. `1 - M Q`: the
         return difference of the linear part, closed into the loop."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
@@ -218,7 +220,7 @@ class LoopResponse:
         if `1 - M Q` winds around zero, so that its phase at pi is not the one at 0."""
         if self.through is None:
             return float("inf")
-        returned = self.returned(linear_part)
+        returned = self.return_difference(linear_part)
         phase = np.unwrap(np.angle(returned))
         if abs(phase[-1] - phase[0]) > np.pi / 2 or returned[0].real <= 0:
             return float("inf")
@@ -270,7 +272,7 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
             gain = max(gain, condition.loop_gain(loop))
     for smaller, larger in pairwise(conditions):
         if _needs_mixtures(smaller, larger, gain):
-            gain = max(gain, _largest_gain_of_mixtures(smaller, larger, loop))
+            gain = max(gain, _largest_interpolated_gain(smaller, larger, loop))
     if mismatch.loop is not None:
         gain = max(gain, loop.small_gain(mismatch.loop.by_frequency))
     return gain
@@ -284,7 +286,7 @@ def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gai
     return bool(not pass_by_small_gain and np.isfinite(gain) and not both_exempt)
 
 
-def _largest_gain_of_mixtures(
+def _largest_interpolated_gain(
     smaller: AmplitudeCondition, larger: AmplitudeCondition, loop: LoopResponse
 ) -> float:
     """Largest small-gain bound over mixtures of the mismatch at two neighbouring amplitudes."""
@@ -322,7 +324,7 @@ def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = phi(model.neurons, model.bias, "slope")[None]
-    linear, own_gains, *_ = next(iter(ends(model.system, pair, balls, slopes)))
+    linear, own_gains, *_ = next(iter(slope_combinations(model.system, pair, balls, slopes)))
     return linear, own_gains
 
 

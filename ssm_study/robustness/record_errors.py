@@ -13,7 +13,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
-from ssm_study.robustness.bands import ANGLES, banded, bands_of, divided, power, welch
+from ssm_study.robustness.bands import ANGLES, band_means, bands_of, power, safe_ratio, welch
 from ssm_study.robustness.return_to_rest import SURE, is_return, swing
 from ssm_study.signals import Trajectories, Trajectory, repetition
 
@@ -209,7 +209,7 @@ def _gains_in_loop(
     noise_power = sides * one_sided
     largest_share = 1 + SURE * np.sqrt(1.06 * len(power_u) / samples)
     counted = np.maximum(power_e - largest_share * noise_power, 0.0)
-    gains = np.sqrt(divided(largest_share * counted, power_u))
+    gains = np.sqrt(safe_ratio(largest_share * counted, power_u))
     total_gain = float(np.sqrt(counted.sum() / power_u.sum()))
     return np.interp(ANGLES, bands, gains), total_gain
 
@@ -220,7 +220,7 @@ def noise_of(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
     powers = []
     for record in records:
         first, second = record.spectra()[0]
-        powers.append(banded(power(first - second) / 2) / record.period)
+        powers.append(band_means(power(first - second) / 2) / record.period)
     return np.asarray(np.median(powers, axis=0))
 
 
@@ -236,9 +236,9 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     first, second = both
     noise_power = noise * record.period
     _, lines = bands_of(len(drive))
-    power_u = banded(power(drive))
-    power_model = banded(power(model))
-    repeats = banded((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
+    power_u = band_means(power(drive))
+    power_model = band_means(power(model))
+    repeats = band_means((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
     doubt: Any = 0.0
     if not sure:
         variance = (noise_power**2 / 2 + noise_power * np.maximum(repeats, 0.0)) / lines
@@ -253,7 +253,7 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
     unexcited = power_u < EXCITED * power_u.mean()
-    measured = banded((power(first) + power(second)) / 2)
+    measured = band_means((power(first) + power(second)) / 2)
     whole = np.where(unexcited, measured, whole)
     rest = np.where(unexcited, measured, rest)
     linear = np.where(unexcited, 0.0, linear)
@@ -261,9 +261,9 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     return View(
         amplitude=record.amplitude,
         gain=float(np.sqrt(whole.sum() / power_u.sum())),
-        by_frequency=np.sqrt(divided(whole, power_u)),
+        by_frequency=np.sqrt(safe_ratio(whole, power_u)),
         linear=linear,
-        rest=np.sqrt(divided(rest, power_u)),
+        rest=np.sqrt(safe_ratio(rest, power_u)),
         response=float(answered / max(power_model.sum(), np.finfo(float).tiny)),
     )
 
@@ -274,5 +274,5 @@ def _linear_part(
     """Linear part of the mismatch in each band, `S_(e, y_model) / S_(y_model)`; e is the mean of
     both periods, which halves the noise's variance."""
     cross = (error * model.conj()).sum(axis=1)
-    banded_cross = banded(cross.real) + 1j * banded(cross.imag)
-    return divided(banded_cross, banded(power(model)))
+    banded_cross = band_means(cross.real) + 1j * band_means(cross.imag)
+    return safe_ratio(banded_cross, band_means(power(model)))

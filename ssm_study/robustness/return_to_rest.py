@@ -55,21 +55,21 @@ def after_returns(
         long = [y for y in outputs if len(y) >= shortest]
         counted = long or outputs
         swings = [swing(y) for y in counted]
-        apart = _apart(counted, centred=is_equilibrium)
-        came_to_rest = bool(long) or (max((*swings, *apart)) < AT_REST and _far(outputs))
+        apart = _distances_from_rest(counted, centred=is_equilibrium)
+        came_to_rest = bool(long) or (max((*swings, *apart)) < AT_REST and _started_far(outputs))
         if came_to_rest:
             motions += [size for size in swings if size >= AT_REST or apart]
             offsets += [offset for offset in apart if offset > AT_REST]
     return motions, offsets
 
 
-def ends_apart(scale: Scale, records: list[Trajectory]) -> float:
+def spread_of_rest_points(scale: Scale, records: list[Trajectory]) -> float:
     """Largest distance, in output scales, between the end of one return to rest and the mean of
     the others at the same input, if none still moves there."""
     offsets = list[float]()
     for outputs in _by_input(scale, records).values():
         if max(map(swing, outputs)) < AT_REST:
-            offsets += _apart(outputs, centred=False)
+            offsets += _distances_from_rest(outputs, centred=False)
     return max(offsets, default=0.0)
 
 
@@ -86,14 +86,14 @@ def _by_input(
     return groups
 
 
-def _far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
+def _started_far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
     """Whether an output started `FAR` from where it ended."""
     ends = [_tail(y)[0].mean(axis=0) for y in outputs]
     distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
     return any(distance >= FAR for distance in distances)
 
 
-def _apart(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
+def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
     """Distance of each resting output from the equilibrium, or from the mean of the others,
     noise removed."""
     tails = [_tail(y) for y in outputs]
@@ -124,7 +124,7 @@ def after_motion(
     return rest if is_long else nothing
 
 
-def left(y: Float[np.ndarray, "T p"]) -> float:
+def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
     """Offset or swing, the larger, of an output in the last quarter of its record at rest input,
     noise removed."""
     tail, noise = _tail(y)

@@ -38,7 +38,7 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
     return (ball.alpha,)
 
 
-def ends(
+def slope_combinations(
     system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
 ) -> Iterator[End]:
     """Combinations of extreme slopes of maps and neurons; those of neurons at the corners unless
@@ -109,13 +109,13 @@ def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
-    return max(hinf_norm(noise_response(*end)) for end in ends(system, pair, balls))
+    return max(hinf_norm(noise_response(*end)) for end in slope_combinations(system, pair, balls))
 
 
 def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain of the closed loop from an output error to the input. `max ||T_ue||_inf` over
     the slopes of balls and neurons; infinite if one of these loops is unstable."""
-    return max(hinf_norm(sensitivity(*end)) for end in ends(system, pair, balls))
+    return max(hinf_norm(sensitivity(*end)) for end in slope_combinations(system, pair, balls))
 
 
 def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
@@ -130,7 +130,7 @@ def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.nda
     """
     on_state = pair.k[..., : system.order]
     largest = np.zeros(pair.k.shape[:-2])
-    for linear, own_gains, slope_in, slope_out in ends(system, pair, balls):
+    for linear, own_gains, slope_in, slope_out in slope_combinations(system, pair, balls):
         input_gain = slope_in * on_state
         output = linear.c + linear.d @ input_gain
         controller = linear.a + linear.b @ input_gain + slope_out * own_gains.l @ output
@@ -211,7 +211,7 @@ def peaks_on_grid(
     peaks = np.zeros((len(ks), len(ls)))
     no_controllers = np.zeros((len(ls), *ks.shape[1:]))
     observers = Gains(k=no_controllers, l=ls, l_z=l_zs, internal=internal)
-    for linear, frozen, *slope in ends(system, observers, balls, neuron_slopes):
+    for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):
         frozen_ls = list(frozen.l)
         for k, peak in zip(ks, peaks, strict=True):
             response = responses.of(linear, k, observers.modes, frozen_ls, *slope)

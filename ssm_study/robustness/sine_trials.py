@@ -23,7 +23,12 @@ from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import RecordErrors, View
-from ssm_study.robustness.sensitivity import FINE_ANGLES, ends, largest_singular_values, sensitivity
+from ssm_study.robustness.sensitivity import (
+    FINE_ANGLES,
+    largest_singular_values,
+    sensitivity,
+    slope_combinations,
+)
 from ssm_study.signals import Trajectories
 from ssm_study.systems import Balls, Gains
 
@@ -46,7 +51,7 @@ def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int
     """Frequencies for single-sine experiments, as lines of a period: the largest local peaks of
     `|T_ue|` over all frozen slopes."""
     size = np.zeros(len(FINE_ANGLES))
-    for end in ends(model.system, pair, balls):
+    for end in slope_combinations(model.system, pair, balls):
         response = frequency_response(sensitivity(*end), FINE_ANGLES)
         size = np.maximum(size, largest_singular_values(response))
     padded = np.concatenate([[0.0], size, [0.0]])
@@ -80,7 +85,7 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"], period: in
     )
 
 
-def measure_sines(
+def measure_sine_mismatch(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
     """Measure the mismatch at the sine's frequency in each record, with the noise power that the

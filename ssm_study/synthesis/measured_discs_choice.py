@@ -140,7 +140,7 @@ class LoopCoverage:
         forms = LoopForms.of(theorem_of(context), context, (centre,))
         program = WeightProgram(
             forms=forms,
-            grid=forms.at(forms.angles),
+            grid=forms.at(forms.frequency_grid),
             centre=centre,
             items=self.items[centre],
             basis=WeightBasis(),

@@ -97,7 +97,7 @@ class LoopForms:
         )
 
     @property
-    def angles(self) -> Float[np.ndarray, "F"]:
+    def frequency_grid(self) -> Float[np.ndarray, "F"]:
         """Grid of angles that includes the loop's own modes and their neighbourhoods."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))

@@ -95,7 +95,7 @@ def optimum_for_weights(
     """Largest `kappa^2` for given weights, by frequency, and its multipliers; raises
     `NoSolution`."""
     forms = LoopForms.of(theorem, context, (centre,))
-    grid = forms.at(forms.angles)
+    grid = forms.at(forms.frequency_grid)
     x = np.zeros(0)
     scale = np.zeros(0)
     for _ in range(3):  # finer around the angles that decide
@@ -154,7 +154,7 @@ def _largest_margin(
 ) -> tuple[Float[np.ndarray, "A"], float]:
     """Multipliers with the largest margin at this kappa, and the margin in units of each free
     signal's own weight."""
-    grid = forms.at(forms.angles)
+    grid = forms.at(forms.frequency_grid)
     own = own_weights(forms, centre, multipliers)
     reference = weights.on_output(grid.angles)[:, None, None] * grid.model
     reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
@@ -293,7 +293,7 @@ def _largest_around(
     started = time.perf_counter()
     theorem = theorem_of(context)
     forms = LoopForms.of(theorem, context, tuple(items))
-    grid = forms.at(forms.angles)
+    grid = forms.at(forms.frequency_grid)
     optima = list[tuple[float, Any, WeightProgram]]()
     for centre, some in items.items():
         program = WeightProgram(
@@ -329,7 +329,7 @@ def _certify_program(
         scaled = nu * inside**2
         for room in ROOMS[coarse:]:
             try:
-                chosen = program.widened(scaled, unknowns, room)
+                chosen = program.widen_weights(scaled, unknowns, room)
                 weights = program.weights_of(scaled, chosen)
             except NoSolution:
                 continue

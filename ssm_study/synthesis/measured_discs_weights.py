@@ -215,7 +215,7 @@ class WeightProgram:
         bounds = [np.zeros(len(seen)), least_xy, zeros, most, largest_nu]
         return rows, np.concatenate(bounds)
 
-    def widened(
+    def widen_weights(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
         """Widen the weights as far as the loop stays proved at a fixed `nu`, each band up to

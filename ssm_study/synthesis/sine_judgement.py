@@ -11,7 +11,12 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.models.structured import Model
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
-from ssm_study.robustness.sine_trials import SineMismatch, measure_sines, peak_lines, with_sines
+from ssm_study.robustness.sine_trials import (
+    SineMismatch,
+    measure_sine_mismatch,
+    peak_lines,
+    with_sines,
+)
 from ssm_study.systems import Balls
 
 
@@ -32,7 +37,7 @@ def simulated_sines(
     from ssm_study.data.simulated import PERIOD
 
     lines = design_lines(design, model, balls, mismatch, PERIOD)
-    return measure_sines(model, data.simulate_sines(plant, seed, lines), mismatch, PERIOD)
+    return measure_sine_mismatch(model, data.simulate_sines(plant, seed, lines), mismatch, PERIOD)
 
 
 def sine_facts(

@@ -18,7 +18,12 @@ from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import sensitivity
-from ssm_study.robustness.sine_trials import SineMismatch, measure_sines, peak_lines, with_sines
+from ssm_study.robustness.sine_trials import (
+    SineMismatch,
+    measure_sine_mismatch,
+    peak_lines,
+    with_sines,
+)
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.sine_judgement import design_lines, sine_facts
 
@@ -38,7 +43,7 @@ def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Tr
 @pytest.mark.parametrize("line", [5, 43, 128, 400])  # 128 repeats within a period, too
 def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
     trial = sine(scaled_model(SHARE), line, 0.5, 1e-3)
-    (measured,) = measure_sines(SSM_MODEL, (trial,), MISMATCH, PERIOD)
+    (measured,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
     assert measured.angle == pytest.approx(2 * np.pi * line / PERIOD)
     assert measured.amplitude == pytest.approx(0.5 / np.sqrt(2), rel=1e-3)
     response = frequency_response(MODEL, np.array([measured.angle]))[0, 0, 0]
@@ -49,12 +54,12 @@ def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
 def test_what_noise_hides_is_not_zero() -> None:
     """Without any mismatch the limit is that of the noise, and an upper one nearly always."""
     trials = tuple(sine(scaled_model(0.0), 43, 0.01, 1e-3, seed) for seed in range(40))
-    gains = [trial.gain for trial in measure_sines(SSM_MODEL, trials, MISMATCH, PERIOD)]
+    gains = [trial.gain for trial in measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)]
     assert min(gains) > 0
     scale = 1e-3 / 0.01 * np.sqrt(2 / PERIOD)
     assert 0.3 * scale < np.median(gains) < 3 * scale
     small = tuple(sine(scaled_model(SHARE), 43, 0.01, 1e-3, seed) for seed in range(40))
-    limits = [trial.gain for trial in measure_sines(SSM_MODEL, small, MISMATCH, PERIOD)]
+    limits = [trial.gain for trial in measure_sine_mismatch(SSM_MODEL, small, MISMATCH, PERIOD)]
     exact = SHARE * abs(frequency_response(MODEL, np.array([2 * np.pi * 43 / PERIOD]))[0, 0, 0])
     assert np.mean(np.array(limits) > exact) > 0.9
 

@@ -20,7 +20,7 @@ from ssm_study.robustness.coverage import (
     measure_premise,
     running_sum,
 )
-from ssm_study.robustness.coverage_items import repeating_items
+from ssm_study.robustness.coverage_items import requirements_from_periods
 from ssm_study.robustness.coverage_spectra import MismatchSpectrum
 from ssm_study.robustness.coverage_table import coverage_table
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -342,7 +342,7 @@ def test_a_short_period_has_bands_without_lines() -> None:
         input_power=np.ones(lines),
         noise=np.zeros(lines),
     )
-    items = repeating_items(record, 0.0, sure=True)
+    items = requirements_from_periods(record, 0.0, sure=True)
     assert all(len(item.angles) > 0 for item in items)
     assert all(np.isfinite(item.seen) and not item.dark for item in items)
     assert sum(" around " in item.where for item in items) < len(ANGLES)

@@ -15,7 +15,13 @@ from ssm_study.evidence.finding import Case
 from ssm_study.evidence.records import findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.return_to_rest import AT_REST, SURE, _apart, _tail, after_returns
+from ssm_study.robustness.return_to_rest import (
+    AT_REST,
+    SURE,
+    _distances_from_rest,
+    _tail,
+    after_returns,
+)
 from ssm_study.signals import Scale, Trajectory
 
 THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
@@ -242,4 +248,6 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     means = np.array([_tail(y)[0].mean() for y in outputs])
     others = np.array([np.delete(means, i).mean() for i in range(count)])
     doubt = SURE * np.sqrt(float(variance[0]) / len(tail) * (1 + 1 / (count - 1)))
-    assert _apart(outputs, centred=False) == pytest.approx(np.abs(means - others) - doubt)
+    assert _distances_from_rest(outputs, centred=False) == pytest.approx(
+        np.abs(means - others) - doubt
+    )

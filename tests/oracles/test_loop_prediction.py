@@ -26,9 +26,9 @@ from ssm_study.robustness.sensitivity import (
     FINE_ANGLES,
     Responses,
     controller_radius,
-    ends,
     largest_singular_values,
     sensitivity,
+    slope_combinations,
 )
 from ssm_study.signals import Scale, Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -149,7 +149,9 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     k = design.state_feedback.k
     gain = design.observer.l
     angles = ANGLES
-    loops = [sensitivity(*end) for end in ends(model.linear, Gains(k=k, l=gain), BALLS)]
+    loops = [
+        sensitivity(*end) for end in slope_combinations(model.linear, Gains(k=k, l=gain), BALLS)
+    ]
     largest = np.max(
         [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0
     )

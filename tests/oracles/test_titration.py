@@ -12,7 +12,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.data.simulated import PERIOD, mismatch_records, sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
-from ssm_study.robustness.sine_trials import measure_sines, peak_lines
+from ssm_study.robustness.sine_trials import measure_sine_mismatch, peak_lines
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.sine_judgement import sine_facts
@@ -80,7 +80,7 @@ def judged(
     assert design.certified
     lines = peak_lines(model, design.pair, balls, PERIOD)
     records = sine_records(plant, np.random.default_rng([0, 13]), NOISE, lines)
-    sines = measure_sines(model, records, mismatch, PERIOD)
+    sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
     facts = sine_facts(design, model, balls, mismatch, sines)
     return facts["predicted_stable"], swing_of(plant, model, design)
 

@@ -78,8 +78,8 @@ def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Se
     plant, controller = loop_parts(model, pair, np.maximum(ANGLES, 1e-4))
     nearest: tuple[Series, float] | None = None
     for view in views:
-        by_size = _discs_at(plant, controller, 0 * view.linear, view.by_frequency)
-        with_phase = _discs_at(plant, controller, view.linear, view.rest)
+        by_size = _nyquist_discs(plant, controller, 0 * view.linear, view.by_frequency)
+        with_phase = _nyquist_discs(plant, controller, view.linear, view.rest)
         farther = max(by_size, with_phase, key=lambda pair: pair[1])
         if nearest is None or farther[1] < nearest[1]:
             nearest = farther
@@ -87,7 +87,7 @@ def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Se
     return nearest
 
 
-def _discs_at(
+def _nyquist_discs(
     plant: Complex[np.ndarray, "F"],
     controller: Complex[np.ndarray, "F"],
     linear_part: Complex[np.ndarray, "F"],
