@@ -84,7 +84,7 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """Serialise a value as the canonical JSON text of a sealed object: `unsealed` knows no
+    """Serialise a value as the canonical JSON text of a sealed object. `unsealed` knows no
     other."""
     strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
@@ -136,8 +136,8 @@ def sha256_of_file(path: Path) -> str:
 
 
 def sealed(body: dict[str, Any]) -> dict[str, Any]:
-    """Add to a JSON object its own `sha256`, so that a flipped bit in the text itself is noticed
-    by `unsealed`."""
+    """Add to a JSON object its own `sha256`. `unsealed` then notices a flipped bit in the text
+    itself."""
     return {**body, "sha256": _body_digest(body)}
 
 
@@ -162,7 +162,7 @@ def _body_digest(body: dict[str, Any]) -> str:
 
 @contextmanager
 def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Hold the exclusive lock on `path`, waiting for it; yields whether it was obtained.
+    """Hold the exclusive lock on `path`, waiting for it. Yields whether it was obtained.
 
     The system releases it when the process dies. It is a flock; on a file system that knows none
     it is a name of this machine, which excludes the processes of this machine.
@@ -230,13 +230,14 @@ def _try_flock(descriptor: int) -> bool:
 
 
 def _refuse_other_than_missing_locks(error: OSError) -> None:
-    """Raise the error again unless it says that the file system knows no locks."""
+    """Raise the error again unless it says that the file system does not support locks."""
     if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
         raise error
 
 
 def _take_name(descriptor: int, held_name: ExitStack) -> bool:
-    """Acquire a lock by name, where the file system knows no locks, if no living process has it.
+    """Acquire a lock by name if no living process has it, where the file system does not support
+    locks.
 
     The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
     process dies. On another system nobody can have it.

@@ -25,8 +25,8 @@ FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on
 
 
 def taken_from(arguments: list[str]) -> list[str]:
-    """Remove `--with FOLDER` from command-line arguments and trust that folder's package from
-    here on. Raises `BadRequest` for another folder."""
+    """Remove `--with FOLDER` from command-line arguments and trust the package in that folder.
+    Raises `BadRequest` for another folder."""
     if OPTION not in arguments:
         return arguments
     place = arguments.index(OPTION)

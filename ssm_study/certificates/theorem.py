@@ -82,7 +82,8 @@ def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
 
 
 def smallest_eigenvalue(matrix: Float[np.ndarray, "s s"]) -> float:
-    """Smallest eigenvalue of a symmetric matrix: at most one if it is scaled to a unit diagonal."""
+    """Smallest eigenvalue of a symmetric matrix. It is at most one where the diagonal is scaled to
+    one."""
     return float(np.linalg.eigvalsh(matrix)[0])
 
 

@@ -1,5 +1,5 @@
-"""Composition of a request by Hydra, once for the request and for all jobs of a sweep; the only
-file that uses Hydra's private names.
+"""Composition of a request by Hydra, once for the request and for all jobs of a sweep. Only this
+file uses Hydra's private names.
 
 Hydra composes a request three times, and reads every file again for each job of a sweep: a quarter
 of a second each. Here the request is composed once, and so are all jobs that differ in plain values
@@ -47,8 +47,8 @@ NAME = re.compile(r"\$\{run_name:([^${}]*)\}")
 
 
 class Loader(ConfigLoaderImpl):
-    """Hydra's configuration loader, which lists the choices of a group without copying all files
-    that it has read (`--help` lists a hundred groups)."""
+    """Hydra's configuration loader with a faster list of a group's choices. It does not copy all
+    files that it has read (`--help` lists a hundred groups)."""
 
     defaults: Mapping[str, Any] = MappingProxyType({})  # by group, to be marked
 
@@ -67,8 +67,8 @@ class Loader(ConfigLoaderImpl):
 
 
 class Command(Hydra):
-    """Command line of a Hydra application: does what `hydra.main` does with the arguments, over the
-    configuration `name` in `folder`.
+    """Command line of a Hydra application. It does what `hydra.main` does with the arguments, over
+    the configuration `name` in `folder`.
 
     `config` is composed when first asked for, and is what `do` then runs: it can be checked before
     Hydra makes the callbacks, the launcher and the sweeper that it names.
@@ -125,7 +125,7 @@ class Command(Hydra):
 
 
 def set_hydra_config(config: DictConfig) -> None:
-    """Make a configuration the one that `${hydra:...}` is read from; Hydra's own `set_config` would
+    """Make a configuration the one that `${hydra:...}` is read from. Hydra's own `set_config` would
     copy its whole section first (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
@@ -137,7 +137,7 @@ def clear_hydra_state() -> None:
 
 
 def grid_combinations(config: DictConfig) -> list[list[str]]:
-    """Override lists of all jobs of a grid sweep: `a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`; empty
+    """Override lists of all jobs of a grid sweep, `a=1,2 b=3` -> `[[a=1, b=3], [a=2, b=3]]`. Empty
     for a search, which chooses its values while it runs."""
     if config.hydra.sweeper._target_ not in GRIDS:
         return []
@@ -168,7 +168,7 @@ class ComposedChoices:
 
     @cached_property
     def names_in_run(self) -> tuple[str, ...] | None:
-        """Settings that appear in the name of the run; None where anything else is interpolated
+        """Settings that appear in the name of the run. None where anything else is interpolated
         (OmegaConf then has to resolve it, which is slow)."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
         others = [value for key, value in self.tree.items() if key != "run"]
@@ -188,7 +188,7 @@ class ComposedChoices:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Settings of the job with these values by their dotted path; unchanged sections are shared
+        """Settings of the job with these values by their dotted path. Unchanged sections are shared
         between jobs."""
         assert self.names_in_run is not None
         settings = Settings(self.tree)
@@ -223,8 +223,8 @@ def with_value(tree: Any, path: list[str], value: Any) -> Any:
 
 
 class Composer:
-    """Composes the configuration of each job of a sweep, equal to Hydra's `load_sweep_config` but
-    without reading the files again for every job.
+    """Composer of the configuration of each job of a sweep. It equals Hydra's `load_sweep_config`
+    but does not read the files again for every job.
 
     `refuse` is asked about every composition.
     """
@@ -242,7 +242,7 @@ class Composer:
         self.composed: dict[tuple[str, ...], ComposedChoices] = {}
 
     def compose(self, overrides: list[str], number: int | None = None) -> DictConfig:
-        """Whole configuration of one job, Hydra's section included; the next call may return the
+        """Whole configuration of one job, Hydra's section included. The next call may return the
         same object with other values."""
         chosen, values = self._split_overrides(overrides)
         config = chosen.config
@@ -264,7 +264,7 @@ class Composer:
         return config
 
     def settings(self, overrides: list[str], number: int) -> Settings:
-        """Settings of one job without Hydra's section; a value that OmegaConf has to resolve costs
+        """Settings of one job without Hydra's section. A value that OmegaConf has to resolve costs
         ten times as much."""
         chosen, values = self._split_overrides(overrides)
         if chosen.names_in_run is not None:
@@ -310,7 +310,7 @@ class Composer:
 
 
 def is_plain_value(override: Override, repository: IConfigRepository) -> bool:
-    """Whether an override sets a plain value (`a.b=1`): it chooses no group, adds, deletes,
+    """Whether an override sets a plain value (`a.b=1`). It then chooses no group, adds, deletes,
     interpolates and instantiates nothing, and changes nothing of Hydra's own."""
     path = str(override.key_or_group)
     value = override.value()

@@ -1,5 +1,5 @@
-"""Fingerprints of the code that a result depends on, computed from the sources themselves and never
-from a list that somebody maintains.
+"""Fingerprints of the code that a result depends on. They are computed from the sources themselves
+and never from a list that somebody maintains.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these
 use, followed through imports anywhere in a file. Sources are compared as syntax trees, without
@@ -45,7 +45,7 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name: their digest, the names that they read, and the symbols that
+    """Statements that define one name. Their digest, the names that they read, and the symbols that
     imports inside their functions bring in."""
 
     digest: str
@@ -58,7 +58,7 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """Content of one source file: the statements that bind each name, those that bind none
+    """Content of one source file. The statements that bind each name, those that bind none
     (`LOOSE`, they run at import), and the imported symbols."""
 
     parts: dict[str, Part] = field(default_factory=dict)
@@ -72,7 +72,7 @@ class Module:
 
 @dataclass(frozen=True)
 class Code:
-    """Reader of source code that finds all symbols on which given ones depend; sources are read
+    """Reader of source code that finds all symbols on which given ones depend. Sources are read
     where they are imported from, or in `folders` (name: folder)."""
 
     folders: Mapping[str, Path] = field(default_factory=dict)
@@ -145,8 +145,8 @@ class Code:
         return present_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
-        """Whether the sources of a package are read: this package, and whatever is not installed as
-        a library (a clone, a script)."""
+        """Whether the sources of a package are read. They are for this package, and for whatever is
+        not installed as a library (a clone, a script)."""
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
@@ -173,8 +173,8 @@ class Code:
             yield from self._symbols_in_module(module, read)
 
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
-        """All symbols of a module; for a package's `__init__.py` also its files, whose members are
-        found by name."""
+        """All symbols of a module. For a package's `__init__.py` also those of its files, whose
+        members are found by name."""
         for bound in read.bound:
             yield module, bound
         for symbols in read.imported.values():
@@ -347,7 +347,7 @@ def _part_of(statements: list[ast.stmt], package: str) -> Part:
 
 
 def _top_level_statements(body: Iterable[ast.stmt]) -> Iterator[ast.stmt]:
-    """Top-level statements with those inside `if`, `try` and `with` blocks; statements that only
+    """Top-level statements with those inside `if`, `try` and `with` blocks. Statements that only
     type checkers see are left out."""
     for statement in body:
         if isinstance(statement, ast.If) and ast.unparse(statement.test) in NOT_AT_IMPORT:

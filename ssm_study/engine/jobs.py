@@ -1,5 +1,5 @@
-"""Jobs of a sweep: each runs in a process of its own with its own log, and leaves a record however
-that process ends."""
+"""Jobs of a sweep, each in a process of its own with its own log. Each leaves a record however its
+process ends."""
 
 import contextlib
 import faulthandler
@@ -144,7 +144,7 @@ def outcome_of_ended(job: Job) -> Outcome:
 def note_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """Outcome in the run's record; where that is not final and no process works on the run, a
+    """Outcome in the run's record. Where that is not final and no process works on the run, a
     failure with `text` as traceback is recorded first.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
@@ -189,8 +189,8 @@ def _death_facts(kind: str, message: str, transient: bool) -> dict[str, Any]:
 
 
 def stop_hanging(job: Job) -> None:
-    """Stop a job that exceeds its time: request its traceback (faulthandler answers SIGABRT into
-    the log), then kill its whole process group."""
+    """Stop a job that exceeds its time. Its traceback is requested (faulthandler answers SIGABRT
+    into the log), then its whole process group is killed."""
     assert job.process is not None
     seconds = time.monotonic() - job.started
     message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"
@@ -202,7 +202,7 @@ def stop_hanging(job: Job) -> None:
 
 
 def kill_group(job: Job) -> None:
-    """Send SIGKILL to a job and to all processes that it started; a job that was never started has
+    """Send SIGKILL to a job and to all processes that it started. A job that was never started has
     no group (0 would be our own)."""
     if job.process is None or job.process.pid == UNBORN:
         return

@@ -1,4 +1,4 @@
-"""Launching of a sweep: its jobs are composed, checked or planned here for every launcher; the
+"""Launching of a sweep. Its jobs are composed, checked or planned here for every launcher; the
 default one forks a process for each job."""
 
 import contextlib
@@ -44,20 +44,20 @@ class Sweep(Protocol):
 
 
 class Launcher(ABC):
-    """Interface of what runs the jobs of a sweep, on this machine or on others."""
+    """Interface of launchers, which run the jobs of a sweep on this machine or on others."""
 
     at_once: int
 
     @abstractmethod
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Run the jobs; afterwards each one has its `outcome`, also where its process failed."""
+        """Run the jobs. Afterwards each one has its `outcome`, also where its process failed."""
 
 
 def launch(
     launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
-    """Compose every configuration, check those that are not finished, then run or plan them; one
-    `JobReturn` each."""
+    """Compose every configuration, check those that are not finished, then run or plan them.
+    Returns one `JobReturn` each."""
     setup_globals()
     task = task_of(sweep.task_function)
     task.refuse(sweep.config)
@@ -82,8 +82,8 @@ def launch(
 
 @dataclass(frozen=True, kw_only=True)
 class Processes(Launcher):
-    """One fresh process per job: a job may raise, exit, crash, hang or be killed, and the others do
-    not notice.
+    """Launcher with one fresh process per job. A job may raise, exit, crash, hang or be killed, and
+    the others do not notice.
 
     `n_jobs` processes at a time with `threads` each; raises `BadRequest` if that is more than the
     cores. With `fail_fast` none is begun after the first failure.
@@ -163,8 +163,8 @@ class Processes(Launcher):
 
 
 def preload(task: Task[Any], jobs: list[Job]) -> None:
-    """Import in advance what every job would import for itself, and read the code that their keys
-    depend on (0.2 s)."""
+    """Import in advance what every job would import, and read the code that their keys depend on
+    (0.2 s)."""
     planned = KeyedStages(store_of(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
@@ -176,7 +176,7 @@ def preload(task: Task[Any], jobs: list[Job]) -> None:
 
 @contextlib.contextmanager
 def _end_on_signals(running: list[Job], server: Server) -> Iterator[None]:
-    """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once; their runs count
+    """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once. Their runs count
     as `lost` and run again next time."""
 
     def stop(number: int, _: FrameType | None) -> None:

@@ -1,5 +1,5 @@
-"""Plan of a sweep before any work: how many runs and stages it needs, how many exist already, and
-how long the rest will take."""
+"""Plan of a sweep before any work. It tells how many runs and stages it needs, how many exist
+already, and how long the others will take."""
 
 import json
 from collections import Counter
@@ -15,7 +15,7 @@ from ssm_study.engine.store import MANIFEST, Store
 
 @dataclass(frozen=True)
 class PlannedStages(Stages):
-    """Stages that are planned without computing: each is noted with its key and whether the store
+    """Stages that are planned without computing. Each is noted with its key and whether the store
     has it."""
 
     store: Store
@@ -35,7 +35,7 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Planned stages with the keys of their columns too, which requires reading all code that the
+    """Planned stages with the keys of their columns, too. This requires reading all code that the
     columns depend on."""
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
@@ -51,8 +51,8 @@ def plan_lines(
     finished: int,
     jobs_at_once: int = 1,
 ) -> list[str]:
-    """Text with the plan of a sweep: runs and stages that are missing, and the time they will take
-    (`at least` where a missing stage was never timed).
+    """Text with the plan of a sweep: runs and stages that are missing, and the time they will take.
+    It says `at least` where a missing stage was never timed.
 
     `walks` take the stages of each unfinished run down the line.
     """

@@ -17,8 +17,8 @@ QUIET_S = 30.0  # without a terminal: a line at most this often, and one at the 
 
 
 class Progress:
-    """Counter of outcomes that prints progress on stderr: one line that is updated on a terminal, a
-    new line now and then elsewhere."""
+    """Counter of outcomes that prints progress on stderr. It updates one line on a terminal, and
+    prints a new line now and then elsewhere."""
 
     def __init__(self, total: int) -> None:
         self.total = total

@@ -1,4 +1,4 @@
-"""Record of a run, `record.json`: one flat object sealed by its own SHA-256; all tables and figures
+"""Record of a run, `record.json`, one flat object sealed by its own SHA-256. All tables and figures
 are made from records."""
 
 import math
@@ -56,8 +56,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def parse_record(content: bytes) -> dict[str, Any]:
-    """Record in the bytes `content`; anything that is not exactly a sealed record gives only
-    `status = corrupt`."""
+    """Parse a record from bytes. Anything that is not exactly a sealed record gives only `status =
+    corrupt`."""
     record = unsealed(content)
     version = None if record is None else record.get("record_version")
     if type(version) is not int or version not in READABLE:

@@ -1,4 +1,4 @@
-"""Execution of one run: claim its folder, do the work, and leave one record, also of a failure; a
+"""Execution of one run: claim its folder, do the work, and leave one record, also of a failure. A
 finished run is never touched again."""
 
 import errno
@@ -30,7 +30,7 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run after `execute`: `did` is one of `ran`, `found` (finished before), `left`
+    """Outcome of a run after `execute`. `did` is one of `ran`, `found` (finished before), `left`
     (failed before and not asked to retry), `elsewhere` (another process works on it)."""
 
     folder: Path
@@ -133,7 +133,7 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
 
 
 def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Whether a run has to be executed: finished runs are not, failed ones only with
+    """Whether a run has to be executed. Finished runs are not, failed ones only with
     `retry_failed`, unless the machine was at fault (disk, signal)."""
     if before is None:
         return not retry_failed
@@ -183,7 +183,7 @@ def _do_work(
 
 
 def _stopped_by_scheduler(error: BaseException) -> bool:
-    """Whether an error comes from submitit's answer to the signal before a time limit: the job is
+    """Whether an error comes from submitit's answer to the signal before a time limit. The job is
     queued again, or its last attempt is over, and the run is `lost`, so that the next attempt or
     the same command repeats it."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
@@ -198,8 +198,8 @@ def seal_run(folder: Path) -> None:
 
 
 def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
-    """Columns that describe a failure: type, message, and whether it is transient (disk or memory
-    of the machine), so that the same command tries again."""
+    """Columns that describe a failure: type, message, and whether it is transient. The same command
+    tries again after a transient one (disk or memory of the machine)."""
     text = str(error) or type(error).__name__
     if isinstance(error, SystemExit):
         text = f"exited with status {error.code}"
@@ -252,7 +252,7 @@ def _is_fault_of_machine(error: BaseException, folder: Path) -> bool:
 def write_failure(
     folder: Path, facts: Mapping[str, Any], error: Mapping[str, Any], text: str
 ) -> None:
-    """Write the traceback, then the record of a failed run; on a full disk the run stays `running`
+    """Write the traceback, then the record of a failed run. On a full disk the run stays `running`
     without a lock and counts as lost."""
     with suppress(OSError):
         write_atomically(folder / TRACEBACK, text.encode(errors="replace"))

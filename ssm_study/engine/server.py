@@ -1,4 +1,4 @@
-"""Server process from which jobs are forked: it is itself forked from the sweep, so it has all
+"""Server process from which jobs are forked. It is itself forked from the sweep, so it has all
 libraries and configurations loaded.
 
 So a job starts at once, and nothing is sent to it. The server also ends every job that would
@@ -35,7 +35,7 @@ UNBORN = 0
 
 @dataclass
 class Child:
-    """Process of one job; `exitcode` is None while it runs, and minus the signal's number if a
+    """Process of one job. `exitcode` is None while it runs, and minus the signal's number if a
     signal killed it."""
 
     pid: int
@@ -51,7 +51,7 @@ class Child:
 
 @dataclass
 class Server:
-    """Server that forks a process for each of `tasks`; `preload` imports for all of them, `threads`
+    """Server that forks a process for each of `tasks`. `preload` imports for all of them, `threads`
     is the number of threads of each."""
 
     tasks: Sequence[Callable[[], object]]
@@ -136,8 +136,8 @@ class Server:
 
 
 def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Main loop of the server: fork a process on request and report every end; when the sweep is
-    gone, kill all processes."""
+    """Run the server: fork a process on request and report every end. When the sweep is gone, kill
+    all processes."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -213,8 +213,8 @@ def _apply_memory_and_threads(threads: int) -> None:
 
 
 def _collapse_into_large_pages() -> None:
-    """Collapse the server's memory into large pages, so that a fork copies a short page table: 35
-    -> 13 ms per job, for 0.8 s once.
+    """Collapse the server's memory into large pages, so that a fork copies a short page table. It
+    takes 35 -> 13 ms per job, for 0.8 s once.
 
     Linux 6.1 and later; elsewhere nothing happens.
     """

@@ -96,8 +96,8 @@ def refuse_unbounded(tree: Any) -> None:
 
 
 def canonical_json(value: Any) -> str:
-    """Canonical JSON text of plain containers, the same for the same meaning: sorted keys, no
-    spaces, `1.0` and `1` alike.
+    """Canonical JSON text of plain containers, the same for the same meaning. Keys are sorted,
+    there are no spaces, `1.0` and `1` are alike.
 
     Raises `BadRequest` for NaN, infinity and anything that is no plain container.
     """
@@ -211,8 +211,8 @@ _Dumper.add_representer(Settings, yaml.CSafeDumper.represent_dict)
 
 
 def yaml_text(value: Any) -> str:
-    """YAML text that `OmegaConf.load` reads back to the same plain containers; written five times
-    as fast as by OmegaConf."""
+    """YAML text that `OmegaConf.load` reads back to the same plain containers. It is written five
+    times as fast as by OmegaConf."""
     return str(yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True))
 
 

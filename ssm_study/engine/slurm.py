@@ -1,4 +1,4 @@
-"""Launcher of a sweep on Slurm: a job that is cancelled or loses its node becomes a failed run, and
+"""Launcher of a sweep on Slurm. A job that is cancelled or loses its node becomes a failed run, and
 the others are waited for."""
 
 import time
@@ -68,7 +68,7 @@ def submitit_executor(params: dict[str, Any]) -> submitit.AutoExecutor:
 
 
 def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORGOTTEN_S) -> Outcome:
-    """Outcome of a submitted job once it has ended; a job that Slurm ended becomes a failed run
+    """Outcome of a submitted job once it has ended. A job that Slurm ended becomes a failed run
     that the same command repeats."""
     state = wait_for_end(submitted, patience_s)
     try:

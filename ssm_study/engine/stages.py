@@ -75,8 +75,8 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value_key(self) -> str:
-        """Key by which later stages identify this value: the key of the stage, or a checksum of its
-        files, and the version of its reader."""
+        """Key by which later stages identify this value. It is the key of the stage, or a checksum
+        of its files, and the version of its reader."""
         made: Any = self.result.key
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
@@ -85,7 +85,7 @@ class StageOutput(Generic[T]):
 
 
 class Stages(ABC):
-    """Interface of what takes stages: `Store` computes and stores them, `PlannedStages` only notes
+    """Interface of stores of stages. `Store` computes and stores them, `PlannedStages` only notes
     what would be computed."""
 
     def run_stage(
@@ -124,7 +124,7 @@ class Stages(ABC):
 
     @abstractmethod
     def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """Result of the stage with this key; `note` says what the key was made of."""
+        """Result of the stage with this key. `note` says what the key was made of."""
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
         """Columns of a finished stage; empty in a plan."""

@@ -134,13 +134,13 @@ def _move_into_place(temporary: Path, final: Path) -> None:
 
 
 def machine_name() -> str:
-    """Name of this machine as it appears in file names; its locks are reliable here, and may not be
+    """Name of this machine as it appears in file names. Its locks are reliable here, and may not be
     elsewhere."""
     return digest(socket.gethostname())[:8]
 
 
 def _clear_leftovers(temporary: Path, final: Path) -> None:
-    """Remove the temporary folders of killed processes; a checkpoint in them (`CHECKPOINT`) moves
+    """Remove the temporary folders of killed processes. A checkpoint in them (`CHECKPOINT`) moves
     to the new folder, to continue from.
 
     Another node may be at work beyond our lock: its folder stays for `ABANDONED_S`, and what it

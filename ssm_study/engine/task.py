@@ -1,4 +1,4 @@
-"""Interface of a task that is run many times; the engine knows nothing else of it."""
+"""Interface of a task that is run many times. The engine knows nothing else of it."""
 
 import inspect
 import re
@@ -43,7 +43,7 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def check(self, settings: Settings) -> R:
-        """Request that the settings describe; raises `BadRequest` for every mistake that can be
+        """Request that the settings describe. Raises `BadRequest` for every mistake that can be
         seen before long work."""
 
     @abstractmethod
@@ -61,7 +61,7 @@ class Task(ABC, Generic[R]):
         return {}
 
     def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Further columns of the record that depend on the command line alone; a run made without
+        """Further columns of the record that depend on the command line alone. A run made without
         one lacks them."""
         return {}
 
@@ -168,7 +168,7 @@ class Task(ABC, Generic[R]):
 
 @dataclass(frozen=True)
 class RunStages(Store):
-    """Stages of one run: each is noted in the record and its files are copied, so that the run
+    """Stages of one run. Each is noted in the record and its files are copied, so that the run
     stays complete when the store is removed."""
 
     run: Run

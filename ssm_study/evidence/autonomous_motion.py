@@ -1,4 +1,4 @@
-"""Does the output follow from the input, or from where it is? A limit cycle's phase is in no input.
+"""Findings on an output that moves by itself, such as a limit cycle, whose phase is in no input.
 
 Where the input decides, a piece of a log is predicted as well from the log's beginning as from the
 piece's own estimated state: docs/trust.md, "Logs that cannot bear a judgement, and logs that can".

@@ -1,4 +1,5 @@
-"""Was the log made in a closed loop? There, what is new in the output is found again in the input.
+"""Findings on a log that was made in a closed loop, where innovations of the output appear again in
+the input.
 
 `v` and `w` are what the last `PAST` inputs do not predict of an output and of an input; with
 feedback `v` predicts a share of `w`, fitted to one half of each record and scored on the other. A
@@ -93,7 +94,7 @@ def findings(case: Case) -> Iterator[Finding]:
 
 
 def words_of_the_loop(earlier: float, present: float) -> str:
-    """Name the share that shows the loop: the one that exceeds its limit by more."""
+    """Words on the statistic that reveals a closed loop, the one that exceeds its limit by more."""
     if present - PRESENT >= earlier - EARLIER:
         return (
             f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
@@ -102,8 +103,8 @@ def words_of_the_loop(earlier: float, present: float) -> str:
 
 
 def answers_at_once(data: DataSet) -> bool:
-    """Whether the plant itself answers its input within one sample, rather than a controller its
-    output.
+    """Whether the plant itself responds to its input within one sample, rather than a controller to
+    its output.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -166,8 +167,8 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
 
 
 def integrated_share(data: DataSet) -> float | None:
-    """Share by which a log looks like an integrator. Share of the output's changes that its one
-    input's mean explains, where the longest stretch of a log shows an integrator; None
+    """Share by which a log looks like that of an integrator. Share of the output's changes that its
+    one input's mean explains, where the longest stretch of a log shows an integrator; None
     elsewhere."""
     stretches = log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
@@ -206,8 +207,8 @@ def growth(data: DataSet) -> tuple[float, float]:
 
 
 def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple[Rows, Rows, Rows]:
-    """Regression rows that relate the output's growth to its input and its own level: what the
-    input added over a stride and the one before, the output's rise, and its past."""
+    """Regression rows that relate the output's growth to its input and its own level. They hold
+    what the input added over a stride and the one before, the output's rise, and its past."""
     hats: list[np.ndarray] = []
     for column, at in zip(u.T, nodes, strict=True):
         hats += [np.interp(column, at, corner) for corner in np.eye(len(at))]
@@ -233,8 +234,8 @@ def _standard_errors(
 
 
 def own_mode(data: DataSet, lags: int) -> float:
-    """Largest modulus of a mode of an ARX model fitted to the log; arbitrary without a reference
-    in the log."""
+    """Largest modulus of a mode of an ARX model fitted to the log. It is arbitrary without a
+    reference in the log."""
     a = arx(scaled(data), lags, feedthrough=False)[0]
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
@@ -258,7 +259,7 @@ def fed_back(data: DataSet, first: int) -> float:
 
 
 def _joined_rows(halves: list[list[Rows]]) -> list[Rows]:
-    """Each regression array of several halves as one."""
+    """Concatenate the regression arrays of several halves."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 

@@ -1,5 +1,5 @@
-"""Findings that speak against a judgement: one sentence with its number and what to do, at one of
-three levels."""
+"""Findings that speak against a judgement of the plant. Each is one sentence with its number and
+what to do, at one of three levels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -75,8 +75,8 @@ class Case:
         return past, np.concatenate([y[lags:] for y in outputs])
 
     def scored(self) -> Iterator[ScoredRecord]:
-        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test; start-up
-        samples left out."""
+        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test. Start-up
+        samples are left out."""
         for part in (self.validation, self.test):
             start = part.start_up_samples
             for record, simulated in zip(part.records, part.simulated, strict=True):

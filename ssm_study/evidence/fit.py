@@ -24,8 +24,8 @@ FEW = 300  # samples below which the fits of two parts are not compared
 
 
 def findings(case: Case) -> list[Finding]:
-    """Findings about the fit: by itself, between the parts, against a linear filter, and the
-    input's trace in the residual."""
+    """Findings about the fit: its size, its differences between the parts, a linear filter's fit,
+    and the input's trace in the residual."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
     found = poor_fit(case)
@@ -49,7 +49,8 @@ def findings(case: Case) -> list[Finding]:
 
 
 def poor_fit(case: Case) -> list[Finding]:
-    """A poor fit of validation and test together, with the two numbers that the outcome prints.
+    """Finding on a poor fit of validation and test together, with the two numbers that the outcome
+    prints.
 
     Where the error is small against the range of the training output, the percentage is poor
     because those records hardly move: a doubt that says both, never `cannot judge`.
@@ -89,8 +90,8 @@ def starts_apart(case: Case) -> list[Finding]:
 
 
 def linear_fit(case: Case) -> float:
-    """Fit in percent of a linear FIR filter on the test records, estimated on the training records
-    (`LAGS` taps).
+    """Fit in percent of a linear FIR filter on the test records. It is estimated on the training
+    records (`LAGS` taps).
 
     Minus infinity where no record is long enough for one.
     """
@@ -103,7 +104,7 @@ def linear_fit(case: Case) -> float:
 
 
 def pooled_fit(case: Case) -> float:
-    """Fit in percent over validation and test as one, each part about its own mean.
+    """Fit in percent over validation and test together, each part about its own mean.
 
     It lies between the two fits that the outcome prints, which are about the same means.
     """
@@ -129,8 +130,8 @@ def scored_part(
 
 
 def error_share(case: Case) -> float:
-    """Root mean square error over validation and test as a share of the training output's range;
-    of several outputs the largest."""
+    """Root mean square error over validation and test as a share of the training output's range. Of
+    several outputs the largest counts."""
     parts = [scored_part(case, part)[1] for part in (case.validation, case.test)]
     rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
     trained = np.concatenate([case.scaled(record)[1] for record in case.data.training])
@@ -140,8 +141,8 @@ def error_share(case: Case) -> float:
 
 
 def owed_to_input(case: Case) -> float:
-    """Share of the residual that past inputs still explain. Share of the output's power by which a
-    filter from u, fitted to one half of the residual, predicts the other.
+    """Share of the output's power by which past inputs still predict the residual. Share of the
+    output's power by which a filter from u, fitted to one half of the residual, predicts the other.
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """
@@ -165,8 +166,8 @@ def owed_to_input(case: Case) -> float:
 
 
 def whiteness(case: Case) -> list[Finding]:
-    """The field's standard test of the residual: at most a note, since every free run of a
-    nonlinear plant fails it.
+    """Finding of the standard whiteness test of the residual. It is at most a note, since every
+    free run of a nonlinear plant fails it.
 
     Source: Ljung, System Identification, 2nd ed. (1999) section 16.6.
     """

@@ -37,7 +37,7 @@ class Judgement:
 
     @property
     def reasons(self) -> str | None:
-        """Findings against the plant's judgement in one text, the gravest first and notes last;
+        """Findings against the plant's judgement in one text, the gravest first and notes last.
         None where there are none."""
         told = sorted(
             self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
@@ -111,8 +111,8 @@ def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
 
 
 def withheld(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """Columns of a prediction that the evidence does not allow. The facts of a design with no
-    prediction where the evidence allows none."""
+    """Names of the columns of a prediction that the evidence does not allow. The facts of a design
+    with no prediction where the evidence allows none."""
     if level != CANNOT_JUDGE:
         return facts
     predictions = ("predicted_stable", "predicted_faster")

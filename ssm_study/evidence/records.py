@@ -1,5 +1,5 @@
-"""Conditions that the records have visited: ranges, levels, spectra, length, drift, and records
-that are one another."""
+"""Findings on the conditions that the records have visited: ranges, levels, spectra, length, drift,
+and records that repeat another."""
 
 from collections.abc import Iterator
 
@@ -59,7 +59,7 @@ def _joined(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
 
 
 def _range(case: Case) -> Iterator[str]:
-    """Doubt where the test inputs leave the range of the training inputs."""
+    """Finding where the test inputs leave the range of the training inputs."""
     trained = _joined(case, case.data.training)
     for name, index in (("input", 0), ("output", 1)):
         low = trained[index].min(axis=0)
@@ -126,7 +126,8 @@ def input_changes(data: DataSet) -> int:
 
 
 def _limits(case: Case) -> Iterator[Finding]:
-    """A doubt where an output saturates; a note where it stands at zero while the input moves.
+    """Findings on an output that saturates (a doubt) or stands at zero while the input moves (a
+    note).
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
     from a sensor that ends there.

@@ -50,8 +50,8 @@ def findings(case: Case) -> list[Finding]:
 
 
 def kept_over(case: Case) -> float:
-    """Fraction of the model's slowest mode that remains after the longest training record: 1 for
-    an integrator."""
+    """Fraction of the model's slowest mode that remains after the longest training record. It is 1
+    for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
@@ -110,7 +110,7 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
 
 
 def _sampling(case: Case) -> Iterator[Finding]:
-    """Whether a log was sampled much too slowly or too fast for what its model answers."""
+    """Finding on a log that was sampled much too slowly or too fast for the model's response."""
     response = case.model.linear.response_samples()
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") != "recorded":

@@ -154,7 +154,7 @@ def _declarations(defined: str) -> str:
 
 
 def _resting_line(device: Device) -> str:
-    """Line of C that stops the internal model of a ramp while a limit acts; empty where it is not
+    """Line of C that stops the internal model of a ramp while a limit acts. Empty where it is not
     needed.
 
     Integrators do so by themselves, and oscillators go on.
@@ -209,7 +209,7 @@ def _within(device: Device, has_set_points: bool) -> str:
 
 
 def _pushed(device: Device, name: str) -> str:
-    """C code that adds measured disturbances to the next state; empty where there are none."""
+    """C code that adds measured disturbances to the next state. Empty where there are none."""
     disturbances = device.controller.scale.disturbances
     if not disturbances:
         return ""
@@ -313,8 +313,8 @@ def _product(
 
 
 def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """C function of a piecewise linear map, `out += linear v + N(v)`, layer by layer: `d = phi(W d
-    + b) - phi(b)`."""
+    """C function of a piecewise linear map, `out += linear v + N(v)`, computed layer by layer as `d
+    = phi(W d + b) - phi(b)`."""
     tables = {"linear": portable.linear}
     body = _product(prefix, "linear", portable.linear, "v", "out")
     source = "v"
@@ -341,7 +341,7 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
 
 
 def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
-    """C function `out += part w`, or the interpolation of `out` between stored points."""
+    """C function `out += part w` for a matrix, or interpolation between stored points."""
     if not isinstance(part, Joined):
         product = _product(prefix, "linear", part, "w", "out")
         return _function(name, "w", {"linear": part}, product, real)

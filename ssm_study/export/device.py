@@ -1,5 +1,5 @@
-"""Model of the controller on a device: rounded numbers, limited inputs, operations in the order of
-the C code.
+"""Model of the controller on a device, with rounded numbers, limited inputs and operations in the
+order of the C code.
 
 For a set point r the law aims at the equilibrium of the model nearest to it:
 `v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`,
@@ -109,7 +109,7 @@ class Device:
     def _by_matrices(
         self, model: StateSpace, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps to equilibria of a linear model, as matrices; None where it integrates or cannot
+        """Maps to equilibria of a linear model, as matrices. None where it integrates or cannot
         hold every output."""
         states, _, gain = model.held()
         if model.integrates:
@@ -130,7 +130,7 @@ class Device:
     def _along_curve(
         self, controller: PortableController, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps to equilibria by interpolation between every other point of the curve; the points
+        """Maps to equilibria by interpolation between every other point of the curve. The points
         between show the error."""
         if len(self.lower) > 1:
             return None
@@ -170,8 +170,8 @@ class Device:
 
     @property
     def multiplications(self) -> int:
-        """Largest number of multiplications of floats in one `track`, without those of the
-        activation function.
+        """Largest number of multiplications of floats in one `track`. Those of the activation
+        function do not count.
 
         In one `step` where there are no set points.
         """
@@ -192,8 +192,8 @@ class Device:
         return products + reaching + inverses + maps + 2 * inputs
 
     def start(self, y0: Vector) -> Vector:
-        """Equilibrium state of the model at output `y0`; the equilibrium of the plant where there
-        are no set points."""
+        """Equilibrium state of the model at output `y0`. It is the equilibrium of the plant where
+        there are no set points."""
         points = self.set_points
         if points is None:
             return np.zeros(len(self.controller.a), dtype=REALS[self.real])
@@ -265,8 +265,8 @@ class Device:
         r: Float[np.ndarray, "T p"],
         d: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
-        """Inputs that the device applies to recorded measurements, set points and, where it takes
-        some, measured disturbances.
+        """Inputs that the device applies to recorded measurements and set points. It takes measured
+        disturbances, too, where it uses some.
 
         It starts at rest at the first measurement.
         """

@@ -1,5 +1,5 @@
-"""Export of the controller as an ONNX model of one sample: `(y, state) -> (u, next_state)`, with
-measured disturbances `(y, state, d)`.
+"""Export of the controller as an ONNX model of one sample, `(y, state) -> (u, next_state)`. With
+measured disturbances it takes `(y, state, d)`.
 
 In doubles, for any batch size.
 """
@@ -138,7 +138,7 @@ def onnx_model(controller: PortableController, about: str) -> Any:
 
 
 def _cell(controller: PortableController) -> _Graph:
-    """Graph of one sample of the controller; `V = K xh` is the scaled input, the rest as in
+    """ONNX graph of one sample of the controller. `V = K xh` is the scaled input, the others as in
     PortableController."""
     graph = _Graph()
     scale = controller.scale

@@ -41,7 +41,7 @@ class PortableNeurons:
     kinds: tuple[str, ...]
 
     def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
-        """Outputs of the neurons, computed in the order of the C code; without `error` no
+        """Outputs of the neurons, computed in the order of the C code. Without `error` no
         correction is injected."""
         z = times(self.g, lifted, times(self.f, x, self.bias))
         if error is not None:
@@ -96,8 +96,8 @@ class PortableController:
 
     @property
     def resting(self) -> slice:
-        """Slice of the states that have to be held while a limit acts: the integrators of a ramp's
-        internal model.
+        """Slice of the states that have to be held while a limit acts. They are the integrators of
+        a ramp's internal model.
 
         They come first in its model.
         """

@@ -1,5 +1,5 @@
-"""Equilibria of the controller's model: by matrices, or with neurons by interpolation between
-stored points.
+"""Equilibria of the controller's model. They are found by matrices, or with neurons by
+interpolation between stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
 the model contracts; of one input and one output they are a curve, of which the device stores some
@@ -50,8 +50,8 @@ class Joined:
 
 
 def reached(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """Value at `w` of a matrix (product in the order of the C code) or of a piecewise linear
-    map."""
+    """Value of a matrix or of a piecewise linear map at `w`. The product is in the order of the C
+    code."""
     return by(w) if isinstance(by, Joined) else times(by, w)
 
 

@@ -69,8 +69,8 @@ def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controll
 
 
 def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") -> dict[str, str]:
-    """File name and text of the C code of a run's controller, with input limits as `limits` gives;
-    refuses what `export` refuses."""
+    """File name and text of the C code of a run's controller, with input limits as `limits` gives.
+    Refuses what `export` refuses."""
     controller = load(run)
     design = Design.load(run / "certificate.json")
     device = Device.of(controller, real, *limits(run))
@@ -136,7 +136,7 @@ def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
 def _range_lines(
     side: str, relation: str, channels: tuple[Channel, ...], lower: Range, upper: Range
 ) -> list[str]:
-    """Text lines with the range of each channel on one side."""
+    """Text lines with the range of each channel of the inputs or of the outputs."""
     lines = []
     for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True)):
         values = f"{relation} {low:.6g} to {high:.6g}"
@@ -264,7 +264,7 @@ def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
 
 def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -> Any:
     """Outputs `(T, p)` of the model in closed loop with the device, both started at `start`, until
-    they rest."""
+    they settle."""
     kind = device.lower.dtype
     set_point = np.asarray(model.scale.output_equilibrium, dtype=kind)
     nothing_applied = np.zeros(model.linear.b.shape[1])
@@ -280,7 +280,7 @@ def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -
 
 
 def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
-    """Rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps.
+    """Contraction rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps.
 
     Proved with the stored metrics. The device is an observer for its own rounded model, so that
     model is what is certified: the stored rate where the theorem still holds, else the largest of
@@ -315,7 +315,7 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
 def _largest_rate(
     part: Theorem, context: VerificationContext, gain: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """Stored rate if it can be proved for the rounded numbers; else the largest smaller one, by
+    """Stored rate if it can be proved for the rounded numbers. Else the largest smaller one, by
     bisection; 0 if none can."""
     ball = part.ball(context)
     stored = float(part.variables["rate"])
