@@ -45,8 +45,9 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name. Their digest, the names that they read, and the symbols that
-    imports inside their functions bring in."""
+    """Statements that define one name, as their digest, the names that they read, and the symbols
+    that imports inside their functions bring in. Their digest, the names that they read, and the
+    symbols that imports inside their functions bring in."""
 
     digest: str
     names: list[str]
@@ -58,7 +59,7 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """Content of one source file. The statements that bind each name, those that bind none
+    """Content of one source file: the statements that bind each name, those that bind none
     (`LOOSE`, they run at import), and the imported symbols."""
 
     parts: dict[str, Part] = field(default_factory=dict)

@@ -57,7 +57,7 @@ def distances(
 
 
 def _feedback_distance(rows: Estimates, feedback: StateFeedback) -> Distances:
-    """Distance of each row from rest in the state feedback's metric `P^{-1}`."""
+    """Distance of each row from the equilibrium in the state feedback's metric `P^{-1}`."""
     columns = rows.reshape(-1, rows.shape[2]).T
     norms = np.linalg.norm(in_inverse_metric(feedback.p, columns), axis=0)
     return norms.reshape(rows.shape[:2])
@@ -66,7 +66,8 @@ def _feedback_distance(rows: Estimates, feedback: StateFeedback) -> Distances:
 def certified_bound(
     d0: PerCase, e0: PerCase, samples: int, feedback: StateFeedback, observer: Observer
 ) -> Distances:
-    """Bound on the state's distance from rest, from its start `d0` and the estimate's error `e0`.
+    """Certified bound on the state's distance from the equilibrium, from the initial distance `d0`
+    and the initial estimation error `e0`.
 
     `r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, with
     `r = sqrt(1 - rate)`.
@@ -137,8 +138,8 @@ def decay_rate(
 def excess(
     x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Largest amount by which an estimate exceeds the certified bound, as a share of the bound at
-    the start.
+    """Largest amount by which an estimate exceeds the certified bound, as a share of the initial
+    bound.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to

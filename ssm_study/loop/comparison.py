@@ -25,7 +25,8 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Comparison of all controllers in all situations, with one row for each pair.
+    """Comparison of all controllers in all situations, with one row for each controller in each
+    situation.
 
     It is explained in docs/closed_loop.md, "Robustness".
 
@@ -90,7 +91,7 @@ class Comparison(ComparisonTable):
         return rows
 
     def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """Plants and loops of one situation; empty if the plant cannot show it."""
+        """Plants and loops of one situation. Empty if the plant cannot show it."""
         horizon_s = loop.samples(plant.step_s) * plant.step_s
         match situation:
             case "spread":

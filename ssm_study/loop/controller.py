@@ -36,8 +36,8 @@ Measured = Float[np.ndarray, "k"] | None
 
 
 class Controller(ABC):
-    """Interface of a control law from measured outputs to inputs, with a memory that is updated
-    every sample.
+    """Interface of a control law from measured outputs to inputs. Its memory is updated every
+    sample.
 
     `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
     target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
@@ -49,15 +49,15 @@ class Controller(ABC):
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
     def start(self, cases: int) -> Memory:
-        """Memory before the first sample; by default there is none."""
+        """Memory before the first sample. By default there is none."""
         return np.zeros((cases, 0))
 
     def targets(self, reference: Reference) -> Plan:
-        """Signal to be followed at each sample; by default the reference itself."""
+        """Signal to be followed at each sample. By default it is the reference itself."""
         return reference
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that the law needs to hold the reference's extremes; by default none."""
+        """Inputs that the law needs to hold the reference's extremes. By default there are none."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
@@ -68,7 +68,7 @@ class Controller(ABC):
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
         """Memory at the next sample, given the input that was applied and measured disturbances `d
-        (k,)`; None stands for their equilibrium."""
+        (k,)`. None stands for their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
@@ -76,8 +76,8 @@ class Controller(ABC):
         return memory[:, :0]
 
     def among(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Control law for the cases that are still running, where each case may have gains of its
-        own."""
+        """Select the control laws of the cases that are still running, where each case may have
+        gains of its own."""
         return self
 
 
@@ -181,7 +181,7 @@ class ObserverFeedback(EstimateFeedback):
 
     @classmethod
     def of(cls, model: Model, design: Design) -> "ObserverFeedback":
-        """Controller of a certified design; raises `BadRequest` if one of its parts is
+        """Make the controller of a certified design. Raises `BadRequest` if one of its parts is
         infeasible."""
         inverse = None
         if design.inverts:
@@ -253,7 +253,7 @@ class ObserverFeedback(EstimateFeedback):
 def times(
     gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]
 ) -> Float[np.ndarray, "N r"]:
-    """Product of a gain with each row: one gain for all rows, or one for each."""
+    """Product of a gain with each row. There is one gain for all rows, or one for each."""
     if gain.ndim == 2:
         return rows @ gain.T
     return np.einsum("nij,nj->ni", gain, rows)

@@ -1,5 +1,5 @@
-"""Grid of hundreds of certified designs for one model, each run on the true plant, to test how well
-the stability margin predicts."""
+"""Test of how well the stability margin predicts: hundreds of certified designs for one model, each
+run on the true plant."""
 
 from dataclasses import dataclass, field
 from functools import partial
@@ -86,7 +86,7 @@ class DesignGrid(ComparisonTable):
 
 
 def _with_first(pair: Gains, gains: Gains) -> Gains:
-    """Stacked gains with one more pair put in front."""
+    """Put the gains of one more controller and observer in front of stacked gains."""
     stacked = {}
     for name, gain in vars(pair).items():
         if gain is not None:

@@ -111,7 +111,7 @@ def behaviour(loop: LoopRuns) -> Columns:
 
 def noise_gain(run: Rollouts) -> float | None:
     """Measured noise gain `std(y) / std(n)` over the second half of the horizon, the worst output
-    over cases that stayed within the bound; None without noise.
+    over cases within the bound. None without noise.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is it for the model.
@@ -146,8 +146,8 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
 
 
 def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
-    """Columns on how many cases settle and how fast, compared with the uncontrolled plant, and on
-    how the others move."""
+    """Columns on how many cases settle and how fast, compared with the uncontrolled plant. Also how
+    the others move."""
     times_s: list[float | None] = []
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
@@ -189,8 +189,8 @@ def is_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
 
 
 def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
-    """Largest oscillation of a settled case without noise, in settling bands; None if none
-    settles."""
+    """Largest remaining oscillation of a settled case, in settling bands, without noise where such
+    runs exist. None if none settles."""
     swings = []
     for loop in loops:
         run = loop.quiet or loop.judged

@@ -16,7 +16,7 @@ REMEDY = "give a CSV file of two columns, time in seconds and offset"
 
 
 class Rest(NoDisturbance):
-    """Constant reference `r = y_eq`, which brings the plant to rest."""
+    """Constant reference `r = y_eq`, which brings the plant to its equilibrium."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -55,7 +55,7 @@ class IdentifiedPlant(Plant):
 
     @classmethod
     def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
-        """Plant made of a model; channels without a name are called `u_1, ...` and `y_1, ...`, or
+        """Make a plant of a model. Channels without a name are called `u_1, ...` and `y_1, ...`, or
         `u` and `y`.
 
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
@@ -165,17 +165,17 @@ class LoopRuns:
 
     @property
     def judged(self) -> Rollouts:
-        """Runs from which settling is judged: the noise-free ones, where there are any."""
+        """Runs by which settling is judged. They are the noise-free ones, where there are any."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Interface of a table that a run writes beside its record, `comparison.csv`, one flat row per
-    case."""
+    """Interface of a table that a run writes beside its record, `comparison.csv`. It has one flat
+    row per case."""
 
     @abstractmethod
     def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """Rows of the table, with the same columns in every row; missing values are None."""
+        """Rows of the table, with the same columns in every row. Missing values are None."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -224,7 +224,7 @@ class Loop:
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
     def within(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of the experiment with the limits that are set, else with the range of these
+        """Copy of the experiment with input limits: those that are set, else the range of these
         recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
@@ -265,7 +265,8 @@ class Loop:
     def _noise_crosses_band(
         self, plant: Plant, controller: Controller, noise: Float[np.ndarray, "N T p"]
     ) -> bool:
-        """Whether noise alone drives a plant that starts at rest out of the settling band."""
+        """Whether noise alone drives a plant that starts at the equilibrium out of the settling
+        band."""
         still = replace(self, reference=Rest(), disturbance=NoDisturbance())
         y0 = np.tile(plant.equilibrium().y, (len(noise), 1))
         shaken = still.simulate(plant, controller, y0, noise)
@@ -286,8 +287,8 @@ class Loop:
         return quiet.simulate(twin, controller, y0, no_noise)
 
     def fitted(self, model: Model) -> "Loop":
-        """Copy of the experiment with a definite horizon: the one that is set, else `RESPONSES`
-        times the model's response."""
+        """Copy of the experiment with a definite horizon. It is the one that is set, else
+        `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
         response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)

@@ -269,8 +269,8 @@ def rise_and_swing(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]
 
 
 def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude of each settled case's remaining oscillation in the last tenth of the horizon, for
-    the worst output.
+    """Amplitude of each settled case's remaining oscillation in the last tenth of the horizon. The
+    worst output counts.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.

@@ -1,5 +1,5 @@
-"""Baseline for a certified design: a PI controller tuned by a textbook rule from the same model, on
-the same plant from the same starts."""
+"""Baseline for a certified design, a PI controller that a textbook rule tunes from the same model.
+It runs on the same plant from the same initial states."""
 
 import numpy as np
 

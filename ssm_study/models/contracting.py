@@ -1,5 +1,5 @@
-"""Structured recurrences that contract by construction: free parameters, both ways, with the
-derivative written out.
+"""Structured recurrences that contract by construction, their free parameters in both directions,
+and the derivative.
 
 All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I,
 Lambda = I` are
@@ -51,7 +51,7 @@ class Core(NamedTuple):
 
 
 class Contracting(NamedTuple):
-    """A recurrence that contracts in the metric `T'T` with `Lambda = diag(d)^{-2}`."""
+    """Recurrence that contracts in the metric `T'T` with `Lambda = diag(d)^{-2}`."""
 
     core: Core
     t: Float[np.ndarray, "n n"]
@@ -174,8 +174,8 @@ def metric(core: Core, rate: float) -> Contracting | None:
 
 
 def in_metric(found: Contracting) -> Core:
-    """Transform a recurrence to coordinates in which its metric is the identity, `xt = T x`,
-    with Lambda moved into E and F: `M = I, Lambda = I`."""
+    """Transform a recurrence to coordinates in which its metric is the identity. `xt = T x`, with
+    Lambda moved into E and F: `M = I, Lambda = I`."""
     back = np.linalg.inv(found.t)
     core, t, d = found
     return Core(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
@@ -201,7 +201,7 @@ def _contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = 
 
 
 def _uncontracted(y: Tall) -> Tall:
-    """X with `con(X) = Y`: `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its
+    """Matrix X with `con(X) = Y`. `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its
     Cholesky factor as L."""
     return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
 

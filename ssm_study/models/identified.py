@@ -29,16 +29,17 @@ class Simulator(Family, Explicit):
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
-        """Free run from rest at the equilibrium; physical units in and out."""
+        """Simulate in free run from the equilibrium. Inputs and outputs are in physical units."""
 
     def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
-        """Free run whose first outputs were measured; from rest where a model cannot use them."""
+        """Simulate in free run after the first, measured outputs. A model that cannot use them
+        starts at the equilibrium."""
         return self.simulate(u)
 
 
 class ScaffoldedModel(Simulator):
-    """Base class of models with static maps at input and output of a recurrence. `y = y_eq +
-    output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u - u_eq) /
+    """Base class of models with a recurrence between a static input map and a static output map. `y
+    = y_eq + output_scale S_y(ybar)`, ybar the output of a recurrence driven by `S_u((u - u_eq) /
     input_scale)`.
 
     Physical units outside, scaled units inside (`signals.Scale`).
@@ -52,8 +53,8 @@ class ScaffoldedModel(Simulator):
     b_d: Float[np.ndarray, "_ _"]
 
     def check_wires(self) -> None:
-        """Check that the dimensions of scaffoldings, recurrence and signals fit. Raises
-        `BadRequest` otherwise."""
+        """Check that the dimensions of static maps, recurrence and signals fit. Raises `BadRequest`
+        otherwise."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
         require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
@@ -79,7 +80,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def system(self) -> System:
-        """The system that the theorems are about: the linear recurrence."""
+        """System that the theorems are about, here the linear recurrence."""
         return self.linear
 
     def lift(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
@@ -110,7 +111,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def driven_system(self) -> StateSpace:
-        """The linear recurrence with `(S_u(u), scaled d)` for its input."""
+        """Linear recurrence with `(S_u(u), scaled d)` as its input."""
         linear = self.linear
         if not self.scale.disturbances:
             return linear
@@ -143,7 +144,8 @@ class ScaffoldedModel(Simulator):
     def simulate(
         self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None
     ) -> Outputs:
-        """Free run from `x0` (default: rest at the equilibrium); physical units in and out.
+        """Simulate in free run from `x0`, by default from the equilibrium. Inputs and outputs are
+        in physical units.
 
         Measured disturbances that are not given stay at their equilibrium.
         """
@@ -162,13 +164,13 @@ class DelayLine:
 
     @property
     def waiting(self) -> int:
-        """Number of states of the line."""
+        """Number of states of the delay line."""
         return self.samples * self.channels
 
     def state_matrix(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]
     ) -> Float[np.ndarray, "N N"]:
-        """Recurrence of model and line: the oldest input drives the model by B."""
+        """State matrix of model and delay line. The oldest input drives the model by B."""
         n = self.states
         size = n + self.waiting
         whole = np.zeros((size, size))
@@ -185,12 +187,14 @@ class DelayLine:
     def widened(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
-        """Extend a matrix that reads state and input to one that reads state and line."""
+        """Extend a matrix that acts on state and input to one that acts on the state with the delay
+        line."""
         newer = np.zeros((len(of_state), self.waiting - self.channels))
         return np.hstack([of_state, newer, of_input])
 
     def lengthened(self, of_disturbance: Float[np.ndarray, "_ k"]) -> Float[np.ndarray, "_ k"]:
-        """Matrix by which measured disturbances drive the model: none enters the line."""
+        """Extend the matrix by which measured disturbances drive the model. None enters the delay
+        line."""
         channels = of_disturbance.shape[1]
         waiting = self.waiting if channels else 0
         return np.vstack([of_disturbance, np.zeros((waiting, channels))])
@@ -240,17 +244,17 @@ class SSM(ScaffoldedModel):
     def run(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
-        """`C x + D ubar` step by step, and the last state."""
+        """Simulate `C x + D ubar` step by step. Returns it with the last state."""
         lifted = ubar.shape[-1] == self.linear.b.shape[1]
         return (self.linear if lifted else self.driven_system).simulate(ubar, x0)
 
     def with_linear(self, linear: StateSpace) -> "SSM":
-        """The same scaffoldings around another linear part of as many states."""
+        """Model with the same static maps around another linear part of as many states."""
         return replace(self, linear=linear)
 
     def with_driven_system(self, system: StateSpace) -> "SSM":
-        """The same scaffoldings around another linear part (balanced, truncated): the inverse of
-        `driven_system`."""
+        """Model with the same static maps around another linear part (balanced, truncated). It
+        inverts `driven_system`."""
         m = self.linear.b.shape[1]
         linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
         b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
@@ -271,8 +275,8 @@ class SSM(ScaffoldedModel):
         return replace(self, linear=late, b_d=line.lengthened(self.b_d))
 
     def absorbed(self) -> "SSM":
-        """Move linear factors of the scaffoldings into the linear part. The same input-output map,
-        a matrix M moved from each scaffolding into the linear part where that helps.
+        """Move linear factors of the static maps into the linear part. The same input-output map, a
+        matrix M moved from each scaffolding into the linear part where that helps.
 
         `B S_u(v) = (B M) (M^{-1} S_u(v))` and `S_y(C x) = (S_y M^{-1})(M C x)`, whose scaffoldings
         then have Jacobians around the identity. The theorems speak of a ball around `alpha I`; a
@@ -295,7 +299,7 @@ class SSM(ScaffoldedModel):
 def _straightened(
     scaffold: Scaffold, side: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """The scaffolding without the centre M of its Jacobians, and M, where that makes its ball
+    """Static map without the centre M of its Jacobians, and M, where that makes its ball
     narrower."""
     if (
         scaffold.inputs != scaffold.outputs

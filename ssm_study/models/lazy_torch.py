@@ -1,5 +1,5 @@
-"""torch, imported when a name of it is first used: whoever reads a stored model needs none, and it
-takes two seconds.
+"""Import of torch when a name of it is first used. It takes two seconds, and reading a stored model
+needs none.
 
 Only `torch.name` inside functions is possible; annotations say `Tensor`.
 """

@@ -1,4 +1,5 @@
-"""Mean of several models of one log: it predicts where one training is a lottery of local minima.
+"""Mean of several models of one log, which predicts where a single training often ends in a local
+minimum.
 
 The mean of contracting models contracts, in their metrics side by side, at the largest factor of
 its members. Nothing is designed on it: its states are those of all members, so that control stays
@@ -25,15 +26,15 @@ def mean_output(
     u: Float[np.ndarray, "*batch T m"],
     d: Float[np.ndarray, "*batch T k"] | None = None,
 ) -> Float[np.ndarray, "*batch T p"]:
-    """Mean of the members' free runs from rest, physical units; without measured disturbances these
-    stay at their equilibrium."""
+    """Mean of the models' free runs from the equilibrium, in physical units. Without measured
+    disturbances these stay at their equilibrium."""
     loads = {} if d is None else {"d": d}
     return np.mean([model.simulate(u, **loads) for model in members], axis=0)
 
 
 def simulate_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and of the test records by the mean, each member from its better
-    start."""
+    """Free runs of the validation and of the test records by the mean of several models. Each has
+    the kind of initial state that predicts better."""
     runs = [simulate_parts(model, data) for model in members]
     validation = [run for run, _ in runs]
     test = [run for _, run in runs]
@@ -41,14 +42,15 @@ def simulate_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Si
 
 
 def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
-    """Records beside the mean of several simulations of them."""
+    """Measured records with the mean of several simulations of them."""
     by_record = zip(*(run.simulated for run in runs), strict=True)
     means = tuple(np.mean(outputs, axis=0) for outputs in by_record)
     return replace(runs[0], simulated=means, starts=())
 
 
 def member_facts(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """The columns of the mean: how many models, and its fits in percent; nothing of one model."""
+    """Columns on the mean of several models, their number and its fits in percent. None for one
+    model."""
     if len(members) < 2:
         return {}
     validation, test = simulate_mean(members, data)

@@ -1,5 +1,5 @@
-"""How well a model simulates: the one definition of fit, over all records taken as one, each
-simulated once."""
+"""Fit of a simulated output: the one definition, over all records taken together, each simulated
+once."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -111,7 +111,7 @@ class Simulation:
         start_up_samples: int,
         starts: tuple[Any, ...] = (),
     ) -> "Simulation":
-        """Every record simulated by `model`, from the states given or as `free_run` says."""
+        """Simulate every record by `model`, from the states given or as `free_run` says."""
         states = starts or (None,) * len(records)
         simulated = tuple(
             free_run(model, record, start_up_samples, state)
@@ -149,8 +149,8 @@ def size_facts(model: Simulator) -> dict[str, Any]:
 def fit_facts(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Free-run fits and the test error of any model; on a benchmark also its score, in the unit it
-    is published in."""
+    """Columns of the free-run fits and the test error of any model. On a benchmark also its score,
+    in the unit it is published in."""
     fits = {"fit_validation_percent": validation.fit_percent, "fit_test_percent": test.fit_percent}
     return (
         fits
@@ -223,8 +223,8 @@ def initial_state(
 
 
 def _reached(model: Any, lifted: Lifted) -> Gramian:
-    """Gramian that says how far the states are excited before a record. The reachability Gramian
-    of the record; with neurons the second moment of the states it drives from rest."""
+    """Gramian of the states that the inputs of a record excite. The reachability Gramian of the
+    record; with neurons the second moment of the states it drives from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
         return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
@@ -235,7 +235,8 @@ def _reached(model: Any, lifted: Lifted) -> Gramian:
 def _linearised(
     model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Input of S_y on a free run from `x0` `(T, p)`, and its derivative by `x0` `(T, p, n)`."""
+    """Scaled output before S_y on a free run from `x0`, `(T, p)`, and its derivative by `x0`, `(T,
+    p, n)`."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):

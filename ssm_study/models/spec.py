@@ -1,5 +1,5 @@
-"""The settings of `conf/model/ssm.yaml`, where training starts (on a ring, or fitted to data), and
-the trainable model."""
+"""Settings of `conf/model/ssm.yaml`, the initial linear system of a training (on a ring, or fitted
+to data), and the trainable model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -34,8 +34,8 @@ Pairs = Sequence[
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Initial linear system of a training. Where training starts: `modes (n,)` with the real ones
-    first and one of each pair, `b (n, m)`, `c (p, n)`, `d`.
+    """Initial linear system of a training, as `modes (n,)` with the real ones first and one of each
+    pair, `b (n, m)`, `c (p, n)`, `d`.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -46,7 +46,7 @@ class Initialisation:
     d: Float[np.ndarray, "p m"]
 
     def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
-        """The output to `u` from rest."""
+        """Output of the initial linear system to `u` from the equilibrium."""
         # SciPy loads a part at its first use: this one takes half a second.
         lfilter = scipy.signal.lfilter
         states = []
@@ -115,8 +115,8 @@ def from_data(
 
 
 def explained(start: Initialisation, records: Pairs) -> float:
-    """Regression coefficient of the measured output on the output of a starting model. `<y, ys>
-    / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than
+    """Regression coefficient of the measured output on the output of an initial linear system. `<y,
+    ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than
     zero is."""
     measured = np.concatenate([y for _, y in records])
     simulated = np.concatenate([start.free_run(u) for u, _ in records])
@@ -166,8 +166,8 @@ def impulse_response(
 
 
 def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator) -> StateSpace:
-    """The balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`; fast modes fill
-    what it lacks."""
+    """Balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`. Fast modes fill what it
+    lacks."""
     half = len(h) // 2
     p, m = h.shape[1:]
     rows = np.arange(half)[:, None]
@@ -191,8 +191,8 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
 
 
 def modal_start(system: StateSpace) -> Initialisation:
-    """Eigenvalues inside the unit circle, real ones first, one of each pair; `b`, `c` in
-    eigenvector coordinates."""
+    """Initial linear system with the eigenvalues of a given one, moved inside the unit circle. Real
+    ones come first, one of each pair; `b`, `c` are in eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
     b = np.linalg.solve(vectors, system.b.astype(complex)).astype(complex)
     c = (system.c @ vectors).astype(complex)
@@ -204,7 +204,7 @@ def modal_start(system: StateSpace) -> Initialisation:
 
 
 def inside_unit_circle(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
-    """Mirror modes into the unit circle, and pull them inside the radius `SLOWEST`."""
+    """Mirror unstable modes into the unit circle, and pull all inside the radius `SLOWEST`."""
     radius = np.abs(values)
     mirrored = values / np.maximum(radius, 1.0) ** 2
     values = np.where(radius > 1.0, mirrored, values)
@@ -322,12 +322,13 @@ def scaled(data: DataSet) -> Pairs:
 
 
 def scaled_with_disturbances(data: DataSet) -> Pairs:
-    """`scaled`, each input with the scaled measured disturbances beside it."""
+    """Convert training records to scaled units, with the measured disturbances as further
+    inputs."""
     return scaled(data.with_disturbances_as_inputs())
 
 
 def whole(least: int, name: str, value: object, remedy: str) -> None:
-    """Refuse what is no whole number, or one below `least`."""
+    """Refuse a value that is no whole number, or is below `least`."""
     fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
     require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)
 

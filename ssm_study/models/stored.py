@@ -1,4 +1,4 @@
-"""Any model that was written as explicit numbers, read again."""
+"""Reading of any model that was written as explicit numbers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,8 +10,8 @@ from ssm_study.refusal import one_of
 
 
 def model_from_json(data: Mapping[str, Any]) -> Simulator:
-    """Any stored model: an SSM has no kind, a structured one has neurons instead; an unknown kind
-    is refused."""
+    """Read any stored model. An SSM has no kind, a structured one has neurons instead; an unknown
+    kind is refused."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
     one_of(kinds := Simulator.members(baselines), "kind", data["kind"])

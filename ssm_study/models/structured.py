@@ -1,5 +1,5 @@
-"""The structured model: neurons inside the recurrence, and every certificate still within reach. No
-torch here."""
+"""The structured model, with neurons inside the recurrence and every certificate still within
+reach. No torch here."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -134,7 +134,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @property
     def system(self) -> System:
-        """The recurrence with its neurons, if there are any."""
+        """Recurrence with its neurons, if there are any."""
         return self._structured if self.neurons else self.linear
 
     @property
@@ -224,7 +224,7 @@ class StructuredSSM(ScaffoldedModel):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
-        """The stored model, a one-layer one with q = 0. Raises as `Explicit` does."""
+        """Read a stored model. One of one layer has q = 0. Raises as `Explicit` does."""
         if data.get("neurons"):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))

@@ -1,5 +1,5 @@
-"""The structured recurrence compiled: free run and forward sensitivities, one pass over the samples
-each.
+"""Compiled code of the structured recurrence, for free runs and forward sensitivities. Each takes
+one pass over the samples.
 
 `z = F x + G v + b,  w = phi(z) - phi(b),  x+ = A x + B v + E w,  ybar = C x + D v + H w` with v =
 S_u(u) given.
@@ -38,7 +38,7 @@ class Matrices(NamedTuple):
 
     @classmethod
     def of(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "Matrices":
-        """Contiguous copies of the parts by name: for any other layout numba would compile
+        """Make contiguous copies of the matrices by name. For any other layout numba would compile
         everything once more."""
         arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
         return cls._make((*arrays, kinds))
@@ -198,8 +198,8 @@ def sensitivities(
 @compiled
 @no_type_check
 def _sensitivities(k, v, x0, basis, channel, places):
-    """A state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its
-    place."""
+    """Compiled loop of `sensitivities` over the samples. A state parameter keeps `dx` in one row of
+    `s`; what drives it is sparse and is added by its place."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
@@ -271,7 +271,8 @@ def _sensitivities(k, v, x0, basis, channel, places):
 @compiled
 @no_type_check
 def _closed(state, through, inner, f, g, slope, scaled, by_state, by_input):
-    """`scaled = inner S,  by_state = state + inner S f,  by_input = through + inner S g`."""
+    """Linearise the recurrence at frozen slopes S, in place: `scaled = inner S, by_state = state +
+    inner S f, by_input = through + inner S g`."""
     for i in range(state.shape[0]):
         for u in range(slope.shape[0]):
             scaled[i, u] = inner[i, u] * slope[u]

@@ -1,5 +1,5 @@
-"""The settings of `conf/model/structured.yaml`, and the maps S_u and S_y as they are trained,
-derivatives written out."""
+"""Settings of `conf/model/structured.yaml`, and the trainable maps S_u and S_y with their
+derivatives."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -59,7 +59,7 @@ class Pieces:
 
     @property
     def owners(self) -> Int[np.ndarray, "P"]:
-        """The channel each parameter belongs to."""
+        """Index of the channel to which each parameter belongs."""
         each = np.arange(self.channels)
         knots = self.knots
         return (
@@ -79,8 +79,8 @@ class Pieces:
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
     def _explicit(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Slopes, their derivatives by the free parameters, and the sorted break points; one row
-        a channel."""
+        """Slopes, their derivatives by the free parameters, and the sorted break points. Each has
+        one row a channel."""
         split = self.channels * (self.knots + 1)
         share = 1.0 / (
             1.0 + np.exp(-theta[:split].reshape(self.channels, -1))
@@ -124,12 +124,12 @@ class Pieces:
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
-        """`S(v)`, the passed channels behind it."""
+        """Value `S(v)` of the map, followed by the channels that pass unchanged."""
         mapped = self.freeze(theta)(v[..., : self.channels])
         return np.concatenate([mapped, v[..., self.channels :]], axis=-1) if self.passed else mapped
 
     def freeze(self, theta: Free) -> Scaffold:
-        """The explicit map of the channels that do not pass."""
+        """Explicit static map of the channels that do not pass unchanged."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
         slopes, _, points = self._explicit(theta)
@@ -219,24 +219,25 @@ class StructuredSpec(ModelSpec):
 
     @property
     def each(self) -> tuple[str, ...]:
-        """The kind of each neuron."""
+        """Kind of each neuron."""
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
         require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
         return tuple(kinds[i % len(kinds)] for i in range(int(self.neurons)))
 
     @property
     def automatic(self) -> tuple[str, ...]:
-        """Names of the settings that are left to the records."""
+        """Names of the settings that are chosen from the records."""
         return tuple(name for name in AUTOMATIC if getattr(self, name) == AUTO)
 
     @property
     def trainings(self) -> int:
-        """`starts`, with `among_starts` one more, and as many as `members` need."""
+        """Number of trainings. It is `starts`, one more with `among_starts`, and at least as many
+        as `members` need."""
         return max(self.starts + (self.among_starts is not None), self.members)
 
     def at_start(self, start: int) -> "StructuredSpec":
-        """The settings that start k trains. With `among_starts` each odd k and the last have half
-        the states, the last no neurons.
+        """Settings for training number `start` of several. With `among_starts` each odd k and the
+        last have half the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
@@ -247,8 +248,8 @@ class StructuredSpec(ModelSpec):
         return replace(smaller, neurons=0, integrating_output=False) if last else smaller
 
     def maps(self, channels: tuple[int, int], disturbances: int = 0) -> tuple[Pieces, Pieces]:
-        """S_u and S_y as they are trained, for this many inputs and outputs; measured disturbances
-        pass S_u by."""
+        """Trainable maps S_u and S_y for this many inputs and outputs. Measured disturbances pass
+        S_u unchanged."""
         lower = self.slope_lower
         upper = self.slope_upper
         lift = Pieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
@@ -256,7 +257,7 @@ class StructuredSpec(ModelSpec):
         return lift, read
 
     def one_layer(self) -> SSMSpec:
-        """The model without neurons, trained as `model=ssm` is."""
+        """Settings of the model without neurons, trained as `model=ssm` is."""
         inward, outward = (
             Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
         )

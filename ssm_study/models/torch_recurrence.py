@@ -1,5 +1,4 @@
-"""One simulation law of the linear recurrence, two evaluations of it: as one convolution, and in
-chunks.
+"""Simulation of the linear recurrence in torch, by one convolution or in chunks of samples.
 
     x[k+1] = lambda x[k] + B u[k],    y[k] = Re(C x[k]) + D u[k],    x[0] given      (all modes are
     decoupled)
@@ -123,14 +122,15 @@ def _complex(table: Real2) -> Complex2:
 def _toeplitz(
     d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
 ) -> Tensor:
-    """`T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the diagonal of time."""
+    """Block Toeplitz table `T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the
+    diagonal of time."""
     p, m = d.shape
     g = torch.cat([d.new_zeros(CHUNK - 1, p, m), d[None], (read[:-p] @ b.mT).view(-1, p, m)])
     return g.unfold(0, CHUNK, 1).flip(0).permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
-    """Sums along the diagonals of a block Toeplitz table, the adjoint of `_toeplitz`: rows of
+    """Sums along the diagonals of a block Toeplitz table, the adjoint of `_toeplitz`. Rows of
     length 2 s - 1 instead of 2 s put a diagonal into a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
     skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
@@ -145,7 +145,7 @@ def _blocks(
 
 
 def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Float[Tensor, "e T p"]:
-    """The inverse of `_blocks`."""
+    """Signal of blocks of samples, the inverse of `_blocks`."""
     return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
 
 

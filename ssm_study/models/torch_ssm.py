@@ -107,7 +107,8 @@ Place = Int[Tensor, "N"]
 
 
 class _AffineRuns(torch.autograd.Function):
-    """`y = slope_j u + offset_j` for sorted `u` in run j, put back into the order of time."""
+    """Evaluate `y = slope_j u + offset_j` for sorted `u` in run j, and restore the order of
+    time."""
 
     @staticmethod
     def forward(
@@ -186,16 +187,16 @@ class LRU(nn.Module):
 
     @property
     def order(self) -> int:
-        """Real states: one per real mode, two per pair."""
+        """Number of real states, one per real mode and two per pair."""
         return 2 * len(self.nu) - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """`y` of the recurrence, from rest or from `x0`, which is ordered as in
-        `to_state_space`."""
+        """Output of the recurrence from the equilibrium or from `x0`. The order of states is that
+        of `to_state_space`."""
         return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
 
     def modes(self) -> ModalForm:
-        """Free to explicit parameters."""
+        """Convert the free parameters to the explicit ones of the modal form."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
         gain = torch.sqrt(-torch.expm1(-2 * damping))[
@@ -212,8 +213,8 @@ class LRU(nn.Module):
         return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=d)
 
     def to_state_space(self) -> StateSpace:
-        """Real `A, B, C, D`: a number on the diagonal per real mode, a 2 x 2 rotation block per
-        pair.
+        """Real matrices `A, B, C, D`. A has a number on the diagonal per real mode, a 2 x 2
+        rotation block per pair.
 
         `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
         """
@@ -244,7 +245,7 @@ class LRU(nn.Module):
         )
 
     def real_state(self, modal: Modal) -> States:
-        """The inverse of `initial_state`."""
+        """Convert modal states to real states, the inverse of `initial_state`."""
         return torch.cat(
             [modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1
         )
@@ -274,17 +275,18 @@ class TorchModel(nn.Module, ABC):
     differentiates_forward: ClassVar[bool] = True
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """The output from `x0`, or from rest; overridden where that is cheaper than `advance`."""
+        """Simulate the output from `x0`, or from the equilibrium. It is overridden where that is
+        cheaper than `advance`."""
         return self.advance(u, u.new_zeros(len(u), self.states) if x0 is None else x0)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        """The output, and the state after the last sample: what the next window of a record starts
-        from."""
+        """Output, and the state after the last sample, from which the next window of a record
+        starts."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
-        """The explicit numbers, with the scales they were trained under."""
+        """Trained model as explicit numbers, with the scales under which it was trained."""
 
 
 class TorchSSM(TorchModel):
@@ -309,7 +311,7 @@ class TorchSSM(TorchModel):
         return self.scaffold_out(self.lru(self.drive(u) if lifted is None else lifted, x0))
 
     def drive(self, u: Signals, lifted: Signals | None = None) -> Signals:
-        """Signals that drive the recurrence: `S_u` of the inputs, the disturbances as they are."""
+        """Signals that drive the recurrence, `S_u` of the inputs and the disturbances unchanged."""
         inputs = u.shape[2] - self.lru.disturbances
         lifted = self.scaffold_in(u[..., :inputs]) if lifted is None else lifted
         return torch.cat([lifted, u[..., inputs:]], -1) if self.lru.disturbances else lifted

@@ -48,7 +48,8 @@ class PieceStarts:
     is_undecided: bool = False
 
     def chosen(self, part: str) -> States:
-        """Start states of "validation" or "test" under the choice; None takes the first samples."""
+        """Initial states of "validation" or "test" by the kind that was chosen. None takes the
+        first samples."""
         from_past: States = getattr(self, part)
         return from_past if self.choice == PAST else (None,) * len(from_past)
 
@@ -101,7 +102,8 @@ def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
 
 
 def comparison_pieces(data: DataSet) -> Trajectories:
-    """Training and validation records, the long ones cut into pieces as long as a test record."""
+    """Training and validation records on which the kinds of initial state are compared. Long ones
+    are cut into pieces as long as a test record."""
     records = [record for record in (*data.training, *data.validation) if record.log]
     tested = max((len(record) for record in data.test), default=0)
     total = sum(len(record) for record in records)
@@ -115,7 +117,7 @@ def comparison_pieces(data: DataSet) -> Trajectories:
 
 
 def capped_error(model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]) -> float:
-    """Mean over the records of the error's share of the output's power, each at most one."""
+    """Mean over the records of the error's power relative to the output's, each at most one."""
     scale = data.scale.output_scale
     run = Simulation.of(model, records, data.start_up_samples, tuple(states))
     shares = []
@@ -129,13 +131,13 @@ def capped_error(model: Any, data: DataSet, records: Trajectories, states: Seque
 
 
 def states_from_past(model: Any, data: DataSet, pieces: Trajectories) -> States:
-    """State of the model at the beginning of each piece, run there from the beginning of its log;
-    None of a piece without a past of two start-up windows."""
+    """State at the beginning of each piece, simulated from the beginning of its log. None of a
+    piece without a past of two start-up windows."""
     return tuple(state_from_past(model, data, piece) for piece in pieces)
 
 
 def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | None:
-    """State of the model after the log up to the piece, from the log's own first samples."""
+    """State at the end of the log before a piece, simulated from the log's own first samples."""
     past = log_before(data, piece)
     if past is None or len(past) < SHORTEST_PAST * data.start_up_samples:
         return None
@@ -145,7 +147,7 @@ def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | Non
 
 
 def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
-    """The log up to the piece, as far back as its samples follow one another; None without."""
+    """The log before a piece, as far back as its samples follow one another. None without any."""
     records = [*data.training, *data.validation, *data.test]
     known = [record for record in records if record.log and record.log == piece.log]
     joined: list[Trajectory] = []
@@ -161,7 +163,7 @@ def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
 
 
 def log_stretches(data: DataSet) -> list[Trajectory]:
-    """The logs of a data set, put together again from its records, apart at holes."""
+    """Stretches of the logs between holes, joined again from the records of a data set."""
     records = [*data.training, *data.validation, *data.test]
     known = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -203,8 +205,8 @@ def other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | Non
 
 
 def start_facts(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
-    """The columns `piece_start` and `fit_test_other_start_percent`; null where no test record has a
-    past."""
+    """Columns `piece_start` and `fit_test_other_start_percent`. They are null where no test record
+    has a past."""
     other = other_start(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}

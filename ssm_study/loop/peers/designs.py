@@ -1,5 +1,5 @@
-"""Peers of the comparison that need no tuning or use a certified design: no control, the paper's
-inequalities, guaranteed cost, and ours."""
+"""Peers of the comparison that need no tuning or use a certified design. They are no control, the
+paper's inequalities, guaranteed cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer gets all arguments; these need less
 from ssm_study.certificates.certificate import Design

@@ -28,8 +28,8 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every controller of the comparison may use: model, balls of its Jacobians,
-    validation records."""
+    """Data that every controller of the comparison may use, such as the model, balls of its
+    Jacobians and validation records."""
 
     model: Model
     balls: Balls
@@ -50,8 +50,8 @@ class Identified:
 
     @cached_property
     def without_neurons(self) -> SSM:
-        """Linear model for a textbook's design, with the neurons replaced by their slopes at
-        rest."""
+        """Linear model for a textbook's design, with the neurons replaced by their slopes at the
+        equilibrium."""
         return without_neurons(self.model)
 
     @cached_property
@@ -67,8 +67,7 @@ class Identified:
 
 
 def without_neurons(model: Model) -> SSM:
-    """Model of one layer with the neurons replaced by their slopes at rest, within A, B, C
-    and D."""
+    """Model of one layer in which A, B, C and D include the neurons' slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model
     return SSM(
@@ -82,7 +81,7 @@ def without_neurons(model: Model) -> SSM:
 
 
 class Peer(Family):
-    """Interface of one method that yields a controller; `names` is what the comparison calls it."""
+    """Interface of one method that yields a controller. `names` is what the comparison calls it."""
 
     @abstractmethod
     def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:

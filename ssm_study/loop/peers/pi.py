@@ -1,4 +1,4 @@
-"""A PI controller tuned by a textbook rule from the identified model: the usual choice in
+"""A PI controller tuned by a textbook rule from the identified model, the usual choice in
 industry."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; some need less

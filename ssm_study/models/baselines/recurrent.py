@@ -1,5 +1,4 @@
-"""GRU and LSTM baselines: torch's own cells for training, their published equations for the stored
-model."""
+"""GRU and LSTM baselines, trained as torch's own cells and stored as their published equations."""
 
 from dataclasses import dataclass
 

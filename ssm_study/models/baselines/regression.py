@@ -1,4 +1,4 @@
-"""Baselines of a few lines: ARX, output error and polynomial NARX, by least squares.
+"""Baseline models fitted by least squares: ARX, output error and polynomial NARX.
 
 All three are the same stored model, a recursion whose terms are products of past inputs and
 outputs. `best_baseline` takes the one that simulates the validation records best.
@@ -48,11 +48,11 @@ class Polynomial(Simulator, names=("narx",)):
     scale: Scale
 
     def simulate(self, u: Inputs) -> Outputs:
-        """Free run from rest."""
+        """Simulate in free run from the equilibrium."""
         return self.simulate_after(u, np.zeros((*u.shape[:-2], 0, 1)))
 
     def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Free run in which the first outputs are the measured ones."""
+        """Simulate in free run with the measured outputs as the first ones."""
         v = self.scale.scaled_input(u)
         measured = self.scale.scaled_output(y_start)[..., 0]
         by_input = _input_factors(self.codes, v)
@@ -74,7 +74,7 @@ class Polynomial(Simulator, names=("narx",)):
 
 
 def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
-    """Product of the input factors of each term, `(*batch, T, terms)`; inputs before zero are 0."""
+    """Product of the input factors of each term, `(*batch, T, terms)`. Inputs before zero are 0."""
     product = np.ones((*v.shape[:-1], len(codes)))
     for term, row in enumerate(codes):
         for code in row[row >= INPUT]:
@@ -94,7 +94,7 @@ def variables(lags: int, delay: int, inputs: int) -> list[int]:
 def regression_rows(
     records: Pairs, codes: Sequence[int]
 ) -> tuple[Float[np.ndarray, "N V"], Float[np.ndarray, "N"]]:
-    """Values of the variables and the output that follows; no row reaches across two records."""
+    """Values of the variables and the output that follows. No row reaches across two records."""
     first = max(code % 1000 for code in codes)
     rows = []
     targets = []
@@ -169,8 +169,8 @@ def forward_selection(
 
 
 def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
-    """Linear recursion with the least squared error of its free run, each record from its own
-    start.
+    """Fit a linear recursion with the least squared error of its free run. Each record has an
+    initial state of its own.
 
     `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX of as many lags, and
     from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
@@ -187,8 +187,8 @@ def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
 
 
 def _starting_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
-    """Stable denominators F that a descent begins with: of ARX, and of a long ARX cut down to the
-    order by a balanced realisation of its impulse response."""
+    """Stable initial denominators F of the descent. They are of ARX, and of a long ARX cut down to
+    the order by a balanced realisation of its impulse response."""
     short = linear_regression(data, order, delay)
     starts = [_stabilised(-short.theta[1 : order + 1])]
     records = scaled(data)
@@ -201,7 +201,7 @@ def _starting_denominators(data: DataSet, order: int, delay: int) -> list[Float[
 
 
 def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """The same polynomial with its roots pulled inside the circle of radius 0.998."""
+    """Polynomial with its roots pulled inside the circle of radius 0.998."""
     roots = np.roots([1.0, *f])
     radius = np.maximum(np.abs(roots), 1e-12)
     inside = np.where(radius > 0.998, roots / radius * np.minimum(1.0 / radius, 0.998), roots)
@@ -219,12 +219,12 @@ class _OutputError:
 
     @property
     def extra(self) -> int:
-        """The offset, and a decay per record."""
+        """Number of parameters of the offset and of each record's free decay."""
         return 1 + self.order * len(self.records)
 
     def started(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
-        """Complete starting parameters around a given denominator. Parameters with this F and
-        all others by least squares: the free run is linear in them."""
+        """Initial parameters with a given denominator. Parameters with this F and all others by
+        least squares: the free run is linear in them."""
         parameters = np.concatenate([f, np.zeros(self.extra + self._gains)])
         residual, jacobian = self.linearised(parameters)
         others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
@@ -236,7 +236,7 @@ class _OutputError:
         return self.order * self.records[0][0].shape[1]
 
     def loss(self, parameters: Float[np.ndarray, "P"]) -> float:
-        """Squared error of the free run; infinite where that is not finite."""
+        """Squared error of the free run. Infinite where that is not finite."""
         residual, _ = self.linearised(parameters)
         value = float(residual @ residual)
         return value if np.isfinite(value) else np.inf

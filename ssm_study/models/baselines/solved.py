@@ -1,4 +1,5 @@
-"""Baselines solved without gradient steps of torch: N4SID (nfoursid), ARX, NARX, output error."""
+"""Baselines solved without gradient steps of torch, such as N4SID (nfoursid), ARX, NARX and output
+error."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

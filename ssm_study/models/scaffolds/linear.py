@@ -1,4 +1,4 @@
-"""`S(v) = gain v`: the linear scaffolding."""
+"""Linear static map, `S(v) = gain v`."""
 
 from dataclasses import dataclass
 from fractions import Fraction

@@ -1,4 +1,4 @@
-"""The paper's scaffolding: a multilayer perceptron with leaky ReLU, minus its value at zero."""
+"""The paper's static map, a multilayer perceptron with leaky ReLU, minus its value at zero."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -70,8 +70,8 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Mlp(Trainable):
-    """The paper's perceptron: `depth` hidden layers of leaky ReLU, slopes fixed at the sector's
-    ends or trained in it.
+    """Trainable perceptron of the paper. It has `depth` hidden layers of leaky ReLU, slopes fixed
+    at the sector's ends or trained in it.
 
     `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
     whole map are trained, whatever `train_slopes` says (`OneChannel`); of several
@@ -111,7 +111,7 @@ class Mlp(Trainable):
         return [self._layer(free, i, slopes) for i in range(self.depth)]
 
     def _layer(self, free: Free, i: int, slopes: Sector) -> Layer:
-        """Weights, biases and slopes of layer i, and the weights that come after it."""
+        """Weights, biases and slopes of layer i, and the weights that follow it."""
         if not self.certified:
             bias = free[f"bias_{i}"]
             is_last = i == self.depth - 1
@@ -129,8 +129,8 @@ class Mlp(Trainable):
     def _inside(
         self, free: Free, layer: int, sector: Sector, like: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Negative and positive slopes held in the sector: at its two ends, or trained inside by a
-        logistic map."""
+        """Negative and positive slopes within the sector. They are fixed at its two ends, or
+        trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
             return torch.full_like(like, lower), torch.full_like(like, upper)
@@ -148,8 +148,8 @@ class Mlp(Trainable):
         return v
 
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
-        """`sum_i last_i phi_i(first_i v + b_i)` minus its value at zero, as affine pieces between
-        sorted kinks."""
+        """Affine pieces between sorted kinks of `sum_i last_i phi_i(first_i v + b_i)` minus its
+        value at zero."""
         w, b, low, high, after = explicit[0]
         if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
@@ -180,7 +180,8 @@ class Mlp(Trainable):
 
 
 def certified_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
-    """Directions and kinks of each layer of a perceptron whose Jacobians stay in the sector."""
+    """Initial directions and kinks of each layer of a perceptron whose Jacobians stay in the
+    sector."""
     layers = [start_layer(frame.samples, frame.width, rng) for _ in range(depth)]
     directions = {f"direction_{i}": weights for i, (weights, _) in enumerate(layers)}
     kinks = {f"kink_{i}": values for i, (_, values) in enumerate(layers)}
@@ -188,7 +189,7 @@ def certified_start(frame: Frame, depth: int, rng: np.random.Generator) -> Start
 
 
 def free_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
-    """Weights and biases of a perceptron without constraints."""
+    """Initial weights and biases of a perceptron without constraints."""
     h = frame.width
     channels = frame.samples.shape[1]
     directions, kinks = start_layer(frame.samples, h, rng)
@@ -293,8 +294,8 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
 def start_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Random directions, kinks through evenly ranked samples of the training input, so that each
-    can be learned.
+    """Random initial directions of a layer. Kinks lie at evenly ranked samples of the training
+    input, so that each can be learned.
 
     With one input, neighbouring kinks bend in opposite directions: any region can then be made
     steeper or flatter.

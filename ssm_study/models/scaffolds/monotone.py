@@ -1,4 +1,4 @@
-"""A scaffolding written by its slopes: piecewise linear in each channel, so the slope interval can
+"""Static map given by its slopes. It is piecewise linear in each channel, so the slope interval can
 be read off."""
 
 from dataclasses import dataclass, replace
@@ -85,8 +85,8 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         )
 
     def portable(self) -> PortableMap:
-        """`S_c(v) = s_0 v + sum_j (s_{j+1} - s_j) (relu(v - t_j) - relu(-t_j))`: one neuron per
-        break point."""
+        """The map as a network with one neuron per break point, `S_c(v) = s_0 v + sum_j (s_{j+1} -
+        s_j) (relu(v - t_j) - relu(-t_j))`."""
         channels, breaks = self.breakpoints.shape
         if not breaks:
             return PortableMap(linear=np.diag(self.slopes[:, 0]), network=None)

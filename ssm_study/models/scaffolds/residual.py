@@ -1,4 +1,4 @@
-"""A scaffolding that is a ball of Jacobians by construction, in any dimension."""
+"""Static map whose Jacobians lie in a ball by construction, in any dimension."""
 
 import math
 from dataclasses import dataclass, replace
@@ -63,7 +63,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:
-        """No centre to move into the linear part: the Jacobians lie around `alpha I` already."""
+        """Return None: the Jacobians lie around `alpha I` already, so no centre can be moved into
+        the linear part."""
         return
 
     def portable(self) -> PortableMap:

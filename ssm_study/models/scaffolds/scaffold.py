@@ -1,5 +1,4 @@
-"""The two questions a kind of scaffolding answers, in one file: what its explicit numbers give, how
-it is trained.
+"""Interface of static maps: what is stored of them, and how they are trained.
 
 `Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the
 group `scaffold` says. Members are found by `names`, the kind that JSON says.
@@ -32,8 +31,8 @@ class Explicit:
     kind: ClassVar[str | None] = None
 
     def to_json(self) -> dict[str, Any]:
-        """Kind and explicit numbers; floats read back to the same float64. An empty array that a
-        field has by default is left out."""
+        """JSON form with the kind and the explicit numbers. Floats read back to the same float64.
+        An empty array that a field has by default is left out."""
         data = {} if self.kind is None else {"kind": self.kind}
         for field, value in _entries(self):
             nested = _entries(value) if isinstance(value, FLAT) else [(field, value)]
@@ -48,13 +47,13 @@ class Explicit:
 
 
 def _entries(of: Any) -> list[tuple[Field[Any], Any]]:
-    """The fields that are written, with their values."""
+    """Fields that are written to JSON, with their values."""
     entries = [(field, getattr(of, field.name)) for field in fields(of)]
     return [(field, value) for field, value in entries if not (_optional(field) and not value.size)]
 
 
 def _optional(field: Field[Any]) -> bool:
-    """Whether a field is empty by default: what older files lack."""
+    """Whether a field is empty by default, so that older files lack it."""
     return field.default_factory is not MISSING
 
 
@@ -132,17 +131,17 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """`dS/dv` at one point; at a break point, the slope to its right (of the
+        """Jacobian `dS/dv` at one point. At a break point it has the slope to its right (of the
         pre-activation)."""
 
     @abstractmethod
     def bound(self) -> SlopeBound:
-        """A ball `alpha I + beta Delta` of all Jacobians, with sign."""
+        """Ball `alpha I + beta Delta` of all Jacobians, with sign."""
 
     @abstractmethod
     def centre(self) -> Square | None:
-        """Centre matrix of the Jacobians, which may be moved into the linear part; None if there
-        is none."""
+        """Centre matrix of the Jacobians, which may be moved into the linear part. None if there is
+        none."""
 
     def after(self, m: Square) -> "Scaffold":
         """The map followed by a matrix. `v -> m S(v)`, m the inverse of `centre()`; asked of
@@ -155,13 +154,12 @@ class Scaffold(Family, Explicit):
 
     @abstractmethod
     def portable(self) -> PortableMap:
-        """The same map as a matrix and a leaky-ReLU network: what is written to C, ONNX and
-        Python."""
+        """The same map as a matrix and a leaky-ReLU network, as C, ONNX and Python take it."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """The member that `kind` names; raises `BadRequest` for an unknown one, and as `Explicit`
-        does."""
+        """Read a static map of the kind that `kind` names. Raises `BadRequest` for an unknown one,
+        and as `Explicit` does."""
         if "portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
@@ -170,8 +168,8 @@ class Scaffold(Family, Explicit):
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """Data that a model gives its scaffoldings: width, sector, and samples of the signal each will
-    see `(N, m)`."""
+    """Data that a model gives its static maps: width, sector, and samples of the signal that each
+    will receive, `(N, m)`."""
 
     width: int
     slopes: tuple[float, float]
@@ -196,8 +194,7 @@ class Trainable(ABC):
 
     @abstractmethod
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """The explicit parameters, for whatever values of the free ones, with slopes in the
-        sector."""
+        """Explicit parameters for any values of the free ones, with slopes in the sector."""
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
@@ -205,15 +202,14 @@ class Trainable(ABC):
 
     @abstractmethod
     def frozen(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """The explicit numbers in float64."""
+        """Trained static map as explicit numbers in float64."""
 
     def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
-        """The pieces of a one-channel piecewise-linear map; None for others."""
+        """Pieces of a one-channel piecewise-linear map. None for others."""
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """The total variation of the slopes (`roughness` below); zero where slopes are not
-        explicit."""
+        """Total variation of the slopes (`roughness` below). Zero where slopes are not explicit."""
         return torch.zeros((), dtype=torch.float64)
 
     def build(self, frame: Frame, rng: np.random.Generator) -> Any:
@@ -230,8 +226,8 @@ def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
 def home_offsets(
     points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
 ) -> Float[Tensor, "*c h1"]:
-    """Offsets of the pieces, exactly zero for the one that holds v = 0; continuity gives the others
-    one by one."""
+    """Offsets of the affine pieces, exactly zero for the piece that holds v = 0. Continuity gives
+    the others one by one."""
     jumps = (
         slopes[..., :-1] - slopes[..., 1:]
     ) * points  # what keeps the map continuous at each point
@@ -242,7 +238,8 @@ def home_offsets(
 
 
 def evaluate(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
-    """`S_c(v_c)` for every vector of the batch; one row of points, slopes and offsets a channel."""
+    """Value `S_c(v_c)` of a piecewise-linear map for every vector of the batch. Points, slopes and
+    offsets have one row a channel."""
     points, slopes, offsets = pieces
     flat = v.flatten(0, -2).mT.contiguous()  # searchsorted wants rows that lie in order
     piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
@@ -250,7 +247,7 @@ def evaluate(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*ba
 
 
 def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
-    """Total variation of the slope along v, relative to the largest slope; rounded off at one
+    """Total variation of the slope along v, relative to the largest slope. It is rounded off at one
     percent of it.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels
