@@ -45,15 +45,14 @@ def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -
 
 
 def positive(field: str, value: Any, remedy: str) -> None:
-    """Refuse a number, or any number of several, that is not above zero and finite; None says
-    nothing and passes."""
+    """Refuse a number, or any number of several, that is not above zero and finite. None passes."""
     values = value if isinstance(value, list | tuple) else (value,)
     good = all(v is None or 0 < v < math.inf for v in values)
     require(good, field, value, "must be positive and finite", remedy)
 
 
 def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
-    """Refuse a number below `least`, or one that is not finite; None says nothing and passes."""
+    """Refuse a number below `least`, or one that is not finite. None passes."""
     problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
     require(value is None or least <= value < math.inf, field, value, problem, remedy)
 

@@ -73,7 +73,7 @@ class CascadedTanks(Plant):
         return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
     def states_at(self, y0: Outputs) -> States:
-        """States with the lower level at `y0` and the upper one at rest."""
+        """States with the lower level at `y0` and the upper one in equilibrium."""
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)
 

@@ -1,5 +1,5 @@
-"""Compiled batch stepping of the two-mass motor: Taylor series of the affine flow, switches located
-on it.
+"""Compiled simulation of the two-mass motor for a batch of cases: Taylor series of the affine flow,
+with mode switches located on it.
 
 Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from
 `c[q+1] = A c[q]/(q+1)` and the truncated series is a one-step method of order `ORDER`. A sign
@@ -31,7 +31,7 @@ def _torques(p, i, wm, wl, th, load):
 @compiled
 @no_type_check
 def _series(p, c, v, load, motor_mode, load_mode):
-    """Fill the Taylor coefficients `c[1:]`; row 0 is the state.
+    """Fill the Taylor coefficients `c[1:]` of the motion. Row 0 is the state.
 
     A stuck body has speed zero in every row, hence exactly.
     """
@@ -65,8 +65,8 @@ def _at(c, j, t):
 @compiled
 @no_type_check
 def _keeps(p, c, t, load, body, mode):
-    """Margin of the present mode of `body` (0 motor, 1 load) at time t of the series; positive
-    while the mode lasts."""
+    """Margin of the present mode of `body` (0 motor, 1 load) at time t of the series. It is
+    positive while the mode lasts."""
     if mode != 0:
         return mode * _at(c, 1 + body, t)
     tm, tl = _torques(p, _at(c, 0, t), _at(c, 1, t), _at(c, 2, t), _at(c, 3, t), load)
@@ -76,7 +76,7 @@ def _keeps(p, c, t, load, body, mode):
 @compiled
 @no_type_check
 def _leaves(p, c, h, load, body, mode):
-    """Time in [0, h] at which the body leaves its mode; larger than h if it does not."""
+    """Time in [0, h] at which the body leaves its mode. Larger than h if it does not."""
     if _keeps(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0

@@ -1,4 +1,5 @@
-"""One sampling period of a smooth plant: classical Runge-Kutta, all cases at once."""
+"""Simulation of one sampling period of a smooth plant by the classical Runge-Kutta method, all
+cases at once."""
 
 from collections.abc import Callable
 

@@ -92,23 +92,23 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch off a physical device; called at the end of every closed loop, also after an
+        """Switch off a physical device. Called at the end of every closed loop, also after an
         error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
-        """Input, state and output at which the plant rests."""
+        """Input, state and output at the equilibrium of the plant."""
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
-        """States with outputs `y0` and all else at rest."""
+        """States with outputs `y0` and all else in equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        """States one sampling period later, `u` and `d` held meanwhile."""
+        """States one sampling period later, with `u` and `d` held meanwhile."""
 
     def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of a measured disturbance to the next states; only an identified model has
+        """Contribution of a measured disturbance to the next states. Only an identified model has
         one."""
         problem = f"{type(self).__name__} has no path for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"

@@ -85,7 +85,7 @@ class QuadrupleTank(Plant):
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
     def states_at(self, y0: Outputs) -> States:
-        """States with the lower levels at `y0` and the upper ones at rest."""
+        """States with the lower levels at `y0` and the upper ones in equilibrium."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
         lower = y0 / self.sensor_v_per_cm
         return np.concatenate([lower, upper], axis=1)
@@ -110,7 +110,7 @@ class QuadrupleTank(Plant):
         return (into + from_above - out) / np.array(self.area_cm2)
 
     def _pumped(self, u: Inputs) -> States:
-        """Flow from the pumps into each tank, cm^3/s; a negative voltage pumps nothing."""
+        """Flow from the pumps into each tank, cm^3/s. A negative voltage pumps nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
         share = np.array(self.share_below)
         into_lower = share * flow

@@ -92,7 +92,7 @@ class StribeckDrive(Plant):
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """Largest friction torque at speed w: `Fs` at rest, falling to `Fc`."""
+        """Largest friction torque at speed w, in N m. It is `Fs` at rest and falls to `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm
         fading = np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
         return self.coulomb_torque_nm + extra * fading

@@ -48,7 +48,7 @@ class Wrapper(Plant):
         return (*self.plant.states, *self.memory)
 
     def fresh_memory(self) -> Float[np.ndarray, "r"]:
-        """Initial values of the states that the wrapper adds: zeros by default."""
+        """Initial values of the states that the wrapper adds. They are zeros by default."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:

@@ -34,7 +34,7 @@ class Answer:
 
 
 def answers(table: pd.DataFrame) -> list[Answer]:
-    """The questions that this table has numbers for, with their answers."""
+    """Questions that this table has numbers for, with their answers."""
     found = [
         Answer("Where does feasibility end, and why?", feasibility_sentences(table)),
         Answer("Does a better fit mean a better loop?", fit_sentences(table)),
@@ -54,7 +54,7 @@ def parameters_line(table: pd.DataFrame) -> str:
 
 
 def listed_values(values: pd.Series) -> str:
-    """The distinct values in order, `auto` last; of many their number, the first and the last."""
+    """Distinct values in order, `auto` last. Of many, their number, the first and the last."""
     distinct = values.dropna().unique().tolist()
     distinct.sort(key=lambda value: (value == "auto", value))
     printed = [f"{value:g}" if isinstance(value, float) else str(value) for value in distinct]
@@ -124,7 +124,7 @@ def limit_sentence(side: str, limit: pd.Series) -> str:
 
 
 def beyond_sentence(beyond: int, known: int, certified: int) -> str:
-    """Sentence on how many requests exceed the exact rate limit, and what became of them."""
+    """Sentence on how many requests exceed the exact rate limit, and how they ended."""
     outcome = f"{certified} of those were certified" if certified else "none of those was certified"
     return f"{beyond} of {known} requests lie beyond it, and {outcome}."
 
@@ -161,7 +161,7 @@ def fit_sentence(table: pd.DataFrame) -> str:
 
 
 def prediction_question(table: pd.DataFrame) -> str:
-    """The question about the prediction; a log has no plant to ask about."""
+    """Wording of the question about the prediction. A log has no plant to ask about."""
     on_model = text(table, "loop_on") == "identified model"
     where = "model" if len(table) and on_model.all() else "plant"
     return f"Does the prediction hold on the {where}?"
@@ -193,7 +193,7 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 
 
 def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
-    """Upper bound on how often a prediction fails; each model counts once.
+    """Upper bound on how often a prediction fails. Each model counts once.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.

@@ -1,4 +1,4 @@
-"""The picture of `ssm-study look`: inputs and outputs over time, pieces apart."""
+"""Picture of `ssm-study look`, with inputs and outputs over time, pieces apart."""
 
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def draw_log(seen: "LogLook") -> "Figure":
-    """Output above, input below, over the time of the log; a hole is left white."""
+    """Draw the output above and the input below, over the time of the log. A hole is left white."""
     from matplotlib.figure import Figure
 
     with style.paper():

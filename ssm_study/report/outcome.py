@@ -71,7 +71,8 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 
 
 def outcome_text(record: Mapping[str, Any]) -> Text:
-    """Text of the run's verdict with its sentence; `cannot judge` stands before it."""
+    """Text of the run's verdict with its sentence. `cannot judge` stands before it where the
+    evidence allows no judgement."""
     verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
     where = ", on the identified model" if settles and not _on_plant(record) else ""
@@ -82,8 +83,8 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
 
 
 def _on_plant(record: Mapping[str, Any]) -> bool:
-    """Whether the loop ran on a plant, so that words may speak of one: a log has none, also
-    where no loop was closed."""
+    """Whether the loop ran on a plant, so that words may speak of one. A log has none, also where
+    no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
     return record.get("loop_on") != "identified model" and not is_log
 
@@ -97,7 +98,7 @@ def loop_place(record: Mapping[str, Any]) -> str:
 
 
 def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
-    """Format a column's value as text with its unit; a dash where it is missing."""
+    """Format a column's value as text with its unit. A dash stands where it is missing."""
     value = record.get(name)
     if value is None:
         return MISSING
@@ -105,7 +106,7 @@ def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str =
 
 
 def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the identified model: fit, benchmark scores, slopes, how fast it decays without
+    """Rows on the identified model: fit, benchmark scores, slopes, and how fast it decays without
     control."""
     reading = log_reading(record)
     if reading:
@@ -144,7 +145,8 @@ def baseline_text(record: Mapping[str, Any]) -> str:
 
 
 def log_reading(record: Mapping[str, Any]) -> str:
-    """How the log was read and cut, as the notes of the evidence say it; "" of simulated data."""
+    """Words on how the log was read and cut, from the notes of the evidence. Empty for simulated
+    data."""
     notes = str(record.get("evidence_reasons") or "")
     reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)
     cut = re.search(r"note: The log was (cut .*?)\.(?= (?:note|doubt):|$)", notes)
@@ -213,7 +215,8 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
-    """Words on how much of the proof data need that neither fit nor design has seen."""
+    """Words on how much of the proved disc the fresh data need, which neither fit nor design has
+    used."""
     needed = record.get("coverage_needed")
     if needed is None:
         return ""
@@ -252,8 +255,8 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
-    """Rows on the measured closed loop: starts that settled, how fast, and what the noise
-    reached."""
+    """Rows on the measured closed loop: initial states that settled, how fast, and the effect of
+    the noise."""
     count = printed(record, "stable_count", ".0f")
     starts = printed(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"
@@ -268,7 +271,7 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 
 
 def pi_words(record: Mapping[str, Any]) -> str:
-    """Words on how a textbook's PI does from the same starts, and whether it is the better
+    """Words on how a textbook's PI does from the same initial states, and whether it is the better
     controller."""
     count = printed(record, "stable_count_pi", ".0f")
     starts = printed(record, "initial_conditions", ".0f")
@@ -282,8 +285,8 @@ def pi_words(record: Mapping[str, Any]) -> str:
 
 
 def noise_words(record: Mapping[str, Any]) -> str:
-    """Words on how far the sensor's noise reaches the output: the loop then moves by itself, or
-    is closer to its limit than predicted."""
+    """Words on the effect of the sensor's noise on the output. The loop then moves by itself, or is
+    closer to its limit than predicted."""
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
     if measured is None:

@@ -49,7 +49,7 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
 
 
 def short_names(folders: Sequence[Path]) -> list[str]:
-    """Names of runs without the parts that all share; with their study where two are alike."""
+    """Names of runs without the parts that all share. Two that are alike have their study, too."""
     parts = [folder.name.split("-") for folder in folders]
     if len({len(one) for one in parts}) == 1:
         differs = [len(set(column)) > 1 for column in zip(*parts, strict=True)]

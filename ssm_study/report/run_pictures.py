@@ -37,7 +37,7 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
 
 
 def present(run: RunFolder, *parts: str) -> list[Any]:
-    """Parts of a run's folder. Raises `NothingToDraw` where it lacks one."""
+    """Read the named parts of a run's folder. Raises `NothingToDraw` where it lacks one."""
     values = [getattr(run, part) for part in parts]
     missing = [part for part, value in zip(parts, values, strict=True) if value is None]
     if missing:
@@ -46,20 +46,20 @@ def present(run: RunFolder, *parts: str) -> list[Any]:
 
 
 def show_margin(run: RunFolder) -> Picture:
-    """Stability margin by frequency."""
+    """Picture of the stability margin by frequency."""
     model, gains, mismatch = present(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
     return margin_picture(curves, model.step_s, run.record.get("resolved_margin"))
 
 
 def show_nyquist(run: RunFolder) -> Picture:
-    """Nyquist curve with the measured mismatch."""
+    """Picture of the Nyquist curve with the measured mismatch."""
     model, gains = present(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
 def show_coverage(run: RunFolder) -> Picture:
-    """Coverage by band."""
+    """Picture of the coverage by band."""
     model, design, mismatch = present(run, "any_model", "design", "mismatch")
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
@@ -68,20 +68,20 @@ def show_coverage(run: RunFolder) -> Picture:
 
 
 def show_bode(run: RunFolder) -> Picture:
-    """Frequency response beside the record's own."""
+    """Picture of the frequency response beside the record's own estimate."""
     model, record = present(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
 
 
 def show_poles(run: RunFolder) -> Picture:
-    """Poles of model, loop and observer."""
+    """Picture of the poles of model, loop and observer."""
     model, gains, design = present(run, "any_model", "gains", "design")
     return poles_picture(pole_groups(model, gains), design.certified_rate("state_feedback"))
 
 
 def show_residuals(run: RunFolder) -> Picture:
-    """Correlations of the test record's error."""
+    """Picture of the correlations of the test record's error."""
     (test,) = present(run, "test")
     start = run.start_up_samples
     errors = [test["measured"][0, start:] - test["simulated"][0, start:]]
@@ -92,7 +92,7 @@ def show_residuals(run: RunFolder) -> Picture:
 
 
 def show_free_run(run: RunFolder) -> Picture:
-    """Free run on the test record."""
+    """Picture of the free run on the test record."""
     (test,) = present(run, "test")
     simulated = {"model": test["simulated"][0]}
     labels = test.labels("measured")
@@ -102,13 +102,13 @@ def show_free_run(run: RunFolder) -> Picture:
 
 
 def show_input_map(run: RunFolder) -> Picture:
-    """Learned input map."""
+    """Picture of the learned input map."""
     model, excitation = present(run, "any_model", "excitation")
     return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
 
 
 def show_set_point(run: RunFolder) -> Picture:
-    """Step of the set point on the identified model."""
+    """Picture of a step of the set point on the identified model."""
     model, design, test, excitation = present(run, "any_model", "design", "test", "excitation")
     if not design.feasible or answers_at_once(model):
         raise NothingToDraw("There is no loop to move to a set point.")
@@ -120,7 +120,7 @@ def show_set_point(run: RunFolder) -> Picture:
 
 
 def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
-    """The model in the place of the plant, with the channels of a record."""
+    """Make a plant of the model, with the channels of a record."""
     inputs = record.signals("input")[0].channels
     outputs = record.signals("measured")[0].channels
     return IdentifiedPlant.of(model, inputs, outputs)

@@ -30,13 +30,13 @@ from ssm_study.table.rank import best_first
 
 
 class NothingToDraw(Exception):
-    """Why a figure would be empty, in a sentence; that sentence is drawn."""
+    """Error that says in a sentence why a figure would be empty. That sentence is drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunFolder:
-    """The files of one run, read when asked for; a file that is not there reads as None (a failed
-    run leaves few)."""
+    """Files of one run, read when asked for. A file that is not there reads as None (a failed run
+    leaves few)."""
 
     path: Path
 
@@ -69,15 +69,15 @@ class RunFolder:
 
     @cached_property
     def model(self) -> SSM | None:
-        """The identified model; None for a baseline too: it is identified and scored, but nothing
-        can be certified of it."""
+        """Identified model. None for a baseline too: it is identified and scored, but nothing can
+        be certified of it."""
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
-        """The identified model, with or without neurons; None for a baseline."""
+        """Identified model, with or without neurons. None for a baseline."""
         data = self._parsed("model.json")
         found = None if data is None else model_from_json(data)
         return found if isinstance(found, SSM | StructuredSSM) else None
@@ -99,7 +99,7 @@ class RunFolder:
 
     @cached_property
     def trials(self) -> Trajectories:
-        """Records for the mismatch alone."""
+        """Records that serve the mismatch alone."""
         return read_trials(self.path)
 
     @cached_property
@@ -144,7 +144,7 @@ class RunFolder:
 
     @cached_property
     def excitation(self) -> RecordedCases | None:
-        """The training records' input."""
+        """Inputs of the training records."""
         return self._recording("excitation")
 
     @cached_property
@@ -154,7 +154,7 @@ class RunFolder:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyFolder:
-    """A study folder: `runs.parquet` as `table`, and its run folders by name; `others` are shown
+    """Study folder with `runs.parquet` as `table`, and its run folders by name. `others` are shown
     beside it.
 
     A run of another study is named by its path from `folder`; `shown` names a run to take for the
@@ -180,8 +180,8 @@ class StudyFolder:
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
-        """The tables of controllers and situations that runs left beside their records, one below
-        the other."""
+        """Tables of controllers and situations that runs left beside their records, one below the
+        other."""
         found = {name: self.run(name).comparison for name in text(self.table, "run") if name}
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()

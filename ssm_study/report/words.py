@@ -41,8 +41,7 @@ def words(name: object) -> str:
 
 
 def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
-    """Words on the numbers that decide a prediction. The grounds of a prediction, each number
-    beside its bound.
+    """Words on the numbers that decide a prediction, each beside its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
     """
@@ -60,7 +59,8 @@ def decides(margin: float | None, radius: float | None, noise: float | None = No
 
 
 def digits_beside(value: float, bound: float = 1.0) -> str:
-    """Three digits, or as many as keep the value on its side of the bound it is compared with."""
+    """Number with three digits, or as many as keep it on its side of the bound it is compared
+    with."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
         if (float(text) < bound) == (value < bound) and (float(text) > bound) == (value > bound):
@@ -70,7 +70,7 @@ def digits_beside(value: float, bound: float = 1.0) -> str:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Word for a run's outcome with its sentence, colour and marker; colour and mark differ both,
+    """Word for a run's outcome with its sentence, colour and marker. Colour and mark differ both,
     so that either alone tells them apart.
 
     The mark is `marker` in a figure and `shape` on the page; `style` is for the terminal.
@@ -151,7 +151,7 @@ def judged(table: pd.DataFrame) -> pd.Series:
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
-    """The word of each row's verdict."""
+    """Verdict of each row, as one word."""
     return judged(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
 
 
@@ -170,7 +170,7 @@ def counts(table: pd.DataFrame) -> str:
 def scatter(
     axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
 ) -> None:
-    """Draw one point per run in the colour and marker of its verdict; only verdicts that occur
+    """Draw one point per run in the colour and marker of its verdict. Only verdicts that occur
     enter the legend.
 
     `dodge` moves each verdict sideways by that much, so that runs at one setting do not hide each

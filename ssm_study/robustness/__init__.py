@@ -1,2 +1,1 @@
-"""The plant's mismatch with the model, measured from records, and whether a loop stays stable with
-it."""
+"""Mismatch between plant and model, measured from records, and the stability of a loop under it."""

@@ -1,4 +1,4 @@
-"""Power of signals in bands of frequency: of single periods, and Welch's averages."""
+"""Power of signals in bands of frequency, from single periods or by Welch's averages."""
 
 import numpy as np
 import scipy

@@ -1,5 +1,4 @@
-"""The premise of `measured_discs`, as records show it: how far the plant is from its model, by
-frequency.
+"""Measured premise of `measured_discs`, the distance of the plant from its model by frequency.
 
 A disc with two references bounds the mismatch `e = y - m` of the model's output m for the input u:
 
@@ -112,8 +111,8 @@ class Premise:
     reason: str | None = None
 
     def items(self, centre: float) -> list[Item]:
-        """Every requirement of the records on a disc around this centre; the largest repeating
-        record counts without doubt."""
+        """Requirements that all records put on the weights of a disc around this centre. The
+        largest repeating record counts without doubt."""
         largest = max((record.amplitude for record in self.repeating), default=0.0)
         items = list[Item]()
         for record in self.repeating:
@@ -123,7 +122,8 @@ class Premise:
         return items
 
     def missing(self, centre: float) -> str | None:
-        """Why these records are no premise around this centre; None where they are one."""
+        """Reason why these records cannot serve as premise around this centre. None where they
+        can."""
         if self.reason is not None:
             return self.reason
         items = self.items(centre)
@@ -139,7 +139,7 @@ def measure_premise(
     start_up_samples: int = 0,
     trials: Trajectories = (),
 ) -> Premise:
-    """The premise of the records by which `mismatch` was measured, or the reason why there is
+    """Premise from the records by which `mismatch` was measured, or the reason why there is
     none."""
     reason = None
     if not mismatch.rests:

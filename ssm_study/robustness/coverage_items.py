@@ -1,4 +1,5 @@
-"""Requirements on the weights of a disc: bands of one record's spectrum, groups of them, the total.
+"""Requirements on the weights of a disc, from bands of a record's spectrum, groups of bands, and
+its total power.
 
 Below the largest amplitude only what exceeds `SURE` standard errors counts, in totals whatever
 repeats; where nothing repeats, noise counts as mismatch. Source: docs/trust.md, "Covered".
@@ -43,7 +44,7 @@ class Item:
 
     @property
     def where(self) -> str:
-        """Record and place in its spectrum, in words."""
+        """Words for the record and the place in its spectrum."""
         return f"{self.record}, {self.place}"
 
 
@@ -68,8 +69,8 @@ class RepeatingPower:
 
     @classmethod
     def of(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """Powers of every line but the mean, which belongs to no band: friction leaves an offset
-        that no disc bounds, since it stays where model and input have come to rest. Source:
+        """Powers of every line but the mean. It belongs to no band: friction leaves an offset that
+        no disc bounds, since it stays where model and input have come to rest. Source:
         docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides

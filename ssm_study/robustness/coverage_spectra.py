@@ -1,4 +1,4 @@
-"""Spectra of the mismatch in one record: both periods where the input repeats, else Welch's
+"""Spectra of the mismatch in one record, from both periods where the input repeats, else by Welch's
 averages.
 
 `m` is the model's output for the record's input, `e = y - m` what it misses, all scaled. Source:
@@ -20,8 +20,8 @@ Powers = Float[np.ndarray, "L"]
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchSpectrum:
-    """Line spectra of one record: angles (rad/sample), model output, input, and e in one or two
-    periods.
+    """Spectra of model output, input and model error at the lines of one record. Angles are in
+    rad/sample; the error e has one or two periods.
 
     `sides` is 2 for a line that stands for a conjugate pair, 1 for the mean and for pi. Of a record
     whose input does not repeat there is one period, and its "lines" are the bins of Welch's
@@ -49,7 +49,7 @@ class MismatchSpectrum:
 
 @dataclass(frozen=True, kw_only=True)
 class AveragedSpectrum:
-    """Welch's powers of a record that does not repeat; `cross` is that of e with the model's
+    """Welch's powers of a record that does not repeat. `cross` is that of e with the model's
     output, real part.
 
     `drawn` is the noise's share of e's power, and `sure` the factor by which an average may be off:
@@ -95,8 +95,7 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
 
 
 def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
-    """Welch's power spectra of a record in open loop: its noise
-    counts as mismatch."""
+    """Welch's power spectra of a record in open loop. Its noise counts as mismatch."""
     powers = _welch_powers(run)
     count = len(powers["angles"])
     return AveragedSpectrum(
@@ -107,9 +106,9 @@ def averaged_spectrum(run: RecordErrors) -> AveragedSpectrum:
 def averaged_spectrum_in_loop(
     run: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> AveragedSpectrum:
-    """Welch's power spectra of a record in closed loop, which
-    the noise drives too: as `noise` says, which records in open loop show; without any it is
-    taken for white, as strong as e in its quietest bands."""
+    """Welch's power spectra of a record in closed loop, which the noise drives too. It is as
+    `noise` says, which records in open loop show; without any it is taken for white, as strong as e
+    in its quietest bands."""
     powers = _welch_powers(run)
     angles = powers["angles"]
     samples = len(run.u)

@@ -1,4 +1,5 @@
-"""Coverage by frequency, as numbers to draw: what each band of the records needs, what is proved.
+"""Coverage by frequency as a table: the radius that each band of the records needs, and the radius
+that is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `measured_premise` (`study/stages/synthesis.py`) gives the premise and the certificate the

@@ -1,4 +1,4 @@
-"""How far a plant is from its model, as its records show it: `e = y - y_model`, at each amplitude,
+"""Mismatch between a plant and its model, `e = y - y_model`, as records show it at each amplitude,
 noise removed.
 
 A closed loop maps `e` back to `u`; what it tolerates is `synthesis.prediction`. What a record shows
@@ -75,8 +75,8 @@ class Mismatch:
 
     @property
     def offset(self) -> float:
-        """Largest offset of the output that may stay at rest input, in bands of settling (-), with
-        95 % confidence."""
+        """Largest offset of the output that may remain at constant input, in settling bands (-),
+        with 95 % confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
         return worst / self.band
 
@@ -97,8 +97,8 @@ class Mismatch:
 
     @property
     def seen(self) -> float:
-        """Largest gain of the model error in any record: from
-        below, what the incremental gain of the mismatch is."""
+        """Largest gain of the model error in any record. It bounds the incremental gain of the
+        mismatch from below."""
         return max(view.gain for view in self.everywhere) if self.rests else float("inf")
 
     @property
@@ -183,8 +183,8 @@ def _rests_after_motion(
 
 
 def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """Select the list with the larger greatest offset, of two kinds of rests: one rest counts
-    once."""
+    """Select the list with the larger greatest offset, of two ways to measure them, so that none
+    counts twice."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 

@@ -1,5 +1,5 @@
-"""Whether a certified design is predicted to be stable on the plant, from the mismatch that the
-records show.
+"""Prediction whether a certified design is stable on the plant, from the mismatch that the records
+show.
 
 Write the true output as `y = y_model + e`; the closed loop maps `e` back to `u` by `T_ue`
 (`robustness.sensitivity`). At each amplitude on record (`robustness.mismatch`) one of the first two
@@ -57,8 +57,7 @@ PEAK = 4.5  # standard deviations, which normal noise exceeds once in 150,000 sa
 
 @dataclass(frozen=True, kw_only=True)
 class Prediction:
-    """Prediction of how a pair of gains does on the plant; every table names its columns so (all
-    -)."""
+    """Prediction of how a design behaves on the plant. Every table names its columns so (all -)."""
 
     mismatch_margin: float
     resolved_margin: float
@@ -71,8 +70,8 @@ class Prediction:
 
 
 def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
-    """Stability margins that are predicted for one controller and observer on the plant: zero if
-    the loop is unstable at a slope, infinite without any mismatch."""
+    """Stability margins that are predicted for one controller and observer on the plant. They are
+    zero if the loop is unstable at a slope, infinite without any mismatch."""
     peak = sensitivity_peak(model.system, pair, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
     measure = robustness_measure(model, pair, balls, mismatch)
@@ -117,7 +116,8 @@ def robustness_measure(
 def tested_loops(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
-    """Every loop of constant slopes, with the records whose mismatch applies to it."""
+    """Closed loops at every combination of constant slopes, each with the mismatch that applies to
+    it."""
     for met_balls, records in _balls_of_records(model, balls, mismatch):
         for linear, own_gains, slope_in, slope_out in slope_combinations(
             model.system, pair, met_balls
@@ -128,8 +128,8 @@ def tested_loops(
 def _balls_of_records(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """The records in groups, each with the slopes that its loops meet: the two largest amplitudes
-    and what was recorded in closed loop meet all slopes.
+    """Group the records by amplitude, each group with the slopes that its loops meet. The two
+    largest amplitudes and what was recorded in closed loop meet all slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
     sinusoid, whose peak is `sqrt(2)` times its root mean square: of one S_u they meet the slopes
@@ -216,7 +216,7 @@ class LoopResponse:
     def gain_with_phase(
         self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
     ) -> float:
-        """Small gain of the remainder after the linear part has been closed into the loop; infinite
+        """Small gain of the remainder after the linear part has been closed into the loop. Infinite
         if `1 - M Q` winds around zero, so that its phase at pi is not the one at 0."""
         if self.through is None:
             return float("inf")
@@ -230,7 +230,7 @@ class LoopResponse:
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeCondition:
-    """Mismatch recorded at one input amplitude, and what plain small gain says of it."""
+    """Mismatch recorded at one input amplitude, and the gain of its small-gain condition."""
 
     linear_part: Complex[np.ndarray, "F"]
     remainder: Float[np.ndarray, "F"]
@@ -258,7 +258,7 @@ class AmplitudeCondition:
 
 
 def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
-    """Largest loop gain of the mismatch over all recorded amplitudes; below one the loop is
+    """Largest loop gain of the mismatch over all recorded amplitudes. Below one the loop is
     predicted to be stable.
 
     At one amplitude the smaller of two sufficient conditions counts. A loop may also swing between
@@ -279,7 +279,7 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
 
 
 def _needs_mixtures(smaller: AmplitudeCondition, larger: AmplitudeCondition, gain: float) -> bool:
-    """Whether a limit cycle may lie between two amplitudes: they do not both pass by small gain,
+    """Whether a limit cycle may lie between two amplitudes. They do not both pass by small gain,
     and an infinite gain has not decided already."""
     pass_by_small_gain = max(smaller.small_gain, larger.small_gain) < max(gain, 1.0)
     both_exempt = smaller.is_exempt and larger.is_exempt
@@ -299,9 +299,9 @@ def _largest_interpolated_gain(
 
 
 def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """Largest output that the measured noise causes at rest. The peak of what the noise does to
-    the output at rest, in bands of settling; zero where the noise was not measured, or the plant
-    holds still under that input."""
+    """Largest output that the measured noise causes around the equilibrium. The peak of what the
+    noise does to the output at rest, in bands of settling; zero where the noise was not measured,
+    or the plant holds still under that input."""
     if not mismatch.noise:
         return 0.0
     linear, own_gains = _at_rest(model, pair, balls)
@@ -320,7 +320,7 @@ def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> f
 
 
 def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
-    """The recurrence and the gains with the neurons' slopes frozen as they are at rest."""
+    """Recurrence and gains with the neurons' slopes frozen at the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = phi(model.neurons, model.bias, "slope")[None]

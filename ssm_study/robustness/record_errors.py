@@ -99,8 +99,8 @@ class RecordErrors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of the logarithmic gain `ln(||e|| / ||u||)` of the record, from the
-        deviation among `BLOCKS` pieces."""
+        """Standard error of the logarithmic gain `ln(||e|| / ||u||)` of the record. It follows from
+        the deviation among `BLOCKS` pieces."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -126,7 +126,8 @@ class RecordErrors:
 def open_loop_errors(
     model: Model, validation: Trajectories, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors in every record in open loop; returns to rest are not among them."""
+    """Errors of the model in every record in open loop. Returns to a constant input are not among
+    them."""
     records = [*validation]
     for trial in trials:
         if not trial.closed_loop and not is_return(trial):
@@ -137,8 +138,8 @@ def open_loop_errors(
 def moving_loop_errors(
     model: Model, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors in the trials in closed loop that do not come to rest, without the samples that tell
-    their initial state."""
+    """Errors in the trials in closed loop that keep moving, without the samples that estimate their
+    initial state."""
     loops = []
     for trial in trials:
         if trial.closed_loop:
@@ -149,14 +150,14 @@ def moving_loop_errors(
 
 
 def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Number of samples at the beginning of a record in closed loop that estimate its initial
-    state: a third, `IN_LOOP` at most."""
+    """Number of first samples of a record in closed loop that estimate its initial state. It is a
+    third, `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
 def view_of_averages(records: list[RecordErrors]) -> View:
-    """Mismatch from records whose input does not repeat: noise counts as mismatch,
-    and nothing is split off."""
+    """Mismatch from records whose input does not repeat. Noise counts as mismatch, and nothing is
+    split off."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
@@ -178,7 +179,7 @@ def _sizes(records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: 
 
 
 def view_in_loop(records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None) -> View:
-    """Mismatch seen in trials in closed loop: the largest of any, since a large swing would hide a
+    """Mismatch seen in trials in closed loop, the largest of any trial. A large swing would hide a
     small one in their mean."""
     gains = [_gains_in_loop(record, noise) for record in records]
     by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
@@ -215,8 +216,8 @@ def _gains_in_loop(
 
 
 def noise_of(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
-    """Noise power of a sample in each band, from what does not repeat: the same at all amplitudes,
-    so the median of the records serves all."""
+    """Noise power of a sample in each band, from what does not repeat. It is the same at all
+    amplitudes, so the median of the records serves all."""
     powers = []
     for record in records:
         first, second = record.spectra()[0]
@@ -271,8 +272,8 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
 def _linear_part(
     error: Complex[np.ndarray, "K p"], model: Complex[np.ndarray, "K p"]
 ) -> Complex[np.ndarray, "F"]:
-    """Linear part of the mismatch in each band, `S_(e, y_model) / S_(y_model)`; e is the mean of
-    both periods, which halves the noise's variance."""
+    """Linear part of the mismatch in each band, `S_(e, y_model) / S_(y_model)`. The error e is the
+    mean of both periods, which halves the noise's variance."""
     cross = (error * model.conj()).sum(axis=1)
     banded_cross = band_means(cross.real) + 1j * band_means(cross.imag)
     return safe_ratio(banded_cross, band_means(power(model)))

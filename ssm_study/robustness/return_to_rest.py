@@ -1,5 +1,4 @@
-"""Offset and motion of an output at rest input: the motion that does not end, and where it stays
-off.
+"""Remaining offset and oscillation of the output after the input has become constant.
 
 Returns on which the model was trained count too: nothing here asks it. At the equilibrium's input
 an output should rest at the equilibrium; at another, each return is compared with the mean of the
@@ -27,8 +26,8 @@ SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 
 def is_return(record: Trajectory) -> bool:
-    """Whether the input moves once, at the beginning, and is held from then on, measured
-    disturbances too (`data.splits.rest_segments`)."""
+    """Whether the input moves once, at the beginning, and is held from then on. Measured
+    disturbances are, too (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
     moving = record.driven_by
@@ -40,8 +39,8 @@ def is_return(record: Trajectory) -> bool:
 def after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
-    """Swings and offsets of the output, in output scales, that remain after the input has returned
-    to rest.
+    """Oscillations and offsets of the output, in output scales, that remain after the input has
+    returned to its equilibrium.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -113,8 +112,7 @@ def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bo
 def after_motion(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
 ) -> Float[np.ndarray, "K p"]:
-    """Select the part of the output after the input has come to rest; nothing unless that
-    outlasts the response."""
+    """Output after the last motion of the input. Empty unless that outlasts the response."""
     nothing = y[:0]
     if not u.any():
         return nothing
@@ -125,8 +123,8 @@ def after_motion(
 
 
 def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
-    """Offset or swing, the larger, of an output in the last quarter of its record at rest input,
-    noise removed."""
+    """Offset or oscillation, the larger, of an output in the last quarter of its record at constant
+    input, noise removed."""
     tail, noise = _tail(y)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
@@ -135,7 +133,7 @@ def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
 
 
 def swing(y: Float[np.ndarray, "T p"]) -> float:
-    """Amplitude of the output's motion in the last quarter of its record at rest input."""
+    """Amplitude of the output's oscillation in the last quarter of its record at constant input."""
     tail, noise = _tail(y)
     most_noise = (1 + SURE * np.sqrt(8 / len(tail))) * noise
     variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
@@ -143,7 +141,7 @@ def swing(y: Float[np.ndarray, "T p"]) -> float:
 
 
 def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
-    """Last quarter of an output at rest input, and the variance of its noise: the mean of
+    """Last quarter of an output at constant input, and the variance of its noise. It is the mean of
     `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 
     A swing, of any frequency, is a line of the periodogram S, and moves no median; noise that a

@@ -1,4 +1,4 @@
-"""How the closed loop answers an output error: the transfer function of the mismatch, its peaks,
+"""Response of the closed loop to an output error: transfer function, its peaks, and the poles of
 the controller alone.
 
 With `y = y_model + e` and `u = K xh`, `J_u` and `J_y` in the balls of Jacobians (D cancels),
@@ -53,7 +53,7 @@ def slope_combinations(
 def _at_frozen_neurons(
     system: System, pair: Gains, at: Float[np.ndarray, "k q"] | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
-    """The system and the gains at each row of frozen slopes of the neurons."""
+    """System and gains at each row of frozen slopes of the neurons."""
     if isinstance(system, StateSpace):
         yield system, pair
         return
@@ -105,7 +105,7 @@ def noise_response(
 
 def noise_gain(system: System, pair: Gains, balls: Balls) -> float:
     """Largest gain from a sensor's noise to the model's output, over all frequencies and constant
-    slopes; infinite if one of these loops is unstable.
+    slopes. Infinite if one of these loops is unstable.
 
     A number of the model, not a claim: slopes that vary may do more, and white noise does less.
     """
@@ -119,7 +119,7 @@ def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
 
 
 def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller alone, the largest over the slopes, its internal model
+    """Spectral radius of each controller alone, the largest over the slopes. Its internal model is
     left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the

@@ -1,4 +1,5 @@
-"""Single sines where a loop is most sensitive: the mismatch that a broadband record dithers away.
+"""Single-sine experiments where a loop is most sensitive, for a mismatch that a broadband record
+hides.
 
 A loop that swings does so at one frequency, near a peak of `|T_ue|`, at an amplitude of its own. A
 broadband record spreads its power over all lines and jitters a steep static curve, so the gain that
@@ -67,7 +68,7 @@ def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int
 
 
 def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"], period: int) -> SineMismatch:
-    """The mismatch at the strongest line of the last two periods of a record; `noise` is a sample's
+    """Mismatch at the strongest line of the last two periods of a record. `noise` is a sample's
     power in each band."""
     start = len(errors.u) - 2 * period
     steady = replace(errors, start=start, period=period)

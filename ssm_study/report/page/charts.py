@@ -52,7 +52,8 @@ EXPLORER = Panel("Any column against any other", "across", "up")
 
 
 def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The plots this table has numbers for: question, columns used, and specification without data.
+    """Plots for which this table has numbers, as question, columns used, and specification without
+    data.
 
     Fits that all but agree say nothing.
     """
@@ -66,8 +67,9 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Whether a plot shows more than a constant. Where every start of every run settles, a share
-    says nothing: then the plot shows how fast they settle."""
+    """Replace the share of settled starts by the settling time in a plot where every start of every
+    run settles. Where every start of every run settles, a share says nothing: then the plot shows
+    how fast they settle."""
     shares = column(table, panel.y).dropna()
     if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
         return panel
@@ -137,8 +139,8 @@ def _dressed(chart: Any) -> dict[str, Any]:
 
 
 def groups_specification() -> dict[str, Any]:
-    """Vega-Lite specification of a chart with a row per group: a point per run, a bar at the mean
-    of those shown, a ring around the best.
+    """Vega-Lite specification of a chart with a row per group. It has a point per run, a bar at the
+    mean of those shown, a ring around the best.
 
     The script fills in the rows, the height, the name of the axis and whether it is logarithmic.
     """
@@ -153,7 +155,8 @@ def groups_specification() -> dict[str, Any]:
 
 
 def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
-    """Layer that draws a point per run; a brush over both axes, or over those that are named."""
+    """Layer that draws a point per run. A brush selects over both axes, or over those that are
+    named."""
     mask = alt.param(name="mask", value=[])
     chosen = alt.param(name="chosen", value=-1)
     known = "!length(mask) || mask[datum.i]"
@@ -174,14 +177,14 @@ def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
 
 
 def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
-    """Selection parameter: a rectangle that the reader drags."""
+    """Selection parameter of Vega-Lite, a rectangle that the reader drags."""
     if encodings:
         return alt.selection_interval(name="brush", encodings=list(encodings))
     return alt.selection_interval(name="brush")
 
 
 def _rule() -> alt.Chart:
-    """Layer that draws one line: on the data of the points it would be drawn once per run."""
+    """Layer that draws one line. On the data of the points it would be drawn once per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(
         strokeDash=[4, 3], color=style.GREY, aria=False
     )

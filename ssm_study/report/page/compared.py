@@ -36,7 +36,7 @@ def comparison_json(rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def controllers_table(rows: pd.DataFrame) -> ComparedTable:
-    """Table with a row per controller; across the numbers of the one situation, or all
+    """Table with a row per controller. Its columns are the numbers of the one situation, or all
     situations."""
     situations = list(dict.fromkeys(rows["situation"]))
     first = [(spoken(name), own.iloc[0]) for name, own in rows.groupby("controller", sort=False)]
@@ -92,7 +92,7 @@ def number(value: Any) -> str:
 
 
 def table_html(table: ComparedTable) -> str:
-    """The table as HTML; whatever its texts contain is shown as text."""
+    """HTML of the table. Whatever its texts contain is shown as text."""
     caption = escape(table.caption)
     heads = "".join(f'<th scope="col">{escape(head)}</th>' for head in table.heads)
     rows = "".join(row_html(name, cells) for name, cells in table.rows)
@@ -116,7 +116,8 @@ def row_html(name: str, cells: list[tuple[str, str]]) -> str:
 
 
 def designs_chart(rows: pd.DataFrame) -> dict[str, Any]:
-    """Chart of certified designs, a point each: its margin against what the plant did."""
+    """Chart of certified designs, a point each, with the margin against the behaviour on the
+    plant."""
     share = rows.get("stable_fraction")
     if share is None:
         share = rows["stable_count"] / rows["initial_conditions"]

@@ -81,8 +81,8 @@ def first_columns(table: pd.DataFrame) -> list[str]:
 
 def slider(table: pd.DataFrame) -> dict[str, Any] | None:
     """Settings of the slider that steps through a swept number. The swept number that a slider
-    moves: the runs that share all other settings with the best, in its order; a rate before
-    other numbers. None where there is no such sweep."""
+    moves: the runs that share all other settings with the best, in its order; a rate before other
+    numbers. None where there is no such sweep."""
     if not len(table):
         return None
     settings = swept_settings(table)
@@ -138,8 +138,8 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]:
-    """Text on where the runs come from; several values where they disagree, which a reader
-    should know."""
+    """Text on the provenance of the runs. Where they disagree it gives several values, which a
+    reader should know."""
     facts = []
     for name in PROVENANCE:
         if name not in table:
@@ -155,15 +155,15 @@ def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]
 
 
 def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
-    """The study folder of a run, which may be another study's, and the run's digits."""
+    """Study folder of a run, which may be another study's, and the run's digits."""
     other = re.match(r"\.\./([^/]+)/", name)
     folder = other[1] if other else study.folder.resolve().name
     return folder, name.rpartition("/")[2].rpartition("-")[2]
 
 
 def question(table: pd.DataFrame) -> str:
-    """Title of the page, the question that the sweep asks. The question of a sweep: `What
-    changes with the model order and the controller rate?`."""
+    """Title of the page, the question of a sweep, as `What changes with the model order and the
+    controller rate?`."""
     said = (
         (name, words(name).partition(" (")[0].partition(",")[0].lower())
         for name in swept_settings(table)

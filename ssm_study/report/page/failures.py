@@ -1,4 +1,4 @@
-"""Runs that came to less than a certified loop that settles, grouped by their reason."""
+"""Runs without a certified loop that settles, grouped by their reason."""
 
 import re
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
 
 @dataclass(frozen=True, kw_only=True)
 class FailureGroup:
-    """Runs that ended for one reason; `places` are the first of their rows in the table."""
+    """Runs that ended for one reason. `places` are the first of their rows in the table."""
 
     reason: str
     count: int
@@ -50,12 +50,12 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 
 def severity(sentence: str) -> int:
-    """Rank of a sentence's outcome in `SEVERITY`."""
+    """Rank of a sentence's outcome in `SEVERITY`, by which groups are ordered."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
 def reason_of(record: dict[str, Any]) -> str:
-    """Why a run is listed, in a sentence."""
+    """Reason why a run is listed, in a sentence."""
     if record["verdict"] == UNTRIED.word:
         return verdict_of(record).sentence
     if record["verdict"] == LOST.word:
@@ -66,8 +66,8 @@ def reason_of(record: dict[str, Any]) -> str:
 
 
 def with_ranges(sentences: Sequence[str]) -> str:
-    """Merge sentences that differ in their numbers alone into one with ranges: each number that
-    varies becomes its range."""
+    """Merge sentences that differ in their numbers alone into one. Each number that varies becomes
+    its range."""
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 

@@ -1,4 +1,4 @@
-"""First screen of the report page: the best run in four cards, and what they rest on."""
+"""First screen of the report page, with the best run in four cards, and remarks below."""
 
 import math
 import re
@@ -25,7 +25,7 @@ REASONS = ("infeasible_reason", "uncertified_reason", "error_message")
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """One block of the outcome: a number, and a sentence on it."""
+    """One block of the outcome, with a number and a sentence on it."""
 
     title: str
     number: str
@@ -34,7 +34,7 @@ class Card:
 
 @dataclass(frozen=True, kw_only=True)
 class Remark:
-    """A sentence below the cards; `notes` stand behind a fold, a warning stands out."""
+    """Sentence below the cards. `notes` stand behind a fold, a warning stands out."""
 
     title: str
     text: str
@@ -43,13 +43,13 @@ class Remark:
 
 
 def record_of(row: "pd.Series[Any]") -> dict[str, Any]:
-    """Convert a row of the table to plain values; what is missing is None."""
+    """Convert a row of the table to plain values, None for what is missing."""
     return {str(name): None if pd.isna(value) else value for name, value in row.items()}
 
 
 def introduction(table: pd.DataFrame) -> str:
-    """Words that stand before the best run's name: the rule by which it is the best, as far as
-    it applied."""
+    """Words before the best run's name, on the rule by which it is the best, as far as it
+    applied."""
     record = record_of(table.iloc[0])
     if len(table) == 1:
         return "Run: "
@@ -60,19 +60,19 @@ def introduction(table: pd.DataFrame) -> str:
 
 
 def settings_line(table: pd.DataFrame) -> str:
-    """The settings of the best run in which runs differ, in a sentence; "" if they do not."""
+    """Sentence on the settings of the best run in which runs differ. Empty if they do not."""
     record = record_of(table.iloc[0])
     parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept_settings(table)]
     return f". Its settings: {', '.join(parts)}." if parts else ""
 
 
 def short_word(name: str) -> str:
-    """The printed name of a setting without symbol and unit, in lower case."""
+    """Printed name of a setting without symbol and unit, in lower case."""
     return re.sub(r"[ ,]*[(,ρ].*", "", words(name)).lower()
 
 
 def setting_text(record: Record, name: str) -> str:
-    """Text of a setting as it was requested: `auto` for a rate that `auto` chose."""
+    """Text of a setting as it was requested. It is `auto` for a rate that `auto` chose."""
     chosen = str(record.get("rates_chosen") or "")
     if name.startswith("rate_") and name.removeprefix("rate_") in chosen:
         return "auto"
@@ -81,7 +81,7 @@ def setting_text(record: Record, name: str) -> str:
 
 
 def cards(record: Record) -> list[Card]:
-    """Model, proof, prediction and closed loop, as far as the run has them."""
+    """Cards on model, proof, prediction and closed loop, as far as the run has them."""
     builders = (model_card, proved_card, predicted_card, seen_card)
     built = [build(record) for build in builders]
     return [card for card in built if card is not None]
@@ -126,7 +126,7 @@ def proved_card(record: Record) -> Card | None:
 
 
 def coverage_words(record: Record) -> str:
-    """Words on the model error that the proof covers; below one it covers nothing."""
+    """Words on the model error that the proof covers. Below one it covers nothing."""
     coverage = record.get("coverage")
     if coverage is None:
         return ""
@@ -161,7 +161,7 @@ def predicted_card(record: Record) -> Card | None:
 
 
 def seen_card(record: Record) -> Card | None:
-    """Card on how many starts settled, how fast, and how a PI does."""
+    """Card on how many initial states settled, how fast, and how a PI does."""
     count = record.get("stable_count")
     if count is None:
         return None
@@ -179,17 +179,17 @@ def seen_card(record: Record) -> Card | None:
 
 
 def seen_place(record: Record) -> str:
-    """Words for where the loop was closed."""
+    """Short words for where the loop was closed."""
     return loop_place(record).replace("identified model", "model")
 
 
 def is_on_model(record: Record) -> bool:
-    """Whether the loop was closed on the model: a log has no plant."""
+    """Whether the loop was closed on the model, as a log has no plant."""
     return seen_place(record) == "model"
 
 
 def verdict_of(record: Record) -> Verdict:
-    """The verdict on a run, by the word in the table."""
+    """Verdict on a run, by the word in the table."""
     return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
 
 
@@ -199,7 +199,7 @@ def reasons(record: Record) -> list[str]:
 
 
 def remarks(record: Record) -> Iterator[Remark]:
-    """Remarks on an outcome that is no success, and on what the records say of the prediction."""
+    """Remarks on an outcome that is no success, and on the evidence behind the prediction."""
     verdict = verdict_of(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
@@ -219,10 +219,10 @@ def remarks(record: Record) -> Iterator[Remark]:
 
 
 def sentences_of(parts: Sequence[str]) -> str:
-    """Join parts to sentences: a capital first, a full stop last."""
+    """Join parts to sentences, each with a capital first and a full stop last."""
     return " ".join(f"{capitalised(part).rstrip('.')}." for part in parts)
 
 
 def capitalised(text: str) -> str:
-    """The text with a capital first; the rest as it is."""
+    """Text with its first letter capital and the others unchanged."""
     return text[:1].upper() + text[1:]

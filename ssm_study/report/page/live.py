@@ -32,7 +32,7 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """The page of one study, written again when a record has changed since; safe to ask from
+    """Page of one study that is written again when a record has changed. It is safe to ask from
     several threads."""
 
     def __init__(self, study: Path) -> None:
@@ -49,7 +49,7 @@ class LivePage:
         self.html = WAITING
 
     def page(self) -> str:
-        """The page with the script that asks for `/state` every two seconds."""
+        """Text of the page with the script that asks for `/state` every two seconds."""
         with self.lock:
             mark = self.current_mark()
             if mark != self.mark and record_marks(self.study):
@@ -60,13 +60,13 @@ class LivePage:
             return allowed + SCRIPT
 
     def current_mark(self) -> str:
-        """Mark that changes whenever a record does."""
+        """Mark of the study's present state, which changes whenever a record does."""
         return str(
             hash(tuple(sorted((name, *mark) for name, mark in record_marks(self.study).items())))
         )
 
     def state(self) -> dict[str, str]:
-        """The mark, and the progress in a line: `12 runs: 9 ok, 1 failed, 2 running`."""
+        """Mark and progress in one line, as `12 runs: 9 ok, 1 failed, 2 running`."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
@@ -91,7 +91,8 @@ def serve(study: Path, port: int, announce: Callable[[str], object]) -> Threadin
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a request's `Host` names this machine alone: `localhost:8420`, `127.0.0.1`."""
+    """Whether a request's `Host` names this machine alone, as `localhost:8420` and `127.0.0.1`
+    do."""
     return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
 
 

@@ -29,7 +29,7 @@ MOST_POINTS = 150  # of a line: more than a chart has pixels for
 
 
 def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
-    """Every picture that the run's files allow, in the order of `PICTURES`."""
+    """Pictures that the run's files allow, in the order of `PICTURES`."""
     drawn = []
     for name in PICTURES:
         try:
@@ -40,7 +40,7 @@ def pictures_of_run(run: RunFolder) -> list[dict[str, Any]]:
 
 
 def picture_json(name: str, picture: Picture) -> dict[str, Any]:
-    """A picture as JSON values, with its name; empty panels are left out."""
+    """Picture as JSON values, with its name. Empty panels are left out."""
     panels = [panel for panel in picture.panels if panel.series]
     charts = [
         {"title": panel.title, "spec": panel_spec(panel, f"{picture.title}: {axes_words(panel)}")}
@@ -50,12 +50,12 @@ def picture_json(name: str, picture: Picture) -> dict[str, Any]:
 
 
 def axes_words(panel: PicturePanel) -> str:
-    """Describe the two axes in words."""
+    """Words on the two axes, `y against x`."""
     return f"{panel.y_label} against {panel.x_label}"
 
 
 def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
-    """The Vega-Lite specification of one pair of axes; what has a name is in the legend above."""
+    """Vega-Lite specification of one pair of axes. Series with a name are in the legend above."""
     axes = {
         "x": quantitative("x", panel.x_label, **scale(panel.log_x, panel.x_range)),
         "y": quantitative("y", panel.y_label, **scale(panel.log_y, panel.y_range)),
@@ -72,14 +72,14 @@ def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
 
 
 def scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
-    """Vega-Lite scale of an axis; without limits a few pixels of room."""
+    """Vega-Lite scale of an axis. Without limits it leaves a few pixels of room."""
     room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
     kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
     return kind | room | {"nice": False}
 
 
 def colour_of(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
-    """The colour of a part, and its entry in the legend if it has a name."""
+    """Colour of a part, and its entry in the legend if it has a name."""
     if not name:
         return {"value": colour}
     shown = {"title": None, "orient": "top", "columns": 2, "labelLimit": 260}
@@ -90,8 +90,8 @@ def colour_of(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
 def series_layer(
     series: Series, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
-    """Vega-Lite layer of one series, cut to what is seen, a long line thinned, gaps shortened to
-    one missing point."""
+    """Vega-Lite layer of one series. It is cut to what is seen, a long line thinned, gaps shortened
+    to one missing point."""
     x, y = thinned(*cut(series.x, series.y, panel.x_range))
     is_line = series.mark in ("line", "steps")
     transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
@@ -139,7 +139,8 @@ def band_layer(
 
 
 def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
-    """Select the stretch of a signal over time that lies in a range; other curves as they are."""
+    """Select the stretch of a signal over time that lies in a range. Other curves stay as they
+    are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
         return x, y
@@ -149,8 +150,8 @@ def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch
 
 
 def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """Thin out a line. At most about `MOST_POINTS` points; of a gap one point stays, which breaks
-    the line.
+    """Reduce the number of points of a long line. At most about `MOST_POINTS` points; of a gap one
+    point stays, which breaks the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
@@ -168,5 +169,5 @@ def _stride(points: int) -> int:
 
 
 def short_numbers(values: Values) -> list[float | None]:
-    """Round numbers for the page. Four significant digits; None breaks a line."""
+    """Round numbers to four significant digits for the page. None breaks a line."""
     return [float(f"{value:.4g}") if np.isfinite(value) else None for value in values]

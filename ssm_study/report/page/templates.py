@@ -1,5 +1,5 @@
-"""Charts whose rows the page's script fills in: responses, signals in one axis, one start played,
-groups, and all settings at once."""
+"""Charts whose data the page's script fills in: responses, signals in one axis, one played
+response, groups, and all settings at once."""
 
 import json
 from typing import Any
@@ -32,14 +32,14 @@ BY_OUTCOME = {
 
 
 def templates(table: pd.DataFrame) -> dict[str, Any]:
-    """Every template by its name; `parallel` only where it has something to show."""
+    """Chart templates by name. `parallel` is there only where it has something to show."""
     found = {"responses": responses(), "signals": signals(), "played": played()}
     parallel = parallel_coordinates(table)
     return found | ({} if parallel is None else {"parallel": parallel})
 
 
 def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
-    """Lines over time in the data set `rows`."""
+    """Layer that draws lines over time from the data set `rows`."""
     return {
         "data": {"name": "rows"},
         "mark": {"type": "line", "strokeWidth": 1.4, "clip": True, **mark},
@@ -53,8 +53,8 @@ def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
 
 
 def responses() -> dict[str, Any]:
-    """Chart of responses with one line per start, coloured in the order of their first values,
-    over the settling band."""
+    """Chart of responses with one line per initial state over the settling band. Colours follow the
+    order of their first values."""
     by_rank = {"field": "rank", "type": "ordinal", "legend": None, "scale": {"scheme": "viridis"}}
     return framed({"layer": [BAND, line_layer(by_rank)]}, "")
 
@@ -100,8 +100,8 @@ def played() -> dict[str, Any]:
 
 
 def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
-    """A line per run over what was swept and four results, each axis from its smallest to its
-    largest value; None where there is too little or too much to see."""
+    """Chart with a line per run over the swept settings and four results. Each axis runs from its
+    smallest to its largest value; None where there is too little or too much to see."""
     candidates = [name for name in (*swept_settings(table), *PARALLEL) if name in table]
     names = [name for name in candidates if column(table, name).nunique() > 1]
     if len(names) < 3 or len(table) > MOST_PARALLEL:
@@ -131,7 +131,7 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
 
 
 def parallel_axis(names: list[str]) -> dict[str, Any]:
-    """An axis with one place for each column, named as printed, without units."""
+    """Axis with one place for each column, named as printed, without units."""
     titles = {name: words(name).partition(" (")[0] for name in names}
     axis = {
         "labelExpr": f"({json.dumps(titles)})[datum.value]",

@@ -17,7 +17,7 @@ SCRIPTS = tuple(
 
 
 def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
-    """Write `study_folder/report.html`; returns its path. Raises `BadRequest` without the extra
+    """Write `study_folder/report.html` and return its path. Raises `BadRequest` without the extra
     `report` (Altair).
 
     With `others`, one page shows all studies beside one another:
@@ -64,12 +64,12 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
 
 
 def read_asset(name: str) -> str:
-    """A file of the page as text."""
+    """Read the text of a file of the page."""
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
 def _library() -> str:
-    """Vega, Vega-Lite and vega-embed as one script, out of the wheel."""
+    """Vega, Vega-Lite and vega-embed as one script, read from the installed wheel."""
     import altair
     import vl_convert
 
