@@ -114,7 +114,9 @@ class Store(Stages):
             seal_folder(temporary, note | {"key": key} | times)
             _move_into_place(temporary, final)
         except (Exception, SystemExit) as error:
-            if not temporary.is_dir():  # somebody has removed it: a library may say so otherwise
+            failed_here = isinstance(error, OSError) and error.errno != errno.ENOENT
+            if not temporary.is_dir() and not failed_here:
+                # Somebody has removed it, and a library may say so in words of its own.
                 raise FileNotFoundError(errno.ENOENT, "was removed", str(temporary)) from error
             shutil.rmtree(temporary, ignore_errors=True)
             raise  # Ctrl-C and kills leave the folder: the next attempt takes its checkpoint over

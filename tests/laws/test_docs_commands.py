@@ -184,8 +184,9 @@ def test_the_tutorials_tables_hold(
     3.259 comes out."""
     assert set(commands) <= set(COMMANDS)
     monkeypatch.chdir(clone)
-    study = lock_of(commands[0])
-    with FileLock(clone.parent / f"{study}.lock"):
+    named = dict(word.split("=") for word in commands[0].split() if "=" in word)
+    study = named.get("study", named["experiment"])
+    with FileLock(clone.parent / f"{lock_of(commands[0])}.lock"):
         for command in commands:
             executed(command, clone)
         paths = sorted(Path(f"results/{study}").glob("*/record.json"))

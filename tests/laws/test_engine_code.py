@@ -87,9 +87,7 @@ def test_a_comment_a_docstring_and_layout_change_nothing(scratch: Path) -> None:
         == set()
     )
     assert (
-        stale(
-            scratch, "training/fit.py", r'"""Minimises the training', '"""Makes least the training'
-        )
+        stale(scratch, "training/fit.py", r'"""Free run of the model', '"""Simulation of the model')
         == set()
     )
 

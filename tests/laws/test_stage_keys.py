@@ -266,7 +266,8 @@ TOO_NARROW = {
         "dataset"
     ),
     "a compiled kernel of the design": (
-        "synthesis/game_kernel.py", r"^def solved\(", "@edited\ndef solved(", "synthesis"
+        "synthesis/game_kernel.py", r"^def solve_linear\(", "@edited\ndef solve_linear(",
+        "synthesis"
     ),
     "a constant": ("robustness/mismatch.py", r"^(HOLDS|[A-Z_]{4,}) = ",
                    r"EDITED = 1\n\1 = EDITED * ", "mismatch"),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Shaped
 
 from ssm_study.refusal import BadRequest
 
@@ -19,7 +20,7 @@ WORDS = {"char": "text", "cell": "a cell array", "struct": "a struct",
 OWN = "#"  # first letter of MATLAB's own groups
 
 
-def parse_hdf5(path: Path, most_bytes: int) -> dict[str, np.ndarray | str]:
+def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "..."] | str]:
     """Read the variables of a MATLAB 7.3 file. Variables by name, fields of structs as `log.u`;
     what is no real matrix, as a word.
 
@@ -67,7 +68,7 @@ def class_of(node: Any) -> str:
     return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
 
 
-def real(node: Any) -> np.ndarray:
+def real(node: Any) -> Shaped[np.ndarray, "..."]:
     """The numbers of a data set as MATLAB shows the matrix."""
     values = np.asarray(node[()])
     return np.atleast_2d(values).T

@@ -210,9 +210,10 @@ def remarks(record: Record) -> Iterator[Remark]:
         notes = [text for text in findings if text.startswith("note: ")]
         serious = [text for text in findings if text and text not in notes]
         plain = [re.sub(r"^[a-z ]+: ", "", text) for text in serious]
+        support = SUPPORT.get(str(evidence))  # None of a word that another version wrote
         yield Remark(
             title=f"Evidence: {evidence}",
-            text=" ".join([SUPPORT[str(evidence)], *plain]),
+            text=" ".join(filter(None, [support, *plain])),
             notes=tuple(capitalised(note) for note in notes),
             is_warning=evidence in (DOUBT, CANNOT_JUDGE),
         )
