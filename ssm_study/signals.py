@@ -82,7 +82,7 @@ class Trajectory:
         )
 
     def with_disturbances_as_inputs(self) -> "Trajectory":
-        """The same record whose input is `(u, d)`."""
+        """Record whose input is `(u, d)`."""
         return replace(self, u=self.driven_by, d=None)
 
     @property
@@ -184,7 +184,7 @@ class Scale:
         return (d - self.disturbance_equilibrium) / self.disturbance_scale
 
     def with_disturbances_as_inputs(self) -> "Scale":
-        """The scale of records whose input is `(u, d)`."""
+        """Scale of records whose input is `(u, d)`."""
         return replace(
             self,
             input_scale=np.concatenate([self.input_scale, self.disturbance_scale]),
@@ -201,7 +201,7 @@ class Scale:
     def with_rest(
         self, inputs: Iterable[Float[np.ndarray, "_ m"]]
     ) -> list[Float[np.ndarray, "_ m"]]:
-        """Append to inputs the one that holds the plant at equilibrium: what a log is known to
+        """Append to inputs the one that holds the plant at equilibrium, which a log is known to
         have visited."""
         return [*inputs, self.input_equilibrium[None]]
 
@@ -214,8 +214,8 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """The limits of each input as given, else the range of records; `BadRequest` for another number
-    than inputs."""
+    """Limits of each input as given, else the range of records. Raises `BadRequest` for another
+    number than inputs."""
     seen = np.concatenate(inputs)
     found = []
     for name, given, end in (
@@ -232,7 +232,7 @@ def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, 
 
 @dataclass(frozen=True, kw_only=True)
 class DataSet:
-    """Separate training, validation and test records of one system; `start_up_samples` are
+    """Separate training, validation and test records of one system. `start_up_samples` are
     simulated, not scored.
 
     `mismatch_records` are for the mismatch alone (`synthesis.mismatch`): no fit, no early stopping
@@ -260,8 +260,7 @@ class DataSet:
         return self.training[0].step_s
 
     def with_disturbances_as_inputs(self) -> "DataSet":
-        """The same records with `(u, d)` for their inputs, as a model without a path of its own for
-        d takes them."""
+        """Data set with `(u, d)` as inputs, as a model without a path of its own for d takes it."""
         if not self.disturbances:
             return self
         records: dict[str, Trajectories] = {}

@@ -81,7 +81,7 @@ def paper(width: Width = "page") -> Iterator[None]:
 
 
 def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
-    """An empty figure without pyplot's global state, so that figures can be drawn anywhere and are
+    """Empty figure without pyplot's global state. Such figures can be drawn anywhere and are
     freed."""
     from matplotlib.figure import Figure
 

@@ -53,8 +53,7 @@ class StateSpace(_Recurrence):
 
     @property
     def integrates(self) -> bool:
-        """Whether the system has an eigenvalue at one: constant
-        inputs hold no state."""
+        """Whether the system has an eigenvalue at one, so that constant inputs hold no state."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 
     def held(
@@ -129,8 +128,8 @@ class StructuredSystem(_Recurrence):
         return self.e.shape[1]
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Combinations of neuron slopes that are all zero or one: every such choice of up to
-        `most` neurons, else a few, one per row."""
+        """Combinations of neuron slopes that are all zero or one. They are every such choice of up
+        to `most` neurons, else a few, one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
@@ -226,14 +225,14 @@ class Gains:
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
-    """Input matrix by which the control error drives an internal model: each output enters every
+    """Input matrix by which the control error drives an internal model. Each output enters every
     state of its own copy alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """State matrix of an internal model while a limit of the input acts: integrators (ones on
-    the diagonal) rest, oscillators go on."""
+    """State matrix of an internal model while a limit of the input acts. Integrators (ones on the
+    diagonal) hold their state, oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 

@@ -31,12 +31,12 @@ CHOICES: dict[str, str] = {
 
 
 def spoken(choice: object) -> str:
-    """The printed name of a controller, situation or plant, e.g. `paper_lmi` -> `paper's LMI`."""
+    """Printed name of a controller, situation or plant."""
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
 def words(name: object) -> str:
-    """The printed name of a column, e.g. `settling_time_mean_s` -> `Mean settling time (s)`."""
+    """Printed name of a column."""
     return DERIVED.get(str(name)) or label(str(name))
 
 

@@ -1,5 +1,5 @@
-"""Allow list of what a configuration may instantiate, so that a stranger's configuration cannot run
-a program."""
+"""Allow list of classes that a configuration may instantiate, so that a stranger's configuration
+cannot run a program."""
 
 import re
 from importlib.util import find_spec

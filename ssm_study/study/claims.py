@@ -112,7 +112,7 @@ def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked
 
 
 def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
-    """Files and entries from which nothing is derived again, each with the reason."""
+    """Files and entries that no check derives again, each with the reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
     reasons = dict.fromkeys(repeated, NOT_REPEATED)
@@ -246,7 +246,8 @@ def numbered_pairs(
 
 
 def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
-    """Check that the free runs of a split start as the choice between the two kinds of start says.
+    """Check that the free runs of a split start from the kind of initial state that the record says
+    was chosen.
 
     Records of 0.1 know no choice: they begin with the first samples.
     """
@@ -269,8 +270,8 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
 
 
 def model(run: RunFiles) -> Claims:
-    """Check what is claimed of the stored model: its proved properties, and that its sampling time
-    is that of the records."""
+    """Check the proved properties of the stored model, and that its sampling time is that of the
+    records."""
     if run.claims_certificate:
         yield Derived(bound_facts(run.model) | size_facts(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
@@ -282,8 +283,7 @@ def model(run: RunFiles) -> Claims:
 
 
 def fits(run: RunFiles) -> Claims:
-    """Check that the stored model reproduces the stored simulations, and that the recorded errors
-    are theirs."""
+    """Check that the stored model reproduces the stored simulations and the recorded errors."""
     replayed: dict[str, Simulation] = {}
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
@@ -339,8 +339,7 @@ def textbook_pi(run: RunFiles) -> Claims:
 
 
 def loop_files(run: RunFiles) -> Iterator[Checked]:
-    """Problems with the recordings of loops: absent, or present although such a run closes
-    no loop."""
+    """Check that the recordings of loops exist where a loop was closed, and only there."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
         for name in sorted(present):
@@ -356,8 +355,8 @@ def loop_files(run: RunFiles) -> Iterator[Checked]:
 def loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
 ) -> Iterator[Checked]:
-    """Check that the recorded input is the controller's response to the recorded output, and what
-    the loop was closed on."""
+    """Check that the recorded input is the controller's response to the recorded output. Also check
+    what the loop was closed on."""
     error = replay_error(controller, stored.controlled, run.loop.limits)
     found = f"the certified gains give it from the measured output to {error:.1e}"
     yield Checked(claim="closed_loop.mcap input", holds=error <= ITERATED, found=found)

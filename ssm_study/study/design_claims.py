@@ -75,8 +75,8 @@ def certificate(run: RunFiles) -> Claims:
 def verdict_on_part(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Check that exact arithmetic confirms one part of the certificate, found by the requested
-    method."""
+    """Check that exact arithmetic confirms one part of the certificate, and that the requested
+    method found it."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += information_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -116,8 +116,8 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
 
 
 def starts_claim(run: RunFiles) -> Iterator[Checked]:
-    """Claim that the stored starts are equilibria at the corners of a box of outputs, from which no
-    input limit becomes active."""
+    """Check that the stored initial states are equilibria at the corners of a box of outputs, from
+    which no input limit becomes active."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
@@ -125,7 +125,7 @@ def starts_claim(run: RunFiles) -> Iterator[Checked]:
 
 
 def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
-    """Claim that one part's stored starts are those derived from the model."""
+    """Check that the stored initial states of one certificate are those derived from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
         found = "the outputs at rest do not tell the states of this model"
@@ -140,14 +140,14 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
 
 
 def mismatch_again(run: RunFiles) -> Any:
-    """Mismatch measured again from the run's own recordings."""
+    """Measure the mismatch again from the run's own recordings."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
 def coverage_again(run: RunFiles) -> dict[str, Any]:
-    """Columns of the coverage, derived again from the run's own recordings."""
+    """Derive the columns of the coverage again from the run's own recordings."""
     columns = ("coverage", "coverage_reason")
     is_claimed = any(run.record.get(name) is not None for name in columns)
     if not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates:
@@ -165,7 +165,7 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
 
 
 def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
-    """Column of the fresh data sets, which are simulated again."""
+    """Derive the column of the fresh data sets again by simulating them."""
     specification = run.specification
     if not specification.has_fresh_sets:
         return {}
@@ -177,8 +177,8 @@ def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dic
 
 
 def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
-    """Columns of the single sines, which are simulated again; none for a run made before they
-    existed."""
+    """Derive the columns of the single sines again by simulating them. None for a run made before
+    they existed."""
     specification = run.specification
     if "sine_margin" not in run.record or not specification.has_sine_trials:
         return {}

@@ -1,4 +1,4 @@
-"""Stages of one run, read top to bottom: data -> model -> bounds -> synthesis -> closed loop.
+"""Stages of one run in their order: data -> model -> bounds -> synthesis -> closed loop.
 
 Each stage is a pure function of its part of the configuration and of the stages before it. It is
 computed into a folder of the store, so that what is computed and what is reused are the same bits.
@@ -292,7 +292,7 @@ def is_number_or_none(value: Any) -> bool:
 
 
 def chosen_rates(values: Mapping[str, Any]) -> str:
-    """Names of the sides whose rate is chosen by `auto`, as text."""
+    """Names of the rates, of controller and observer, that `auto` chooses, as text."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]

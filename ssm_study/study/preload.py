@@ -32,7 +32,7 @@ HEAVY = {
 
 
 def modules_for(again: Set[str]) -> Iterator[str]:
-    """Modules of this package that jobs import, without those that only stages other than `again`
+    """Names of the modules that jobs import, without those that only stages other than `again`
     use."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
@@ -43,7 +43,7 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def preload(again: Set[str]) -> None:
-    """Import what all jobs use, in the process from which they are forked; `again` as in
+    """Import what all jobs use, in the process from which they are forked. `again` is as in
     `Task.preload`."""
     for name in modules_for(again):
         with suppress(

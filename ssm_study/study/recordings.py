@@ -43,7 +43,7 @@ class RecordedCases:
 
     @classmethod
     def of(cls, path: Path) -> "RecordedCases":
-        """Read a recording; raises `BadRequest` for a damaged one."""
+        """Read a recording. Raises `BadRequest` for a damaged one."""
         groups, about = read_mcap(path)
         cases: dict[str, Case] = defaultdict(dict)
         for group in groups:
@@ -198,12 +198,13 @@ def read_simulation(path: Path) -> Simulation:
 
 
 def states_to_text(states: Sequence[Any]) -> str:
-    """Start states as JSON, null for a record that starts from its first samples."""
+    """Initial states as JSON. Null stands for a record that starts from its first samples."""
     return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
 
 
 def states_from_text(text: str, records: int) -> tuple[Any, ...]:
-    """Start states of the given number of records from JSON; None for each where the text is empty.
+    """Initial states of the given number of records from JSON. None for each where the text is
+    empty.
 
     Raises `BadRequest` for what is no list of them.
     """

@@ -107,8 +107,8 @@ def _refinable_run(run: Path, log: Path | None) -> RunFiles:
 
 @dataclass(frozen=True, kw_only=True)
 class TrialMismatch:
-    """Largest mismatch gain in a trial of the loop, zero where it comes to rest, and the coverage
-    of records and trial together by the run's own proof (None without one)."""
+    """Largest mismatch gain in a trial of the loop, zero where it comes to rest. Beside it stands
+    the coverage of records and trial together by the run's own proof (None without one)."""
 
     gain: float
     coverage: float | None

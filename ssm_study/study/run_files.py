@@ -60,7 +60,7 @@ class RunFiles:
 
     @cached_property
     def specification(self) -> Specification:
-        """Parts of the run, built from its configuration; targets that are not allowed are refused
+        """Parts of the run, built from its configuration. Targets that are not allowed are refused
         first, and old names are read."""
         config = self.config.copy()
         bring_up_to_date(config)
@@ -69,7 +69,7 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Data set of the run, simulated or read again; relative paths start where the run was
+        """Data set of the run, simulated or read again. Relative paths start where the run was
         made, or in the present folder."""
         try:
             with chdir(self.made_in):
@@ -79,8 +79,8 @@ class RunFiles:
 
     @property
     def made_in(self) -> Path:
-        """Folder to which `results_dir` of the configuration is relative; the present one if the
-        run lies elsewhere."""
+        """Folder to which `results_dir` of the configuration is relative. It is the present one if
+        the run lies elsewhere."""
         below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
@@ -159,8 +159,8 @@ class RunFiles:
 
     @property
     def applied(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Excitation that was applied in the training records (`DataSet.applied`), from the files
-        of the run."""
+        """Inputs of the training records with the equilibrium input (`DataSet.applied`), from the
+        files of the run."""
         return self.model.scale.with_rest(self.inputs)
 
     @property
@@ -183,7 +183,7 @@ class RunFiles:
 
     @property
     def loop(self) -> Loop:
-        """Closed-loop experiment of the run; without a plant its limits are the input range of the
+        """Closed-loop experiment of the run. Without a plant its limits are the input range of the
         log."""
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts:

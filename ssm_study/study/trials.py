@@ -103,8 +103,8 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
 
 
 def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
-    """Raise `BadRequest` for a trial at another sampling time, a short one, and one whose input
-    never moves."""
+    """Raise `BadRequest` for a trial that is short, has another sampling time, or whose input never
+    moves."""
     is_in_step = abs(record.step_s - step_s) <= AGREEMENT * step_s
     problem = f"the model's sampling time is {step_s:g} s"
     remedy = "log the trial at that sampling time"
@@ -154,8 +154,8 @@ def lineage(settings: Any) -> Facts:
 
 
 def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
-    """Name of the run of these settings with another value of `refine`; the part before the hash
-    stays the same."""
+    """Name that a run of these settings has with another value of `refine`. The part before the
+    hash stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})
     return prefix + run_name(changed)

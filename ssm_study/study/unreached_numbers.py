@@ -1,4 +1,5 @@
-"""Numbers of a model that no record of its run reaches: another value gives the same run."""
+"""Numbers of a model that no record of its run reaches, so that another value gives the same
+run."""
 
 from collections.abc import Iterator
 from itertools import pairwise

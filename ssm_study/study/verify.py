@@ -35,7 +35,7 @@ UNGIVEN = "nothing in the run's files gives it"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Verdict on every claim of a run; iterating gives the findings."""
+    """Verdict on every claim of a run. Iterating gives the findings."""
 
     findings: tuple[Checked, ...]
     unchecked: Mapping[str, str]
@@ -72,7 +72,7 @@ class Verification:
         return f"{holding} of {len(self.findings)} claims hold; {unchecked}"
 
     def lines(self) -> list[str]:
-        """Text lines: one per claim, one per cause of a failure, one per reason for not checking.
+        """Text lines, one per claim, one per cause of a failure, one per reason for not checking.
 
         The summary comes last.
         """

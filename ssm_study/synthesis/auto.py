@@ -1,5 +1,5 @@
-"""Automatic choice of rates and weights from the model and the records alone: the certified design
-with the best expected response.
+"""Automatic choice of rates and weights from the model and the records alone. It takes the
+certified design with the best expected response.
 
 Nothing of the closed-loop test enters. The order of the candidates: `synthesis.expected_response`.
 Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory.md.
@@ -47,8 +47,8 @@ LEAST_RATE = 1e-3  # the least demanding request, where a side is left to `auto`
 
 @dataclass(frozen=True, kw_only=True)
 class Auto:
-    """Synthesis that chooses the certified design with the best expected response among those whose
-    stability margin exceeds `margin`.
+    """Synthesis that chooses the certified design with the best expected response. Its stability
+    margin exceeds `margin`.
 
     Grids, steps and the choice where no candidate passes: docs/closed_loop.md, "Rates chosen for
     you". With an `internal_model` (`step`, `ramp`, `sine(0.5Hz)`) the weights of its states are one
@@ -106,7 +106,8 @@ class Auto:
 
     @property
     def grid(self) -> CandidateGrid:
-        """Grid of rates and weights; a side without a rate of its own takes `rate`."""
+        """Grid of rates and weights. A controller or observer without a rate of its own takes
+        `rate`."""
         return CandidateGrid(
             rate_controller=self._rate_or_common(self.rate_controller),
             rate_observer=self._rate_or_common(self.rate_observer),
@@ -119,12 +120,12 @@ class Auto:
         )
 
     def _rate_or_common(self, rate: float | str) -> float | str:
-        """The rate of one side, or the common rate where that is not given."""
+        """Rate of controller or observer, or the common rate where its own is not given."""
         return self.rate if rate == "auto" else rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains of all points of the grid for which the Riccati equation has a solution; None if
-        one side has none."""
+        """Gains of all points of the grid for which the Riccati equation has a solution. None if
+        controller or observer has none."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -134,7 +135,7 @@ class Auto:
         validation: Trajectories = (),
         mismatch: Mismatch | None = None,
     ) -> Design:
-        """Choose controller and observer and verify them exactly; where no design exists, the
+        """Choose controller and observer and verify them exactly. Where no design exists, the
         result carries the Riccati route's reason.
 
         The mismatch is that of the validation records unless given.
@@ -173,8 +174,8 @@ class Auto:
     def _covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
-        """Search, around the gains of the grid, for gains whose proof covers the records; it is
-        longer, and accepts slower gains, where a coverage is requested."""
+        """Search, around the gains of the grid, for gains whose proof covers the records. The
+        search is longer, and accepts slower gains, where a coverage is requested."""
         search = GainSearch(
             model=response.model,
             balls=response.balls,
@@ -199,7 +200,8 @@ class Auto:
     def _largest_margin(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
-        """Design the pair with the largest coarse margin, and note why no other pair is taken."""
+        """Design the controller and observer with the largest coarse stability margin, and note why
+        no other is taken."""
         best = np.array(np.unravel_index(np.argmin(peaks), peaks.shape))
         design = candidates.specification(best).design(model, balls)
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
@@ -255,15 +257,15 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs of ranked pairs, made when asked for; once one is faster than the open
+    """Certified designs of ranked gains, made when asked for. Once one is faster than the open
     loop, slower ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
-        """Certified design of a pair; None unless it is predicted to be stable, and for a
-        controller that is no faster than none while a faster one is predicted."""
+        """Certified design of one controller and observer. None unless it is predicted to be
+        stable, and for a controller that is no faster than none while a faster one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         known = self.response
@@ -280,8 +282,8 @@ class CertifiedDesigns:
 def coarse_peaks(
     model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
-    """Largest loop gain `g |T_ue|` of every pair on `GRID_ANGLES`, infinite where its loop is
-    unstable."""
+    """Largest loop gain `g |T_ue|` of every controller and observer on `GRID_ANGLES`. Infinite
+    where the loop is unstable."""
     weights = mismatch.at(GRID_ANGLES)
     return peaks_on_grid(
         model.system,
@@ -296,7 +298,7 @@ def coarse_peaks(
 
 
 def unsolved_note(candidates: Candidates) -> str:
-    """Text on the points of the grid without a solution; empty if all have one."""
+    """Text on the points of the grid without a solution. Empty if all have one."""
     count = candidates.unsolved
     return f" ({count} of the grid have no solution)" if count else ""
 

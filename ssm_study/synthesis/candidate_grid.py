@@ -29,7 +29,8 @@ HALF_SLOPE = 0.5
 
 
 class SolvedSide(NamedTuple):
-    """Gains of one side of the grid, and the number of its points without a solution."""
+    """Gains of the controllers or of the observers of the grid, and the number of points without a
+    solution."""
 
     candidates: list[GainCandidate]
     unsolved: int
@@ -37,8 +38,8 @@ class SolvedSide(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class CandidateGrid:
-    """Rates and weights of controllers and observers from which candidates are solved; `auto`
-    explains each field."""
+    """Rates and weights of controllers and observers for which gains are computed. `auto` explains
+    each field."""
 
     rate_controller: float | str
     rate_observer: float | str
@@ -66,8 +67,8 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains of all points of the grid for which the Riccati equation has a solution; None if
-        one side has none."""
+        """Gains of all points of the grid for which the Riccati equation has a solution. None if
+        controller or observer has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
         rest = slopes_at_rest(model)
@@ -109,7 +110,8 @@ class CandidateGrid:
         observes: bool,
         rest: Slopes | None = None,
     ) -> SolvedSide:
-        """Solve one side for all its rates and weights, the fastest rate first.
+        """Solve for the controllers, or the observers, at all rates and weights, the fastest rate
+        first.
 
         A solution at a faster rate holds at a slower one, so the search for that one starts there.
         """
@@ -143,8 +145,8 @@ class CandidateGrid:
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
     ) -> tuple[list[float], Solution | None]:
-        """Rates of one side below its limit, the fastest first, and a solution to start the search
-        from."""
+        """Rates of controller or observer below their limit, the fastest first. Also a solution to
+        start the search from."""
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
@@ -160,8 +162,8 @@ class CandidateGrid:
         return sorted(below, reverse=True), fastest
 
     def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
-        """The requested rate of one side; without one, rates from half of the model's own to near
-        the limit."""
+        """Requested rate of controller or observer. Without one, rates from half of the model's own
+        to near the limit."""
         requested = self.rate_observer if observes else self.rate_controller
         if requested != "auto":
             return [float(requested)]
@@ -181,8 +183,8 @@ class CandidateGrid:
         rest: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Gains of the linear model with the neurons' slopes frozen at rest or half way, certified
-        for all slopes.
+        """Gains of the linear model with the neurons' slopes frozen at the equilibrium or half way.
+        They are certified for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does
         not need that guard.
@@ -215,7 +217,7 @@ def slopes_at_rest(model: Model) -> Slopes | None:
 
 
 def injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains `L_z` with which the observers correct the neurons; None where the first observer has
+    """Gains `L_z` with which the observers correct the neurons. None where the first observer has
     none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:

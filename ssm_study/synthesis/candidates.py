@@ -27,14 +27,14 @@ class Candidates:
     unsolved: int = 0
 
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
-        """Gains of one pair, or of many pairs."""
+        """Gains of one controller with its observer, or of many."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
         return Gains(
             k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal
         )
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
-        """Specification whose solutions are the gains of this pair."""
+        """Specification of the synthesis whose solutions are these gains."""
         feedback = self.feedback[pair[0]]
         observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")

@@ -1,5 +1,5 @@
-"""Random search around given gains for gains whose proof covers more of the records than a grid
-reaches.
+"""Random search around given gains for gains whose proof covers more of the records than those of a
+grid.
 
 Each round scales every entry of K and L at random (`exp(step * normal)`), drops what is slower than
 allowed, and keeps the best of the rest: the largest coverage until the target is met, then the
@@ -47,15 +47,15 @@ SEED = 0
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredGains:
-    """Pair of gains with its response area on the model, relative to the open loop, and its
-    coverage."""
+    """Gains of controller and observer with their response area on the model, relative to the open
+    loop, and their coverage."""
 
     gains: Gains
     area: float
     coverage: float
 
     def is_better_than(self, other: "ScoredGains", target: float) -> bool:
-        """Whether this pair covers more than the other or, where both cover the target, is
+        """Whether these gains cover more than the others or, where both cover the target, are
         faster."""
         if min(self.coverage, other.coverage) >= target:
             return self.area < other.area
@@ -64,7 +64,8 @@ class ScoredGains:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSearch:
-    """Random search around a design, with the model and the records by which each trial is judged.
+    """Random search around a design, with the model and the records by which each proposal is
+    judged.
 
     `largest_area` is the slowest response allowed, in areas of the open loop on the model; `margin`
     the stability margin that the prediction must exceed.
@@ -82,7 +83,7 @@ class GainSearch:
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """Fastest certified design of the search whose certificate covers the target; None if there
+        """Fastest certified design of the search whose certificate covers the target. None if there
         is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
@@ -102,13 +103,13 @@ class GainSearch:
         return None
 
     def proved_coverage(self, design: Design) -> float:
-        """Coverage that the certificate of a design proves, decided exactly; zero without a
+        """Coverage that the certificate of a design proves, decided exactly. Zero without a
         certificate."""
         proved = with_coverage(design, self.model, self.balls, self.premise)
         return coverage_facts(proved, self.model, self.premise).get("coverage") or 0.0
 
     def area_of(self, gains: Gains) -> float:
-        """Response area of one pair on the model, relative to the open loop."""
+        """Response area of one controller and observer on the model, relative to the open loop."""
         return self._areas([gains])[0]
 
     def search(self, start: Design, target: float, rounds: int, largest_area: float) -> ScoredGains:
@@ -156,7 +157,7 @@ class GainSearch:
     def _best_predicted(
         self, trials: list[ScoredGains], best: ScoredGains, target: float
     ) -> ScoredGains | None:
-        """Best trial that is better than the best so far and predicted to be stable."""
+        """Best proposal that is better than the best so far and predicted to be stable."""
         leader: ScoredGains | None = None
         for trial in trials:
             if not trial.is_better_than(leader or best, target):
@@ -184,7 +185,7 @@ class GainSearch:
         return [float(area) for area in areas]
 
     def certified_design(self, start: Design, gains: Gains) -> Design | None:
-        """Design with these gains and certificates at the largest rates proved for them; None where
+        """Design with these gains and certificates at the largest rates proved for them. None where
         there are none, or where the loop is not predicted to be stable."""
         feedback, observer = start.parts()
         new_feedback = certified_at_gain(feedback, k=gains.k)
@@ -198,8 +199,8 @@ class GainSearch:
 
 
 def certified_at_gain(part: Any, **gains: Any) -> Any:
-    """Theorem of one side for other gains, at the largest rate that is proved for them; None if no
-    rate is."""
+    """Certificate of other gains by the theorem of a given one, at the largest rate that is proved
+    for them. None if no rate is."""
     try:
         with linear_algebra_failures_as_no_solution():
             return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
@@ -219,7 +220,7 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
 
 
 def stacked_gains(proposals: list[Gains]) -> Gains:
-    """Several pairs of gains as one batch."""
+    """Stack several gains of controllers and observers to one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     k = np.stack([gains.k for gains in proposals])
     l_ = np.stack([gains.l for gains in proposals])

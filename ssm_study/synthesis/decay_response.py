@@ -1,4 +1,5 @@
-"""Response of a loop from the starts of recorded decays, compared with the decays themselves.
+"""Response of a loop from the initial states of recorded decays, compared with the decays
+themselves.
 
 A decay is a record at rest input that starts away from rest. Its output is what the plant does
 without control; to it is added what the model answers to the loop's input from rest:
@@ -59,7 +60,7 @@ def slowest_ratios(
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Larger of the decay ratios at each of `BANDS`; zero without decays, and with an internal
+    """Larger of the decay ratios at each of `BANDS`. Zero without decays, and with an internal
     model, which settles at its own pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
@@ -75,7 +76,7 @@ def decay_ratios(
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
     """Settling time of the loop relative to that of the decay without control, mean over the
-    decays, for each of many pairs of gains; zero without decays."""
+    decays. It is computed for many gains at once; zero without decays."""
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)

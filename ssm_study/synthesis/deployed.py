@@ -1,5 +1,5 @@
-"""Certificates for a pair of gains after the choice: largest rates, tolerated mismatch, limited
-inputs.
+"""Certificates for the chosen gains of controller and observer: largest rates, tolerated mismatch,
+limited inputs.
 
 All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
 `limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
@@ -48,8 +48,8 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def with_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Design with further certificates for its gains, each verified exactly: largest rates,
-    tolerance, and the effect of physical input `limits`.
+    """Design with further certificates for its gains, each verified exactly. They are largest
+    rates, tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
@@ -70,8 +70,8 @@ def with_gain_certificates(
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest mismatch at the input for which the loop converges; None for sides
-    of another class, and where none is proved."""
+    """Certificate of the largest mismatch at the input for which the loop converges. None for gains
+    certified by another class, and where none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
@@ -105,7 +105,7 @@ def at_largest_rate(part: Side) -> Side | None:
 
 
 def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """Design with certificates for limited inputs; unchanged for neurons, without a certificate, or
+    """Design with certificates for limited inputs. Unchanged for neurons, without a certificate, or
     for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     parts = (
@@ -155,8 +155,8 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
 
 
 def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states nearest to stored starts, in the same shares of each corner; None if there
-    are none."""
+    """Equilibrium states nearest to stored initial states, in the same shares of each corner. None
+    if there are none."""
     corners = rest_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
@@ -168,8 +168,8 @@ def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.nda
 
 @dataclass(frozen=True, kw_only=True)
 class WithinLimits:
-    """Proof that no input limit acts from rest at outputs between `lower, upper (p,)`; `everywhere`
-    is the proof with inputs cut at the limits, or None."""
+    """Proof that no input limit acts from equilibria with outputs between `lower, upper (p,)`.
+    `everywhere` is the proof with inputs cut at the limits, or None."""
 
     lower: Outputs
     upper: Outputs
@@ -177,7 +177,8 @@ class WithinLimits:
 
     @classmethod
     def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Limits read from the parts of a certificate; None where they have no set of starts."""
+        """Read the limits from the parts of a certificate. None where they have no set of initial
+        states."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         starts = starts_at_rest(model, parts[SETS].starts)
@@ -205,15 +206,16 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
 
 
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """Least and greatest output between the starts and their mirror images, in physical units."""
+    """Least and greatest output between the initial states and their mirror images, in physical
+    units."""
     read = (model.linear.c @ starts[: model.order]).T
     ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
     return ends.min(axis=0), ends.max(axis=0)
 
 
 def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """Theorem that `find` returns; None where its numbers exceed floating point, so that nothing is
-    claimed and the design remains."""
+    """Certificate that `find` returns. None where its numbers exceed floating point, so that
+    nothing is claimed and the design remains."""
     try:
         with linear_algebra_failures_as_no_solution():
             return find()

@@ -55,8 +55,8 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """Attempt to design one side: the request, its theoretical limit, the method, and the time it
-    began."""
+    """Attempt to design controller or observer, with the request, its theoretical limit, the
+    method, and the time it began."""
 
     theorem: type[Side]
     rate: float
@@ -66,7 +66,7 @@ class DesignAttempt:
     started: float
 
     def refused(self) -> Infeasible | None:
-        """Refusal of a request beyond the theoretical limit, with the number that decides; None if
+        """Refusal of a request beyond the theoretical limit, with the number that decides. None if
         the request lies within it."""
         ball = self.ball
         limit = self.frontier.rate_limit
@@ -92,7 +92,7 @@ class DesignAttempt:
         return None
 
     def infeasible(self, reason: str, status: str, proved: bool = False) -> Infeasible:
-        """Design attempt that produced no certificate; `reason` says why."""
+        """Result of an attempt without a certificate. `reason` says why."""
         asked: Any = {
             "theorem": self.theorem.name(),
             "rate": self.rate,
@@ -105,8 +105,8 @@ class DesignAttempt:
         )
 
     def verified(self, problem: Problem, solution: Solution) -> Any:
-        """Certificate of a side from a solution; `problem` is in Theorem 1's form, transposed for
-        an observer."""
+        """Certificate of controller or observer from a solution. `problem` is in Theorem 1's form,
+        transposed for an observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
         return self.theorem.proved(
@@ -153,7 +153,7 @@ class DesignAttempt:
 def failed_checks(
     content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
-    """Sentences on the claims of a `certificate.json` that do not hold; empty when all hold.
+    """Sentences on the claims of a `certificate.json` that do not hold. Empty when all hold.
 
     `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
@@ -289,7 +289,7 @@ class Synthesis(ABC):
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
-        """Matrices of Theorem 1 for the problem; raises `NoSolution` when the method finds none."""
+        """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method finds none."""
 
     def design(
         self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
@@ -323,7 +323,7 @@ class Synthesis(ABC):
         )
 
     def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
-        """Certified solution of one side, or the reason why there is none."""
+        """Certified solution for controller or observer, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
         limit = controller_frontier(dual(system) if theorem.observes else system, ball)
         started = time.perf_counter()
@@ -341,8 +341,8 @@ class Synthesis(ABC):
         return request.first_certified(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """Problem that is solved for the controller, or with `observes` for the observer on the
-        dual system."""
+        """Problem that is solved for the controller. With `observes` it is that of the observer on
+        the dual system."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)

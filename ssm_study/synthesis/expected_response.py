@@ -1,4 +1,4 @@
-"""Ranking of certified pairs of gains by the response that is expected of them on the plant.
+"""Ranking of certified gains by the response that is expected of them on the plant.
 
     P area + (1 - P) LOSS,        P = Phi(ln(margin) / spread)
 
@@ -52,7 +52,8 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
 
 
 class RankedPair(NamedTuple):
-    """Pair of gains, and whether it is faster than the open loop on the model."""
+    """Gains of one controller and observer, and whether they are faster than the open loop on the
+    model."""
 
     pair: Pair
     is_faster: bool
@@ -60,7 +61,7 @@ class RankedPair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """Model, gains and records from which the pairs of one grid are scored."""
+    """Model, gains and records by which the designs of one grid are scored."""
 
     model: Model
     balls: Balls
@@ -70,14 +71,14 @@ class ExpectedResponse:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, shared: Responses) -> float:
-        """Inverse of the pair's stability margin; the computation stops early from `1 /
-        margin` on."""
+        """Inverse of a design's stability margin. The computation stops early from `1 / margin`
+        on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
     def expected(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected response area of the pair, with its loop gain taken on the angles of
+        """Expected response area of a design, with its loop gain taken on the angles of
         `shared`."""
         return expected_area(float(area), self.loop_gain(pair, shared), self.mismatch.spread)
 
@@ -87,7 +88,7 @@ class ExpectedResponse:
         return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
-        """Pairs with a large enough coarse margin whose controller itself is stable."""
+        """Designs with a large enough coarse margin whose controller itself is stable."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
             return np.empty((0, 2), dtype=int)
         pairs = np.argwhere(self.margin * peaks < 1)
@@ -97,7 +98,7 @@ class ExpectedResponse:
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
     ) -> Iterator[RankedPair]:
-        """Pairs that pass all tests, by expected response, those faster than the open loop first.
+        """Designs that pass all tests, by expected response, those faster than the open loop first.
 
         An expected area is never below the area, so the search ends where the areas exceed the
         expected ones of the passing pairs, and goes on only where none of those is taken (the gains
@@ -135,8 +136,8 @@ class ExpectedResponse:
 
 
 def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the `COMPARED` smallest areas (slow pairs last) and as many spread over the
-    rest."""
+    """Indices of the designs to compare: the `COMPARED` smallest areas (slow ones last) and as many
+    spread over the others."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
@@ -145,8 +146,8 @@ def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"])
 def predicts_faster_response(
     model: Model, pair: Gains, mismatch: Mismatch, validation: Trajectories, trials: Trajectories
 ) -> bool:
-    """Whether a pair is clearly faster than the open loop, on the model and from the starts of
-    records at rest input; input limits are not considered."""
+    """Whether a design is clearly faster than the open loop, on the model and from the initial
+    states of recorded decays. Input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
     one = replace(pair, k=pair.k[None], l=pair.l[None], l_z=l_z)
     area = relative_areas(model, one, validation)[0]

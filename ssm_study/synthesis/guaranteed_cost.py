@@ -1,4 +1,4 @@
-"""Guaranteed-cost gains from Riccati equations in O(n^3); their weights select a good one among the
+"""Guaranteed-cost gains from Riccati equations in O(n^3). Their weights select a good one among the
 certified gains.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): among the certified gains, the one
@@ -73,7 +73,7 @@ FAR = 1e300  # the cost of an inadmissible tau: finite, so that the line search 
 
 @dataclass(frozen=True, kw_only=True)
 class GuaranteedCost:
-    """Riccati solution divided by tau, and the gain, at one point of the search over tau."""
+    """Gain and Riccati solution divided by tau, at one point of the search over tau."""
 
     s_over_tau: Float[np.ndarray, "n n"]
     k: Float[np.ndarray, "m n"]
@@ -104,7 +104,7 @@ def guaranteed_cost(problem: Problem) -> Solution:
 
 
 def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
-    """Riccati solution at one tau, divided by tau so that large tau is harmless; None if tau is
+    """Riccati solution at one tau, divided by tau so that large tau is harmless. None if tau is
     inadmissible."""
     ball = problem.ball
     ah = problem.a_hat

@@ -87,7 +87,8 @@ def as_inverting(design: Design) -> Design:
 
 
 def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model and balls to which a design refers: the model itself, or the model with input v."""
+    """Model and balls to which a design refers. They are the model itself, or the model with input
+    v."""
     if not design.inverts:
         return model, balls
     inner_model = model_behind_map(model)
@@ -97,7 +98,7 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
 def design_with_inverted_input(
     plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
 ) -> Design:
-    """Design of the specification `plain` for the model with input v, marked as inverting the input
+    """Design by the specification `plain` for the model with input v, marked as inverting the input
     map."""
     inner_model = model_behind_map(model)
     limits = getattr(plain, "limits", None)

@@ -1,5 +1,5 @@
-"""Speed of a design on the model itself: area under its response and settling time, for hundreds of
-designs at once.
+"""Area under a design's response on the model and its settling time, for hundreds of designs at
+once.
 
 Used to choose among certified designs (docs/closed_loop.md); the separation it leans on is in
 docs/theory.md.
@@ -32,8 +32,8 @@ AT_ONCE = 256  # designs simulated together: as many as stay in the processor's 
 def release(
     model: Model, validation: Trajectories, loaded: bool
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
-    """Initial states `x0` released at sample 0, the load added to `S_u(u)`, and the horizon in
-    samples.
+    """Initial states and loads of the simulations by which designs are compared, and their horizon
+    in samples.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
     under loads. Not states in which a constant input would hold the model: a model may have a mode
@@ -62,8 +62,8 @@ def release(
 
 
 def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """Constant loads, `LEVELS` of each channel of `S_u`, scaled so that level one moves the output
-    by one scale; channels without effect are left out."""
+    """Constant loads at `LEVELS` of each channel of `S_u`, scaled so that level one moves the
+    output by one scale. Channels without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
     else:
@@ -91,8 +91,8 @@ def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float
 def relative_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
-    """Response area relative to the open loop, `J / J_uncontrolled`, mean over the released states,
-    for each pair of gains.
+    """Response area relative to the open loop, `J / J_uncontrolled`, mean over the initial states,
+    for each design.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
@@ -119,7 +119,8 @@ def _areas(
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    """Area under the response and settling time of each pair (rows) from each start (columns)."""
+    """Area under the response plus settling time of each design (rows) from each initial state
+    (columns)."""
     n = model.order
     k = gains.k.transpose(0, 2, 1)
     l_ = gains.l.transpose(0, 2, 1)

@@ -1,5 +1,5 @@
-"""Theorems 1 and 2 of [Z26] as the paper states them: linear matrix inequalities, solved through
-CVXPY.
+"""Theorems 1 and 2 of [Z26] as the paper states them, as linear matrix inequalities that CVXPY
+solves.
 
 Compiled once per pair `(A, B)`; rate and ball are parameters, so a sweep over rates re-solves
 without compiling. The solver's status is information: inside the frontier its "infeasible" is often
@@ -114,7 +114,7 @@ def _compiled(
 
 @dataclass(frozen=True, kw_only=True)
 class LmiSynthesis(Synthesis):
-    """Synthesis by the paper's linear matrix inequalities; `objective` is one of `OBJECTIVES`,
+    """Synthesis by the paper's linear matrix inequalities. `objective` is one of `OBJECTIVES`,
     `solver` CLARABEL or SCS."""
 
     objective: str = "guaranteed_cost"
@@ -146,8 +146,8 @@ class LmiSynthesis(Synthesis):
 def paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Matrices of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X, sigma): any
-    solution with the block matrix `>= I`.
+    """Solution of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X, sigma). It is any
+    with the block matrix `>= I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.

@@ -49,9 +49,9 @@ def prefer_covered(
     cover: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design among these pairs whose proof covers the records as requested; else the result
-    of a search around the one that covers most; else the first that is covered at all, else the
-    first; with a word for which of these it is.
+    """First design whose proof covers the records as requested, else the best substitute, with a
+    word for which it is. Substitutes are the result of a search around the one that covers most,
+    then the first that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
@@ -84,8 +84,8 @@ def prefer_covered(
 
 @dataclass(kw_only=True)
 class SeenDesigns:
-    """Designs considered so far whose coverage is too small: the first, the first that is covered
-    at all, and the one with the `largest` coverage, `most`."""
+    """Designs considered so far whose coverage is too small. Kept are the first, the first that is
+    covered at all, and the one with the `largest` coverage, `most`."""
 
     first: Design | None = None
     barely: Design | None = None
@@ -102,7 +102,7 @@ class SeenDesigns:
             self.largest = coverage
 
     def search_around(self, search: Search, target: float) -> Design | None:
-        """Design found by a search around the one that covers most; None without any."""
+        """Design found by a search around the one that covers most. None without any."""
         if self.first is None or self.most is None:
             return None
         return search(self.first, self.most, target)
@@ -117,8 +117,8 @@ class LoopCoverage:
 
     @classmethod
     def of(cls, model: Model, controlled: Any, balls: Balls, premise: Premise) -> "LoopCoverage":
-        """Prepare the coverage for a loop, with the items of the premise measured once around each
-        centre."""
+        """Prepare the coverage for a loop, with the requirements of the premise measured once
+        around each centre."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(

@@ -1,5 +1,5 @@
-"""Convex program behind `measured_discs`: weights, multipliers and kappa together, at selected
-frequencies.
+"""Convex program behind `measured_discs`, which optimises weights, multipliers and disc radius
+together, at selected frequencies.
 
 With every signal of the loop as a row over its free signals at `z = e^{jw}` the theorem's
 inequality is, by the Kalman-Yakubovich-Popov lemma, a Hermitian matrix that must be positive at

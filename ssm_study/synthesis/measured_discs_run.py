@@ -69,7 +69,7 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
 
 def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Reason why the theorem does not apply to this loop; None where it does."""
+    """Reason why the theorem does not apply to this loop. None where it does."""
     if design.inverts:
         return INVERTS
     observer = design.observer
@@ -122,8 +122,8 @@ def fresh_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Kappa that each fresh data set needs of the design's disc, relative to `premise`, the run's
-    own records; none without a coverage certificate from these records."""
+    """Disc radius kappa that each fresh data set needs, relative to that of `premise`, the run's
+    own records. None without a coverage certificate from these records."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
         return []

@@ -1,5 +1,5 @@
-"""Search for weights, kappa and proof of `measured_discs` for given gains, the largest kappa that
-can be proved.
+"""Search for the largest disc radius kappa that `measured_discs` proves for given gains, with its
+weights.
 
 One convex program gives weights, multipliers and kappa (`measured_discs_program`); kappa is then
 taken a little back and the weights widened where the loop does not mind, since weights that are
@@ -92,8 +92,8 @@ def largest_kappa(
 def optimum_for_weights(
     theorem: type[MeasuredDiscs], context: VerificationContext, weights: Weights, centre: float
 ) -> tuple[float, Float[np.ndarray, "A"]]:
-    """Largest `kappa^2` for given weights, by frequency, and its multipliers; raises
-    `NoSolution`."""
+    """Largest squared disc radius `kappa^2` for given weights, by frequency, and its multipliers.
+    Raises `NoSolution`."""
     forms = LoopForms.of(theorem, context, (centre,))
     grid = forms.at(forms.frequency_grid)
     x = np.zeros(0)
@@ -152,7 +152,7 @@ def _largest_margin(
     nu: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> tuple[Float[np.ndarray, "A"], float]:
-    """Multipliers with the largest margin at this kappa, and the margin in units of each free
+    """Multipliers with the largest margin at this disc radius. The margin is in units of each free
     signal's own weight."""
     grid = forms.at(forms.frequency_grid)
     own = own_weights(forms, centre, multipliers)
@@ -201,7 +201,7 @@ def certify_numbers(
     margin: float,
     started: float,
 ) -> MeasuredDiscs | None:
-    """Certificate with the first P that exact arithmetic accepts; None without any."""
+    """Certificate with the first P that exact arithmetic accepts. None without any."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -289,7 +289,7 @@ def largest_coverage(
 def _largest_around(
     context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
-    """Largest coverage around one centre."""
+    """Proof with the largest coverage among the discs around these centres."""
     started = time.perf_counter()
     theorem = theorem_of(context)
     forms = LoopForms.of(theorem, context, tuple(items))
@@ -323,7 +323,8 @@ def _certify_program(
     unknowns: Float[np.ndarray, "n"],
     started: float,
 ) -> Coverage | None:
-    """Certificate from a solution of the joint program; None if no attempt is accepted."""
+    """Certificate from a solution for weights and multipliers together. None if no attempt is
+    accepted."""
     coarse = program.accuracy == COARSE
     for inside in INSIDE[coarse:]:
         scaled = nu * inside**2

@@ -1,5 +1,5 @@
-"""Weights of `measured_discs` as cosine polynomials over fixed poles: the joint program, and
-filters from its solution.
+"""Weights of `measured_discs` as cosine polynomials over fixed poles, their optimisation with the
+multipliers, and filters from its solution.
 
 `WeightProgram` gives the largest kappa with its weights and multipliers, and widens the weights
 where the loop does not mind. Source: docs/theory.md, "Measured discs".
@@ -41,8 +41,8 @@ EVENLY = np.linspace(0, np.pi, 2001)
 def own_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal in the quadratic form by itself: |e|^2 one, |p|^2 its multiplier,
-    and so on."""
+    """Weight of each free signal in the quadratic form by itself. It is one for |e|^2, its
+    multiplier for |p|^2, and so on."""
     order = len(forms.a)
     whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
     own = np.abs(np.diagonal(whole)[order:])
@@ -118,7 +118,8 @@ def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class WeightProgram:
-    """Joint program for weights, multipliers and `nu = kappa^2` around one centre.
+    """Program that optimises weights, multipliers and the squared disc radius `nu = kappa^2`
+    together, around one centre.
 
     Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
     and each band has a `widening` of its own.
@@ -132,8 +133,8 @@ class WeightProgram:
 
     @property
     def accuracy(self) -> float:
-        """Amount by which constraints between the angles may be violated; larger where each is a
-        large matrix."""
+        """Amount by which constraints between the angles may be violated. It is larger where each
+        is a large matrix."""
         return COARSE if self.grid.model.shape[1] > LARGE else JOINT
 
     @property
@@ -145,7 +146,8 @@ class WeightProgram:
         return np.concatenate([of_x, of_y, self.grid.multipliers])
 
     def item_rows(self) -> Float[np.ndarray, "I n"]:
-        """Coefficients of x and y in `sum over an item's lines of (X model + Y input) / seen`."""
+        """Coefficients of x and y in each requirement, `sum over its lines of (X model + Y input) /
+        seen`."""
         rows = []
         for item in self.items:
             phi = self.basis.at(item.angles)
@@ -154,7 +156,7 @@ class WeightProgram:
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
-        """Constraints on (x, y) with their bounds: X exceeds `c^2`, so that the disc contains `e =
+        """Constraints on (x, y) with their bounds. X exceeds `c^2`, so that the disc contains `e =
         0`, and neither comes near zero."""
         mean = self.basis.at(EVENLY).mean(axis=1)
         clear = self.basis.at(CIRCLE).T - NEAR_ZERO * mean
@@ -167,7 +169,7 @@ class WeightProgram:
         return rows, bounds
 
     def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
-        """Largest nu, with x, y and the multipliers; raises `NoSolution`."""
+        """Largest squared disc radius nu, with x, y and the multipliers. Raises `NoSolution`."""
         linear = self.linear
         scale = form_sizes(linear)
         count = len(scale)

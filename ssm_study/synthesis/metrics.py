@@ -25,7 +25,7 @@ OPINION = "another solver's opinion, which decides nothing"
 
 
 def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
-    """Declarations of the columns of one side."""
+    """Declarations of the columns of controller or observer."""
     said = side.capitalize()
     setting = f"synthesis.rate_{side}"
     reason = f"Why there is no {side}"
@@ -246,13 +246,13 @@ def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch)
 
 
 def infeasible_reason(design: Design) -> str:
-    """Reasons of the sides that have no certificate, as one text."""
+    """Reasons why controller or observer has no certificate, as one text."""
     parts = (design.state_feedback, design.observer)
     return "; ".join(part.reason for part in parts if isinstance(part, Infeasible))
 
 
 def uncertified_reason(design: Design) -> str:
-    """Statuses of the sides that exact arithmetic does not confirm, as one text."""
+    """Statuses of controller and observer that exact arithmetic does not confirm, as one text."""
     sides = {"controller": design.state_feedback, "observer": design.observer}
     missed = []
     for side, part in sides.items():
@@ -300,8 +300,8 @@ def shared_range(
 
 
 def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates, for
-    information only."""
+    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates as a
+    second opinion."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
     model, balls = of_commands(design, model, balls)
@@ -324,7 +324,7 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
 
 
 def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    """Columns of one side of the design; null where there is no certificate."""
+    """Columns of controller or observer. Null where there is no certificate."""
     facts: dict[str, Any] = {
         f"rate_{side}": part.rate,
         f"{side}_feasible": not isinstance(part, Infeasible),

@@ -1,4 +1,4 @@
-"""Minimum-energy gain: a certified controller for every rate inside the frontier, computed without
+"""Minimum-energy gain, a certified controller for every rate inside the frontier, computed without
 iteration.
 
 Problem. As in `state_feedback` (and, transposed, `observer`): a gain at the asked rate, with the

@@ -1,4 +1,4 @@
-"""Selection among trained models: of those that fit about equally well, the one with the fastest
+"""Selection among trained models that fit about equally well. It takes the one with the fastest
 certifiable control.
 
 Models that fit as well differ much in the rate that can be certified: one of them may let a neuron
@@ -67,7 +67,7 @@ class LargestCertifiableRate:
         return near[int(np.argmax(rates))]
 
     def largest_rate(self, model: Any) -> float:
-        """Largest rate of a certified state feedback for one model; zero where there is none."""
+        """Largest rate of a certified state feedback for one model. Zero where there is none."""
         return max(0.0, largest_rate_of(model.system, certified_balls(model).input))
 
     def _within(self, model: Any) -> float:

@@ -14,8 +14,8 @@ Goal = tuple[cp.Expression, list[cp.Constraint]]
 def goal_and_constraints(
     objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
 ) -> Goal:
-    """Goal and constraints of an inequality given by its upper triangle, linear in P and other
-    unknowns.
+    """Goal and constraints of an inequality. It is given by its upper triangle, linear in P and
+    other unknowns.
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
     deepest inside. `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance`

@@ -23,7 +23,7 @@ from ssm_study.systems import Balls
 def design_lines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Frequencies, as lines of a period, at which the design is to be tested; none for a law that
+    """Frequencies, as lines of a period, at which the design is to be tested. None for a law that
     inverts the input map, nor where the noise is unknown."""
     if not design.feasible or design.inverts or not mismatch.noise:
         return []
@@ -43,7 +43,7 @@ def simulated_sines(
 def sine_facts(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Columns of the margin with the sines among the records, and of the prediction from both; none
+    """Columns of the margin with the sines among the records, and of the prediction from both. None
     without sines."""
     if not sines:
         return {}

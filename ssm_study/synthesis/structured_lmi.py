@@ -1,5 +1,5 @@
-"""Inequalities of a structured model, solved directly by CVXPY; an independent check of the game
-Riccati route.
+"""Inequalities of a structured model, solved directly by CVXPY. They check the game Riccati route
+independently.
 
 Linear in `(P, X, T, sigma)` for a state feedback and in `(Q, V, Lambda, N, eta)` for an observer;
 `Y = P`, `U = Q`. For a ball without radius the rows of its multiplier are left out. Source:
@@ -147,7 +147,7 @@ def is_confirmed(problem: Problem, solution: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """Largest rate over all gains (or for `fixed` ones) that the solver finds; 0 if there is
+    """Largest rate over all gains (or for `fixed` ones) that the solver finds. 0 if there is
     none."""
     return fastest_solution(problem, fixed)[0]
 
@@ -173,7 +173,7 @@ def fastest_solution(
 
 
 def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
-    """Matrices that prove a rate; None where the solver returns none that do."""
+    """Matrices that prove a rate. None where the solver returns none that do."""
     try:
         solution = program.solve(rate)
         return solution if is_confirmed(problem.at(rate), solution) else None

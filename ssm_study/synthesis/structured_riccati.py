@@ -57,7 +57,7 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """Game Riccati problem with neurons at a contraction factor `r` of its own; the search starts
+    """Game Riccati problem with neurons at a contraction factor `r` of its own. The search starts
     from slower factors, also above one."""
 
     problem: Problem
@@ -100,7 +100,7 @@ class Saddle(NamedTuple):
 
 
 def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """Saddle point at the log multipliers (`Lambda`, then `lambda_p`); its goal is infinite where
+    """Saddle point at the log multipliers (`Lambda`, then `lambda_p`). Its goal is infinite where
     they are inadmissible.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
@@ -115,7 +115,7 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 
 def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """Best log multipliers that BFGS finds from admissible `logs`; a step to an inadmissible point
+    """Best log multipliers that BFGS finds from admissible `logs`. A step to an inadmissible point
     is shortened."""
     at = evaluate_saddle(game, logs, barrier)
     metric = np.eye(len(logs))
@@ -147,7 +147,7 @@ def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) ->
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """Gain with the least guaranteed cost and the matrices of the theorem; raises `NoSolution`
+    """Gain with the least guaranteed cost and the matrices of the theorem. Raises `NoSolution`
     where the search stops before the requested rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
@@ -266,8 +266,8 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
 def multiplier_without_ball(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
-    """Multiplier sigma for a ball without radius (of an observer eta): so large (so small) that it
-    hardly reduces P.
+    """Multiplier sigma (of an observer eta) for a ball without radius. It is so large (so small)
+    that it hardly reduces P.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """

@@ -43,7 +43,7 @@ PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
 def declaration_of(name: str) -> Column | None:
-    """Declaration of the column of this name; None where nobody declares it."""
+    """Declaration of the column of this name. None where no room declares it."""
     if name in BY_NAME:
         return BY_NAME[name]
     return next((column for column in PATTERNS if column.covers(name)), None)
@@ -60,8 +60,8 @@ def label(name: str) -> str:
 
 
 def setting_of(name: str) -> str:
-    """Entry of the configuration that a column repeats, such as `plant.step_s`; empty where it
-    repeats none."""
+    """Entry of the configuration that a column holds, such as `plant.step_s`. Empty where it holds
+    none."""
     if FURTHER.covers(name):
         return name.replace("__", ".")
     return BY_NAME[name].setting if name in BY_NAME else ""
@@ -93,7 +93,7 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def suggest_column(name: str, names: Iterable[str]) -> str:
-    """Suggestion for a misspelt column: the nearest names, or how to list them."""
+    """Suggestion for a misspelt column, the nearest names or how to list them."""
     half_of_the_letters = 0.5
     near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
     if near:
@@ -120,7 +120,7 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
 
 
 def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
-    """Requested value of a setting in each run: for a rate that `auto` chose, `auto`."""
+    """Requested value of a setting in each run. It is `auto` for a rate that `auto` chose."""
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")
@@ -147,7 +147,7 @@ def column(table: pd.DataFrame, name: str) -> pd.Series:
 
 
 def flag(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as truth values; missing counts as false."""
+    """Column of a table as truth values. Missing counts as false."""
     return column(table, name).fillna(0.0) > 0
 
 

@@ -23,7 +23,7 @@ TEXT = pd.StringDtype("python", na_value=np.nan)  # a comparison with what is mi
 
 
 def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """Rows of `table` for which `expression` holds; a comparison with a missing value is false.
+    """Rows of `table` for which `expression` holds. A comparison with a missing value is false.
 
     `null`, `true`, `false` and `inf` are constants; `x == null` selects what is missing. Raises
     `BadRequest` for what is no comparison of columns and for unknown columns.

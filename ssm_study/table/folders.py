@@ -38,8 +38,8 @@ def _remedy_for_no_folder(path: Path) -> str:
 
 
 def run_folder(path: Path) -> Path:
-    """Folder of the one run that `path` means: the path itself, or a run whose name begins or ends
-    with it.
+    """Folder of the one run that `path` means. It is the path itself, or a run whose name begins or
+    ends with it.
 
     `results/paper/1a2b3c4d5e`, or `results/paper/order8-width32-seed3`. The study itself stands for
     its only run. Raises `BadRequest` where no run or several are meant.

@@ -12,7 +12,8 @@ FEWEST = 2  # seeds of one setting, below which there is no deviation
 
 
 def over_seeds(table: pd.DataFrame) -> list[str]:
-    """Small table with the settings that vary, the seeds, and `mean ± deviation` of each result.
+    """Text lines of a small table with the settings that vary, the seeds, and `mean ± deviation` of
+    each result.
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
@@ -54,7 +55,7 @@ def heading(name: str) -> str:
 
 
 def group_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
-    """The printed row of one setting."""
+    """Cells of the printed row of one combination of settings."""
     yield label
     yield str(runs["seed"].nunique())
     for name in MEASURED:

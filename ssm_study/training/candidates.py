@@ -1,5 +1,5 @@
-"""Candidates of a choice: settings, the errors of their free runs on held-out folds, and how two
-are compared."""
+"""Candidates among which the settings of a model are chosen, the errors of their free runs on
+held-out folds, and how two are compared."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -63,7 +63,7 @@ class Candidate:
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
     def row(self, *, chosen: bool, certified: bool | None) -> Row:
-        """Line of the table of what was tried; `certified` is None where nobody looked."""
+        """Row of the table of candidates. `certified` is None where nobody looked."""
         fits = 100.0 - self.errors
         return {
             "question": self.question,
@@ -85,7 +85,7 @@ class Candidate:
 
 
 def best_of(candidates: Iterable[Candidate]) -> Candidate:
-    """The candidate of the least mean error among those tried on most folds."""
+    """Candidate with the least mean error among those tried on most folds."""
     return min(candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error))
 
 
@@ -97,8 +97,8 @@ def first_not_behind(candidates: Sequence[Candidate], by: float = NEARLY) -> Can
 
 @dataclass
 class Trial:
-    """Errors of one candidate on the folds so far, from both starts of a held-out piece: its first
-    samples, and the log before it (`models.warm_start`)."""
+    """Errors of one candidate on the folds so far, for both kinds of initial state of a held-out
+    piece. They come from its first samples, and from the log before it (`models.warm_start`)."""
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
@@ -118,12 +118,13 @@ class Trial:
 
     @property
     def start(self) -> str:
-        """The start from which the mean error is smaller; the first samples where both are."""
+        """Kind of initial state with the smaller mean error. It is the first samples where both are
+        equal."""
         return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
 
     @property
     def errors(self) -> Float[np.ndarray, "folds"]:
-        """Errors from that start."""
+        """Errors with the kind of initial state that has the smaller mean."""
         return np.array(self.by_start[self.start])
 
 
@@ -139,7 +140,7 @@ def linear_trial(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
 
 
 def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
-    """A linear output-error model as a state space, `x+ = A x + B u + B_d d, y = C x + D u`.
+    """Linear output-error model as a state space, `x+ = A x + B u + B_d d, y = C x + D u`.
 
     The state of a held-out piece can then be estimated from many samples; the recursion itself
     would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
@@ -170,8 +171,8 @@ def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
 
 
 def with_late_disturbances(data: DataSet) -> DataSet:
-    """The training records with measured disturbances one sample later: what is within the sample
-    for the input is one sample before for them."""
+    """Training records with measured disturbances one sample later. What is within the sample for
+    the input is one sample before for them."""
     late = [
         record if record.d is None else replace(record, d=np.vstack([record.d[:1], record.d[:-1]]))
         for record in data.training

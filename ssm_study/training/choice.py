@@ -32,8 +32,8 @@ def choose_model(
 def ranked_choices(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Iterator[Choice]:
-    """The choice, and after it those that would be made if no model of it could be certified; the
-    paths are the same in all."""
+    """Choice of the settings, and after it those that would be made if no model of it could be
+    certified. The paths are the same in all."""
     folds = folds_of(data) if spec.automatic else ()
     if not folds:
         yield Choice(spec=with_defaults(spec))

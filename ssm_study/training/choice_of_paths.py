@@ -24,7 +24,7 @@ TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths ar
 
 
 def choose_delay(search: Search, data: DataSet) -> None:
-    """Decide whether the output answers late, or within the sample.
+    """Decide whether the output responds late, or within the sample.
 
     The samples until the output answers are read off the records. A dead time is compared where
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
@@ -40,7 +40,8 @@ def choose_delay(search: Search, data: DataSet) -> None:
 
 
 def decide(search: Search, question: str, name: str, values: Sequence[object], gain: float) -> None:
-    """Take the second value of a setting where it removes that share of the error, else the first.
+    """Choose the second value of a setting where it reduces the error by that share, else the
+    first.
 
     Models of one size with and without it are compared; a single value is taken as it is.
     """
@@ -54,7 +55,7 @@ def decide(search: Search, question: str, name: str, values: Sequence[object], g
 
 
 def answering_lag(data: DataSet) -> int | None:
-    """Samples until the output first answers any input; None where noise hides it."""
+    """Number of samples until the output first responds to any input. None where noise hides it."""
     record = max(with_joined_records(data).training, key=len)
     lags = [
         first_answer(u, y)
@@ -66,7 +67,8 @@ def answering_lag(data: DataSet) -> int | None:
 
 
 def choose_integrator(search: Search, data: DataSet) -> None:
-    """Decide whether the output is a running sum: tried where a linear model nearly integrates."""
+    """Decide whether the output is a running sum. It is tried where a linear model nearly
+    integrates."""
     if search.is_open("integrating_output"):
         tried = search.spec.neurons != 0 and nearly_integrates(data)
         values = (False, True) if tried else (False,)

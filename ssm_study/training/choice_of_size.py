@@ -27,7 +27,8 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 
 
 def sized_candidates(search: Search) -> list[Candidate]:
-    """Candidates for order, neurons and knots, the smallest first; none where nothing is open.
+    """Candidates for order, neurons and knots, the smallest first. None where all of them are
+    given.
 
     Linear models of growing order are tried by output error first.
     """
@@ -64,7 +65,7 @@ def static_input_sizes(search: Search) -> list[Candidate]:
 
 
 def best_linear(search: Search) -> Candidate:
-    """The linear output-error model of the smallest order that is not behind the best."""
+    """Linear output-error model of the smallest order that is not clearly worse than the best."""
     feedthrough = search.value_of("feedthrough") is True
     delay = 0 if feedthrough else 1 + int(search.value_of("dead_time"))
     tried = [search.linear("linear order", order, delay) for order in LINEAR_ORDERS]
@@ -76,8 +77,8 @@ def best_linear(search: Search) -> Candidate:
 
 
 def first_certified(search: Search, candidates: Sequence[Candidate]) -> Candidate:
-    """The smallest candidate that is not behind the best of those that can be certified; where none
-    can, of all.
+    """Smallest candidate that can be certified and is not clearly worse than the best of these.
+    Where none can, of all.
 
     Certificates are asked for as they are needed, of the model trained without the last fold.
     """

@@ -1,5 +1,5 @@
-"""The Lightning module: one loss over all windows per step, one free run over whole records per
-epoch."""
+"""Lightning module of a torch model, with one loss over all windows per step and one free run over
+whole records per epoch."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -70,8 +70,8 @@ class Records(nn.Module):
         return model(self.u, x0, **self._lifted(model))
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
-        """The outputs as `simulate` gives them, and the states after the last sample, padding
-        included."""
+        """Simulate as `simulate` does. Returns the outputs and the states after the last sample,
+        padding included."""
         return model.advance(self.u, x0, **self._lifted(model))
 
     def _lifted(self, model: TorchModel) -> dict[str, Signals]:
@@ -188,8 +188,8 @@ class Fit(pl.LightningModule):
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
-        """An epoch: what Lightning does around each call costs more than a step of a small
-        model."""
+        """Train for one epoch in one call of Lightning. What Lightning does around each call costs
+        more than a step of a small model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
             optimiser.step(self._evaluate)
@@ -212,7 +212,7 @@ class Fit(pl.LightningModule):
         return self.training_records.objective(y_hat) + defects.square().sum() + added
 
     def run(self) -> tuple[Signals, Float[Tensor, "k n"]]:
-        """The simulated windows, and the defects between them (none without multiple shooting)."""
+        """Simulated windows, and the defects between them (none without multiple shooting)."""
         x0 = None if self.starts is None else self.starts()
         if self.starts is None or x0 is None or not self.starts.cut.later:
             return self.training_records.simulate(
@@ -229,7 +229,7 @@ class Fit(pl.LightningModule):
         )
 
     def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
-        """`forward` as a function of all trainable parameters in a row."""
+        """Residuals (`forward`) as a function of all trainable parameters in one vector."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
@@ -237,7 +237,8 @@ class Fit(pl.LightningModule):
             return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Fits in percent of the model as it is now, minus infinity for a loss that is not finite.
+        """Compute the fits in percent of the present model. They are minus infinity for a loss that
+        is not finite.
 
         What an optimiser evaluated last may be a trial that it refused, or the model before its
         last step.
@@ -273,8 +274,8 @@ class Fit(pl.LightningModule):
         return self.settings.optimiser.build(self)
 
     def concluded(self) -> tuple[Simulator, str]:
-        """The explicit numbers, float32 undone by a few L-BFGS iterations in float64 if they end
-        finite and lower."""
+        """Trained model as explicit numbers. Float32 is undone by a few L-BFGS iterations in
+        float64 if they end finite and lower."""
         single = self.training_records.y.dtype == torch.float32
         self.to("cpu", torch.float64)
         if single and not isinstance(
@@ -293,8 +294,8 @@ class Fit(pl.LightningModule):
 
 @torch.no_grad()
 def simulated_states(model: TorchModel, records: Records, cut: Cut) -> States:
-    """The state of a simulation of the whole records from rest at each window's start: shooting
-    begins without defects.
+    """Initial state of each window from a simulation of the whole records from the equilibrium.
+    Shooting then begins without defects.
 
     Records start at rest too: an estimate by the untrained model is far off in slow modes, and
     traps the optimiser.

@@ -14,8 +14,8 @@ MOST_SAMPLES = 12_000  # of training and validation together: of longer records,
 
 
 def with_joined_records(data: DataSet) -> DataSet:
-    """The data set with training and validation records as one part, pieces that follow each
-    other in the same log joined."""
+    """Data set with training and validation records as one part. Pieces that follow each other in
+    the same log are joined."""
     records = sorted(
         (*data.training, *data.validation), key=lambda record: (record.log, record.first)
     )
@@ -24,7 +24,7 @@ def with_joined_records(data: DataSet) -> DataSet:
 
 
 def joined_pieces(records: Sequence[Trajectory]) -> list[Trajectory]:
-    """Records of which each begins elsewhere than where the one before it ends."""
+    """Join records that follow one another in the same log."""
     joined: list[Trajectory] = []
     for record in records:
         before = joined[-1] if joined else None
@@ -41,7 +41,7 @@ def follows(record: Trajectory, before: Trajectory) -> bool:
 
 
 def folds_of(data: DataSet) -> tuple[DataSet, ...]:
-    """Data sets without one fold each, which is their `test` part; none for short records.
+    """Data sets without one fold each, which is their `test` part. None for short records.
 
     Whole records are held out where there are enough, else pieces of the long ones. A piece starts
     in motion, so its first samples estimate its state and are not scored. No test record of `data`
@@ -68,13 +68,13 @@ def folds_of(data: DataSet) -> tuple[DataSet, ...]:
 
 
 def without_whole_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Records that train, and every `FOLDS`-th, which is held out."""
+    """Records that train, and every `FOLDS`-th record, which is held out."""
     kept = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
     return kept, records[fold::FOLDS]
 
 
 def without_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Records without a piece of each that is long enough, and these pieces."""
+    """Records without one piece of each that is long enough, and the removed pieces."""
     training: list[Trajectory] = []
     held_out: list[Trajectory] = []
     for record in records:

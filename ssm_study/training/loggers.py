@@ -1,5 +1,5 @@
-"""Where Lightning logs the curve besides our own record: each yaml of the group `training/logger`
-is one of these."""
+"""Loggers of the training curve beside our own record. Each yaml of the group `training/logger` is
+one of these."""
 
 from dataclasses import dataclass
 from pathlib import Path

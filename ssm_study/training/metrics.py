@@ -28,7 +28,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """An identified model, the validation fit its stored numbers reproduce, and how it was reached.
+    """Identified model, the validation fit that its stored numbers reproduce, and how it was found.
 
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
@@ -61,5 +61,5 @@ def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
 
 
 def training_facts(seconds: float, ended: str) -> dict[str, Any]:
-    """The numbers of one training."""
+    """Columns of one training."""
     return {"training_seconds": seconds, "training_ended": ended}

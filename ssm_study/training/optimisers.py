@@ -1,4 +1,4 @@
-"""Which optimiser a training uses; each yaml of the group `training/optimiser` is one of these."""
+"""Optimisers of a training. Each yaml of the group `training/optimiser` is one of these."""
 
 import math
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""One training under Lightning: what is saved, seen and kept; a checkpoint of something else is
+"""One training under Lightning with its checkpoints and progress. A checkpoint of something else is
 refused."""
 
 import copy
@@ -154,8 +154,8 @@ def trained(
 
 @contextmanager
 def raises_interrupts() -> Iterator[None]:
-    """Ctrl-C as Python has it: Lightning exits with status 1, as if the training had failed, and
-    ignores Ctrl-C from then on."""
+    """Raise Ctrl-C as Python does. Lightning exits with status 1, as if the training had failed,
+    and ignores Ctrl-C from then on."""
     is_main = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT)
     try:
@@ -170,7 +170,8 @@ def raises_interrupts() -> Iterator[None]:
 
 
 class OriginalSignals(Callback):
-    """Leaves the signals of batch systems to whoever handled them before the training.
+    """Callback that leaves the signals of batch systems to whoever handled them before the
+    training.
 
     Lightning turns SIGTERM into an exception of its own, which looks like an error of the run, and
     stops where submitit has asked the process to continue. Without it the process ends at once: the
@@ -244,7 +245,7 @@ def resumable(folder: Path, expected: str) -> Path | None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The checkpoint's content; raises `BadRequest` when it is damaged."""
+    """Read the content of a checkpoint. Raises `BadRequest` when it is damaged."""
     try:
         return DurableCheckpointIO().load_checkpoint(path)
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here

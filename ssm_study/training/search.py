@@ -1,4 +1,5 @@
-"""Candidates tried so far for the model of a log, what they decided, and the resulting choice."""
+"""Candidates tried so far for the model of a log, the settings decided so far, and the resulting
+choice."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -24,8 +25,8 @@ REFIT_BEYOND = 1.25  # times the error on held-out folds
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The specification with everything decided, the table of what was tried, and the mean error
-    of the chosen model on held-out folds, percent; without a table nothing was tried.
+    """Specification with every setting decided, the table of candidates, and the chosen model's
+    mean error on held-out folds, percent. Without a table nothing was tried.
 
     `is_linear`: the output-error model itself is to be taken, of this order and delay.
     """
@@ -36,7 +37,8 @@ class Choice:
     is_linear: bool = False
 
     def words(self, automatic: Sequence[str]) -> str:
-        """Settings that were left open and what was chosen, of how many; "" if nothing was."""
+        """Words on the settings that were left open and what was chosen, of how many. Empty if
+        nothing was."""
         if not self.rows:
             return ""
         settings = ", ".join(
@@ -45,8 +47,8 @@ class Choice:
         return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
 
     def asks_for_refit(self, error_validation: float) -> bool:
-        """Whether validation records are predicted far worse than held-out folds are: then the
-        training records do not show what the others do."""
+        """Whether validation records are predicted far worse than held-out folds are. The training
+        records then do not show what the others do."""
         if self.error is None or not self.spec.refit:
             return False
         return error_validation > REFIT_BEYOND * self.error
@@ -75,7 +77,7 @@ class Search:
         return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
 
     def structured(self, question: str, settings: Settings) -> Candidate:
-        """A structured model with these settings and those decided, compared on the folds."""
+        """Candidate with neurons that has these settings and those decided, scored on the folds."""
         spec = self.completed(settings)
         settings = {name: getattr(spec, name) for name in self.spec.automatic}
         known = self.already_tried(STRUCTURED, settings)
@@ -87,7 +89,7 @@ class Search:
         )
 
     def completed(self, settings: Settings) -> StructuredSpec:
-        """The specification with these settings, those decided, and defaults for the others."""
+        """Specification with these settings, those decided, and defaults for the others."""
         wanted = self.decided | settings
         if wanted.get("neurons") == 0:
             wanted["input_path"] = "none"  # there are no neurons for it to reach
@@ -97,7 +99,7 @@ class Search:
         )
 
     def linear(self, question: str, order: int, delay: int) -> Candidate:
-        """A linear output-error model, compared on the folds."""
+        """Candidate that is a linear output-error model, scored on the folds."""
         settings = {"order": order, "delay": delay}
         known = self.already_tried(LINEAR, settings)
         if known is not None:
@@ -105,7 +107,7 @@ class Search:
         return self.note(question, LINEAR, settings, linear_trial(self.folds, order, delay))
 
     def value_of(self, name: str) -> Any:
-        """A setting as it was decided, or as the user has it."""
+        """Value of a setting as it was decided, or as the user has it."""
         return self.decided.get(name, getattr(self.spec, name))
 
     @property
@@ -121,8 +123,8 @@ class Search:
         return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
 
     def can_be_certified(self, candidate: Candidate) -> bool:
-        """Whether a state feedback of its example is certified at any rate; yes where nobody
-        asks."""
+        """Whether a state feedback of the candidate's model is certified at any rate. True where
+        the specification does not ask."""
         largest_rate = getattr(self.spec.among_starts, "largest_rate", None)
         if largest_rate is None or candidate.example is None:
             return True
@@ -131,7 +133,7 @@ class Search:
         return self.certified[id(candidate)]
 
     def note(self, question: str, model: str, settings: Settings, trial: Trial) -> Candidate:
-        """Put a candidate on the list, and say how it did."""
+        """Add a candidate to the list, and print how it did."""
         candidate = Candidate(
             question=question,
             model=model,
@@ -150,12 +152,12 @@ class Search:
         return alike[0] if alike else None
 
     def take(self, candidate: Candidate, settings: Settings) -> None:
-        """Decide settings that are open, by this candidate."""
+        """Decide the open settings as this candidate has them."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
 
     def choice_of(self, candidate: Candidate | None) -> Choice:
-        """The specification with all that was decided, and the sizes of this candidate."""
+        """Choice with all that was decided, and the sizes of this candidate."""
         decided = dict(self.decided)
         is_linear = candidate is not None and candidate.model == LINEAR
         if candidate is not None:
@@ -172,7 +174,7 @@ class Search:
         )
 
     def rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
-        """The table of what was tried."""
+        """Table of the candidates that were tried."""
         return tuple(
             candidate.row(
                 chosen=any(candidate is one for one in chosen),
@@ -183,5 +185,5 @@ class Search:
 
 
 def with_defaults(spec: StructuredSpec) -> StructuredSpec:
-    """The specification with the default of `model=structured` for what is still open."""
+    """Specification with the default of `model=structured` for each setting that is still open."""
     return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic})

@@ -1,4 +1,4 @@
-"""The Lightning module of a structured model: its first epoch makes the starting point, each
+"""Lightning module of a structured model. Its first epoch makes the initial parameters, each
 further one is a step."""
 
 from dataclasses import replace
@@ -95,7 +95,7 @@ class StructuredFit(pl.LightningModule):
 
     @property
     def theta(self) -> Theta:
-        """The parameters, as NumPy sees them."""
+        """Parameters as NumPy arrays by block."""
         return {
             name: part.cpu().numpy()
             for name, part in self.named_buffers()
@@ -103,12 +103,14 @@ class StructuredFit(pl.LightningModule):
         }
 
     def advance(self, steps: int) -> None:
-        """The starting point and at most so many steps, without what Lightning does around each."""
+        """Make the initial parameters and take at most so many steps, without what Lightning does
+        around each."""
         start = self._starting_point()
         self._store(minimise(self.problem, start, self._moving_blocks, steps))
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
-        """The starting point, then one accepted step (or none) an epoch."""
+        """Make the initial parameters in the first epoch. In each further epoch take one accepted
+        step, or none."""
         if torch.isnan(self.loss):
             self.advance(0)
             return
@@ -171,7 +173,7 @@ class StructuredFit(pl.LightningModule):
         return screened.theta if is_better else fitted.theta
 
     def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
-        """Random starting point with neurons. Random neurons, a few steps without the
+        """Random initial parameters with neurons. Random neurons, a few steps without the
         constraint, the nearest contracting model, a few steps as one."""
         spec = self.spec
         has_input_path = spec.input_path == "free"
@@ -197,8 +199,8 @@ class StructuredFit(pl.LightningModule):
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *paths)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Fits in percent: of training from the states that were fitted, of validation as a score
-        has them."""
+        """Compute the fits in percent. That of training is from the states that were fitted, of
+        validation as a score has them."""
         r = self.problem.residual(self.theta)
         self.log("fit_training_percent", fit_of_error(np.sqrt(r @ r)))
         self.log("fit_validation_percent", mean_fit(self.stored(), self.data.validation, self.data))
@@ -207,8 +209,8 @@ class StructuredFit(pl.LightningModule):
         """Configure no optimiser: a step needs the Jacobian, not a gradient."""
 
     def stored(self) -> StructuredSSM:
-        """The explicit numbers; the running sum of `integrating_output` is one more state per
-        output."""
+        """Trained model as explicit numbers. The running sum of `integrating_output` is one more
+        state per output."""
         theta = self.theta
         parts: dict[str, Any] = self.problem.matrices(theta)._asdict()
         del parts["kinds"]
@@ -226,8 +228,7 @@ class StructuredFit(pl.LightningModule):
         )
 
     def concluded(self) -> tuple[Model, str]:
-        """The model without the neurons that do nothing on the training inputs, and how many those
-        were.
+        """Model without the neurons that have no effect on the training inputs, and their number.
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
@@ -287,7 +288,7 @@ def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
 
 
 def without_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
-    """The model whose neuron i is replaced by its mean slope over these records."""
+    """Model whose neuron i is replaced by its mean slope over these records."""
     slopes = []
     for record in records:
         states = model.run(model.drive(record.u, record.d))[1][:-1]

@@ -1,5 +1,5 @@
-"""The simulation error of a structured model as a function of its parameters, its Jacobian written
-out, a step down."""
+"""Simulation error of a structured model as a function of its parameters, with its Jacobian and a
+descent step."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -38,7 +38,7 @@ class Batch(NamedTuple):
 
     @classmethod
     def padded(cls, pairs: Pairs) -> "Batch":
-        """The records as one batch, the shorter ones padded at their ends."""
+        """Records as one batch, the shorter ones padded at their ends."""
         u, y = padded(pairs)
         outputs = np.concatenate([output for _, output in pairs])
         deviation = np.linalg.norm(outputs - outputs.mean(axis=0))
@@ -48,7 +48,7 @@ class Batch(NamedTuple):
         return cls(u=u, y=y, weight=is_recorded / deviation)
 
     def cut(self, samples: int) -> "Batch":
-        """The first records, whole, of so many samples together; of one that is longer, its
+        """First whole records with so many samples together. Of one that is longer, its
         beginning."""
         count = max(1, samples // self.u.shape[1])
         return Batch(*(part[:count, :samples] for part in self))
@@ -76,7 +76,7 @@ class Batch(NamedTuple):
         return Batch(*(part[record : record + 1, first : first + samples] for part in self))
 
     def _movement(self, stretch: "Batch") -> float:
-        """Deviation within the stretch over that of all records: the smaller of input and
+        """Deviation within the stretch over that of all records. It is the smaller of input and
         output."""
         if not stretch.scored.any():
             return 0.0
@@ -91,7 +91,7 @@ class Batch(NamedTuple):
 
     @property
     def scored(self) -> np.ndarray:
-        """Which samples were recorded, `(N, T)`; the others are padding."""
+        """Mask `(N, T)` of the samples that were recorded. The others are padding."""
         return self.weight[..., 0] > 0
 
 
@@ -118,27 +118,28 @@ class Residuals:
         return 0.0 if block in UNWEIGHTED else self.ridge
 
     def matrices(self, theta: Theta) -> Matrices:
-        """The matrices and the codes of the neurons, as the compiled recurrence takes them."""
+        """Matrices of the recurrence and codes of its activation functions, as compiled code takes
+        them."""
         if self.rate is not None:
             core = explicit(free_core(theta), self.rate)
             theta = theta | core._asdict()
         return Matrices.of(theta, codes(self.neurons))
 
     def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
-        """States and, where the output is summed up, outputs that the records start from."""
+        """Initial states of the records and, where the output is summed up, initial outputs."""
         n = len(theta["b"])
         return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
 
     def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The lifted input `(N, T, m)`, what S_y is given `(N, T, p)`, and the states `(N, T + 1,
-        n)`."""
+        """Simulated input after S_u `(N, T, m)`, output before S_y `(N, T, p)`, and states `(N, T +
+        1, n)`."""
         v = np.ascontiguousarray(self.lift.values(theta["scaffold_in"], self.records.u))
         x0, _ = self.starts(theta)
         ybar, states = free_run(self.matrices(theta), v, x0)
         return v, ybar, states
 
     def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
-        """The simulated output, scaled."""
+        """Simulated output, scaled."""
         _, ybar, _ = self.simulated(theta)
         if self.integrating_output:
             _, begun = self.starts(theta)
@@ -146,7 +147,7 @@ class Residuals:
         return self.read.freeze(theta["scaffold_out"])(ybar)
 
     def residual(self, theta: Theta) -> Float[np.ndarray, "R"]:
-        """`weight (y_hat - y)`, flat."""
+        """Weighted error `weight (y_hat - y)`, flattened."""
         # A trial step may be unstable: its loss is infinite, and it is refused.
         with np.errstate(all="ignore"):
             error = self.output(theta) - self.records.y
@@ -155,7 +156,7 @@ class Residuals:
     def linearised(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
-        """Residual `r`, `J` and `turn`: `J turn` is the Jacobian by the blocks `free`, each
+        """Residual `r`, `J` and `turn`, where `J turn` is the Jacobian by the blocks `free`, each
         flattened by rows.
 
         `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every
@@ -178,7 +179,7 @@ class Residuals:
     def _output_and_columns(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-        """The simulated output, and its derivatives by the parameters of each block."""
+        """Simulated output, and its derivatives by the parameters of each block."""
         u, target, _ = self.records
         v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
         x0, begun = self.starts(theta)
@@ -197,8 +198,8 @@ class Residuals:
         return y, columns
 
     def _close_passed_paths(self, columns: dict[str, Float[np.ndarray, "N T p _"]]) -> None:
-        """No derivative by the entries of D and G that measured disturbances would pass: they stay
-        zero."""
+        """Set to zero the derivatives by the entries of D and G through which measured disturbances
+        would pass. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
             if not self.lift.passed or not columns[name].size:
@@ -207,7 +208,7 @@ class Residuals:
             entries[..., self.lift.channels :] = 0.0
 
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
-        """Derivative of A, E and F by the free parameters, a column each."""
+        """Derivatives of A, E and F by the free parameters, a column each."""
         units = np.eye(pack(theta, FREE_CORE).size)
         directions = Free(**unpack(units, theta, FREE_CORE))
         changes = derivative(free_core(theta), directions, self.rate or 1.0)
@@ -215,7 +216,7 @@ class Residuals:
         return np.concatenate(flat, axis=1).T
 
     def _by_initial_state(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
-        """Derivative by the initial states of all records: each moves its own record, and with
+        """Derivatives by the initial states of all records. Each moves its own record, and with
         `integrating_output` the sum that it begins with does, too."""
         count, samples, p, n = own.shape
         width = n + p * self.integrating_output
@@ -228,13 +229,13 @@ class Residuals:
 
 
 def free_core(theta: Theta) -> Free:
-    """The free parameters of a contracting core."""
+    """Free parameters of a contracting core, by block."""
     return Free(*(theta[name] for name in FREE_CORE))
 
 
 def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """Cumulative sum of a signal before each sample, `sum of y[i] over i < k`: an integrator
-    from rest, read before it is driven."""
+    """Cumulative sum of a signal before each sample, `sum of y[i] over i < k`. It is an integrator
+    from zero, read before it is driven."""
     total = np.cumsum(y, axis=1)
     return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
 
@@ -314,7 +315,7 @@ def ended(before: float, after: float, damping: float) -> bool:
 def damped_step(
     damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "P"] | None:
-    """The step of the damped normal equations; None where they have no solution."""
+    """Solution of the damped normal equations. None where they have none."""
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite

@@ -1,5 +1,5 @@
-"""Where a structured model's training starts: linear poles, random neurons, and the nearest model
-that contracts."""
+"""Initial parameters of a structured model's training, with linear poles, random neurons, and the
+nearest model that contracts."""
 
 import numpy as np
 from jaxtyping import Float
@@ -24,8 +24,8 @@ RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 def linear_start(
     problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator
 ) -> Theta:
-    """Linear model of the records without neurons: ARX by least squares, a balanced realisation of
-    its impulse response, its poles inside the unit circle."""
+    """Linear model of the records without neurons, from which training starts. It is ARX by least
+    squares, a balanced realisation of its impulse response, its poles inside the unit circle."""
     records = recorded_pairs(problem)
     inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
     if problem.integrating_output:
@@ -51,7 +51,7 @@ def linear_start(
 
 
 def lags_for(order: int) -> int:
-    """Lags of the ARX model that a start of this order is realised from."""
+    """Number of lags of the ARX model from which an initial model of this order is realised."""
     return ARX_LAGS if 2 * order <= ARX_LAGS else LAGS_PER_STATE * order
 
 
@@ -96,8 +96,8 @@ def scored_states(problem: Residuals, theta: Theta) -> Float[np.ndarray, "N n"]:
 def screened_poles(
     problem: Residuals, begun: Theta, estimates: bool, rng: np.random.Generator
 ) -> Theta:
-    """`begun` with the best of random sets of poles in its place: that whose residues explain the
-    records best.
+    """Initial parameters with the best of several random sets of poles. The best set is that whose
+    residues explain the records best.
 
     With poles and B given the output is linear in C, and in C times the free decay of a record's
     unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
@@ -162,8 +162,8 @@ def least_squares_output_matrix(
     decay: Float[np.ndarray, "T n n"],
     estimates: bool,
 ) -> Float[np.ndarray, "p n"]:
-    """C of the outputs that states driven from rest explain best, beside a free decay of each
-    record where it may start in motion."""
+    """Output matrix C with which states driven from zero explain the outputs best. Beside it stands
+    a free decay of each record where it may start in motion."""
     count, samples, n = x.shape
     regressors = x
     if estimates:
@@ -195,7 +195,7 @@ def least_squares_initial_states(
 
 
 def powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
-    """`A^k` for k below `count`, by doubling."""
+    """Powers `A^k` for k below `count`, computed by doubling."""
     powers = np.eye(len(a))[None]
     ahead = a
     while len(powers) < count:
@@ -215,8 +215,8 @@ def regularised_least_squares(
 
 
 def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
-    """States of unit size, then F and the bias random, so that neurons bend within the data, E
-    small, G and H zero."""
+    """Add random neurons to the initial parameters of a linear model. States have unit size; F and
+    the bias are random, so that neurons bend within the data, E small, G and H zero."""
     theta = unit_states(problem, theta)
     n, m = theta["b"].shape
     p = len(theta["c"])

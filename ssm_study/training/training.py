@@ -1,5 +1,5 @@
-"""Identify a model from data: what `conf/training/*.yaml` says, and the line from specification to
-stored numbers."""
+"""Identification of a model from data, from the settings of `conf/training/*.yaml` to stored
+numbers."""
 
 import time
 from collections.abc import Sequence
@@ -75,7 +75,7 @@ class Training:
         progress: bool = False,
         keep_on_interrupt: bool = False,
     ) -> "Identification":
-        """Fit the model of `spec` to `data`; `folder` receives `best.ckpt` and, while running,
+        """Fit the model of `spec` to `data`. `folder` receives `best.ckpt` and, while running,
         `last.ckpt`.
 
         With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
@@ -108,8 +108,8 @@ class Training:
     def _identify_chosen(
         self, spec: "StructuredSpec", data: DataSet, session: "Session"
     ) -> "Identification":
-        """The model that the records choose; trained on the validation records too where folds
-        predict these far better than the training records do."""
+        """Identify the model that the records choose. It is trained on the validation records too
+        where folds predict these far better than the training records do."""
         from itertools import islice
 
         from ssm_study.training.choice import MOST_TRAINED, announcer, ranked_choices
@@ -131,7 +131,7 @@ class Training:
     def _identify_choice(
         self, choice: "Choice", data: DataSet, session: "Session"
     ) -> "Identification":
-        """The chosen model, trained; on the validation records too where the choice asks for it."""
+        """Train the chosen model, on the validation records too where the choice asks for it."""
         from ssm_study.models.warm_start import simulate_parts
         from ssm_study.training.candidates import relative_error
         from ssm_study.training.choice import refit_words
@@ -155,7 +155,8 @@ class Training:
     def _train_choice(
         self, choice: "Choice", data: DataSet, session: "Session"
     ) -> "Identification":
-        """The output-error model where that was chosen, else the best of several trainings."""
+        """Train the output-error model where that was chosen, else take the best of several
+        trainings."""
         if not choice.is_linear:
             members = choice.spec.members
             starts = [choice.spec] * max(choice.spec.starts, members)
@@ -182,7 +183,7 @@ class Training:
         members: int,
         only_certified: bool = False,
     ) -> "Identification":
-        """The best of several trainings, by the rule of the specification or by validation fit.
+        """Best of several trainings, by the rule of the specification or by validation fit.
 
         With `only_certified` those without a certified state feedback are dropped, if any has one.
         The `members` that fit the training records best predict together.
@@ -208,7 +209,8 @@ class Training:
     def _train_starts(
         self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
     ) -> list["Identification"]:
-        """Trainings from several starts, one after the other; after Ctrl-C those that there are."""
+        """Train several times, one after the other, each with its own initial parameters. After
+        Ctrl-C those that are done remain."""
         from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         identified: list[Identification] = []
@@ -232,7 +234,8 @@ class Training:
 def best_by_training_fit(
     identified: Sequence["Identification"], data: DataSet, count: int
 ) -> list[Any]:
-    """The models whose mean predicts: those that fit the training records best; none for one.
+    """Models whose mean predicts, which are those that fit the training records best. None for one
+    model.
 
     A mean of models that were not ranked can be worse than one of them.
     """
@@ -245,8 +248,8 @@ def best_by_training_fit(
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether a state feedback of the model is certified at any rate; yes where the rule among
-    starts does not say."""
+    """Whether a state feedback of the model is certified at any rate. True where the specification
+    does not ask."""
     largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
     return largest_rate is None or largest_rate(model) > 0.0
 

@@ -81,7 +81,7 @@ class Cut:
 
 
 def padded(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
-    """Records `(u, y)`, padded with zeros at the end to one length."""
+    """Pad records `(u, y)` with zeros at the end to one length."""
     longest = max(len(u) for u, _ in pairs)
     inputs = [with_zeros_behind(u, longest) for u, _ in pairs]
     outputs = [with_zeros_behind(y, longest) for _, y in pairs]
@@ -89,5 +89,5 @@ def padded(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray
 
 
 def with_zeros_behind(values: Float[np.ndarray, "T c"], samples: int) -> Float[np.ndarray, "T2 c"]:
-    """A signal with zeros at its end, so many samples long."""
+    """Pad a signal with zeros at its end to so many samples."""
     return np.pad(values, ((0, samples - len(values)), (0, 0)))

@@ -1,4 +1,5 @@
-"""Stage of fresh data sets of a simulated plant: how much of the proved disc each needs."""
+"""Stage of fresh data sets of a simulated plant, which measures how much of the proved disc each
+needs."""
 
 from pathlib import Path
 from typing import Any
@@ -26,8 +27,8 @@ def compute_fresh_data(
     seed: int,
     plant: Any,
 ) -> None:
-    """Simulate fresh data sets and measure the kappa that each needs, relative to the need of the
-    run's own records; nothing where the design has no coverage certificate."""
+    """Simulate fresh data sets and measure the disc radius kappa that each needs, relative to that
+    of the run's own records. Nothing where the design has no coverage certificate."""
     model = bounded.model
     premise = measured_premise(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)

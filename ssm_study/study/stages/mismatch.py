@@ -48,7 +48,7 @@ def read_mismatch(folder: Path) -> Mismatch:
 
 
 def _read_view(content: dict[str, Any]) -> View:
-    """Mismatch at one amplitude, from the lists of a file."""
+    """Read the mismatch at one amplitude from the lists of a file."""
     parts: dict[str, Any] = {}
     for name, value in content.items():
         parts[name] = np.array(value) if isinstance(value, list) else value

@@ -23,8 +23,8 @@ MEMBERS = "members.json"
 
 @dataclass(frozen=True)
 class Trained:
-    """An identified model, how long its training took in seconds, and why it ended; `members` are
-    the models whose mean predicts, none for one model."""
+    """Identified model, the seconds its training took, and why it ended. `members` are the models
+    whose mean predicts, none for one model."""
 
     model: Any
     seconds: float
@@ -85,7 +85,7 @@ def read_model(folder: Path) -> Any:
 
 
 def read_members(folder: Path) -> tuple[Any, ...]:
-    """Models whose mean is the prediction; none where one model predicts."""
+    """Models whose mean is the prediction. None where one model predicts."""
     path = folder / MEMBERS
     return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
 

@@ -15,7 +15,8 @@ FILE = "textbook_pi.json"
 def compute_textbook_pi(
     folder: Path, bounded: ModelRun, *, loop: Loop, loop_seed: int, plant: Any
 ) -> None:
-    """Run the PI controller from the same starts as the certified design, and write its columns."""
+    """Run the PI controller from the same initial states as the certified design, and write its
+    columns."""
     facts = pi_facts(plant, bounded.model, loop.fitted(bounded.model), loop_seed)
     write_json(folder / FILE, facts)
 
