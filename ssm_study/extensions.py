@@ -76,7 +76,7 @@ def configurations() -> list[Path]:
 
 
 def modules(room: str) -> dict[str, str]:
-    """Name and dotted module of every file in the folder `room` of a trusted package, e.g.
+    """Name and dotted module of every file in the folder `room` of a trusted package, such as
     `figures`."""
     return {
         module.name: f"{package}.{room}.{module.name}"

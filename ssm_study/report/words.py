@@ -31,12 +31,12 @@ CHOICES: dict[str, str] = {
 
 
 def spoken(choice: object) -> str:
-    """Printed name of a controller, situation or plant."""
+    """Printed name of a controller, situation or plant, such as `paper's LMI` for `paper_lmi`."""
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
 def words(name: object) -> str:
-    """Printed name of a column."""
+    """Printed name of a column, such as `Mean settling time (s)` for `settling_time_mean_s`."""
     return DERIVED.get(str(name)) or label(str(name))
 
 

@@ -292,7 +292,7 @@ def is_number_or_none(value: Any) -> bool:
 
 
 def chosen_rates(values: Mapping[str, Any]) -> str:
-    """Names of the rates, of controller and observer, that `auto` chooses, as text."""
+    """Words for the parts, controller and observer, whose rate `auto` chooses."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]

@@ -146,8 +146,9 @@ class LmiSynthesis(Synthesis):
 def paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Solution of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X, sigma). It is any
-    with the block matrix `>= I`.
+    """Certificate from the LMI of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X,
+    sigma). Any solution with the block matrix `>= I` serves. It is any with the block matrix `>=
+    I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.
