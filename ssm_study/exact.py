@@ -44,7 +44,7 @@ class Exact:
 
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
-        """Exact matrix assembled from blocks like `np.block`; raises `ValueError` where the blocks
+        """Exact matrix assembled from blocks like `np.block`. Raises `ValueError` where the blocks
         do not fit."""
         return cls._of_entries(
             np.block([[cls.of(block)._entries() for block in row] for row in rows])

@@ -58,8 +58,8 @@ def compare(
     y: Values,
     disturbance: Values | None = None,
 ) -> ModelComparison:
-    """Simulate models on one record, from rest, and score them. A measured disturbance is given to
-    the models that have a path for it.
+    """Simulate models on one record, from the equilibrium, and score them. A measured disturbance
+    is given to the models that have a path for it.
 
     `models` is a list, or a mapping from names to models. Best fit first. Raises `BadRequest` for
     no models, and where a model has other channels than the record.

@@ -102,11 +102,11 @@ class Model:
 
     @property
     def disturbance_names(self) -> list[str]:
-        """Names of the measured disturbances, in order; none where there are none."""
+        """Names of the measured disturbances, in order. None where there are none."""
         return [channel.name for channel in self.data.disturbances]
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
-        """Simulate from rest at the equilibrium: inputs `(T, m)` or `(T,)` to outputs `(T, p)`.
+        """Simulate outputs `(T, p)` from the equilibrium for inputs `(T, m)` or `(T,)`.
 
         With `model.members` the mean of the members' outputs; control stays with `simulator`.
         A frame or series in gives a frame out, with its index. Measured disturbances of the same
@@ -123,7 +123,8 @@ class Model:
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit of a free run from rest, `100 (1 - ||y - y_hat|| / ||y - mean(y)||)` in percent.
+        """Fit in percent of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y -
+        mean(y)||)`.
 
         Raises `BadRequest` where the shapes differ.
         """
@@ -136,7 +137,8 @@ class Model:
     def simulation_errors(
         self, u: Values, y: Values, disturbance: Values | None = None
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of a free run from rest, one column per output."""
+        """Measured minus simulated outputs of a free run from the equilibrium, one column per
+        output."""
         measured, predicted = self._measured_and_predicted(u, y, disturbance)
         return pd.DataFrame(measured - predicted, columns=self.output_names)
 

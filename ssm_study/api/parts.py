@@ -152,7 +152,7 @@ def part_of(word: str) -> str:
 
 
 class Parts:
-    """Choices and settings of a study's parts; `build` constructs one of them.
+    """Choices and settings of a study's parts. `build` constructs one of them.
 
     `words` are the command's: `model=ssm`, `model.order=4`, `training/optimiser=adam`,
     `reference@loop.reference=step`. A value given twice is the later one. Raises `BadRequest` for

@@ -154,7 +154,7 @@ def export_controller(options: argparse.Namespace) -> None:
 
 
 def may_overwrite(folder: Path) -> bool:
-    """Whether an earlier export may be replaced, asked on a terminal; True without one."""
+    """Whether an earlier export may be replaced, asked on a terminal. True without one."""
     earlier = sorted(path.name for path in folder.glob("*") if path.suffix in EXPORTED)
     if not earlier or not sys.stdin.isatty():
         return True

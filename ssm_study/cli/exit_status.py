@@ -15,7 +15,7 @@ REMEDIES = {
 
 
 def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
-    """Message for a full disk or a folder without permission; `field` names what was requested."""
+    """Message for a full disk or a folder without permission. `field` names what was requested."""
     problem = error.strerror or type(error).__name__
     remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
     return BadRequest(field, error.filename or otherwise, problem, remedy)

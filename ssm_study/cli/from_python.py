@@ -46,7 +46,7 @@ def composed(overrides: Sequence[str]) -> DictConfig:
 
 
 def study(*overrides: str) -> pd.DataFrame:
-    """Run a study as `ssm-study run` does with these arguments (`"-m"` too); returns its table.
+    """Run a study as `ssm-study run` does with these arguments (`"-m"` too). Returns its table.
 
     One row per run. Raises `BadRequest` for a wrong request; runs that failed are rows with status
     `failed`.

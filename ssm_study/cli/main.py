@@ -19,7 +19,7 @@ INTERRUPTED = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one `ssm-study` command; returns its exit status."""
+    """Run one `ssm-study` command. Returns its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
     arguments = sys.argv[1:] if arguments is None else arguments
     try:

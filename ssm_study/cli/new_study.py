@@ -27,7 +27,7 @@ def new(folder: Path) -> list[Path]:
 
 
 def write_from_template(template: Path, folder: Path) -> Path:
-    """Write one file of the folder; `@NAME@` stands for the folder's name in path and text."""
+    """Write one file of the folder. `@NAME@` stands for the folder's name in path and text."""
     place = str(template.relative_to(TEMPLATE)).removesuffix(".txt")
     path = folder / place.replace("@NAME@", folder.name)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -42,7 +42,7 @@ JUST_ASKING = (
 
 
 def translate(arguments: list[str]) -> list[str]:
-    """Translate our own options of `ssm-study run` into Hydra's arguments; `-m` may stand
+    """Translate our own options of `ssm-study run` into Hydra's arguments. `-m` may stand
     anywhere."""
     # Only a launcher can plan.
     many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
@@ -75,7 +75,7 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
 
 
 def overrides_of(request: Command) -> list[Override]:
-    """Parsed overrides of the request; raises Hydra's errors for those it cannot read."""
+    """Parsed overrides of the request. Raises Hydra's errors for those it cannot read."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 

@@ -60,7 +60,7 @@ def configuration_folder() -> Path:
 
 
 def run(overrides: list[str]) -> int:
-    """Run one study, or with `-m` a Hydra multirun; refuses a wrong request. Options and `--help`
+    """Run one study, or with `-m` a Hydra multirun. Refuses a wrong request. Options and `--help`
     are Hydra's."""
     warnings.formatwarning = _warning_text
     refuse_more_threads_than_cores()
@@ -90,7 +90,7 @@ def run(overrides: list[str]) -> int:
 
 
 def answer_request(overrides: list[str], opens: bool) -> int:
-    """Print the help, let Hydra answer, or do what is requested; returns the exit status."""
+    """Print the help, let Hydra answer, or do what is requested. Returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
         Command(overrides, folder, "study").help()
@@ -113,7 +113,7 @@ def answer_request(overrides: list[str], opens: bool) -> int:
 
 
 def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
-    """Message for a number or null where a choice must be named, which Hydra reports unclearly;
+    """Message for a number or null where a choice must be named, which Hydra reports unclearly.
     None for any other error."""
     message = str(error)
     if "integer string conversion" in message:
@@ -141,7 +141,7 @@ def show_page(request: Command) -> None:
 
 
 def conclude_study(request: Command) -> bool:
-    """Gather and print the study after its runs, and draw a single run; True if a run failed."""
+    """Gather and print the study after its runs, and draw a single run. True if a run failed."""
     return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 

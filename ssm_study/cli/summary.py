@@ -23,7 +23,7 @@ WIDTH = 80  # of the outcome, where a terminal is not narrower
 
 
 def conclude_run(config: DictConfig) -> bool:
-    """Gather the study, draw the run's figures and print how it went; True if the run failed, or,
+    """Gather the study, draw the run's figures and print how it went. True if the run failed, or,
     with `strict`, cannot be judged."""
     study = study_folder(config)
     console = Console()
@@ -91,7 +91,7 @@ def _outcome(
 
 
 def conclude_sweep(config: DictConfig) -> bool:
-    """Gather the study and print its table; True if any of its runs failed."""
+    """Gather the study and print its table. True if any of its runs failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
     from ssm_study.table.show import show
 

@@ -105,7 +105,7 @@ def signal(
 def disturbance_values(
     values: Any, names: Sequence[str], samples: int | None = None
 ) -> Float[np.ndarray, "T k"] | None:
-    """Measured disturbances as numbers, one column per name; None where none are given.
+    """Measured disturbances as numbers, one column per name. None where none are given.
 
     Raises `BadRequest` where the model has no path for them, and for another number of samples.
     """

@@ -253,8 +253,8 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 
 def _records(path: Path) -> Iterator[records.McapRecord]:
-    """Iterate over the records of an MCAP file and of its chunks; raises `BadRequest` before
-    more than `LARGEST` bytes are unpacked."""
+    """Iterate over the records of an MCAP file and of its chunks. Raises `BadRequest` before more
+    than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         reader = StreamReader(

@@ -199,7 +199,7 @@ class RecordedData(Columns, AroundRest):
         return self.output_path is not None
 
     def files_of(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Each file of `field` with that of its outputs, where these stand apart; refuses too few
+        """Each file of `field` with that of its outputs, where these stand apart. Refuses too few
         or too many."""
         names, others = (listed(getattr(self, name) or ()) for name in (field, outputs))
         expected = len(names) if self.apart else 0

@@ -251,7 +251,7 @@ def numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[b
 def first_row_of_numbers(
     cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
 ) -> int | None:
-    """Index of the first row that has values in all numeric columns; None if there is none."""
+    """Index of the first row that has values in all numeric columns. None if there is none."""
     for k, row in enumerate(cells):
         if len(row) != columns:
             continue

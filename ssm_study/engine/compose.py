@@ -89,7 +89,7 @@ class Command(Hydra):
 
     @cached_property
     def config(self) -> DictConfig:
-        """Composed configuration of the request; raises whatever Hydra raises for a request that it
+        """Composed configuration of the request. Raises whatever Hydra raises for a request that it
         cannot compose."""
         mode = RunMode.MULTIRUN if self.asked.multirun else RunMode.RUN
         words = list(self.asked.overrides)

@@ -195,7 +195,7 @@ class Code:
         return f"{parts.get(LOOSE, NOTHING).digest} {parts.get(name, NOTHING).digest}"
 
     def _read_module(self, module: str) -> Module | None:
-        """Scanned source of a module, read once; None where it has no Python source."""
+        """Scanned source of a module, read once. None where it has no Python source."""
         if module not in self.modules:
             path = self._source_path(module)
             is_cached = module.split(".")[0] == OURS and not self.folders
@@ -204,7 +204,7 @@ class Code:
         return self.modules[module]
 
     def _source_path(self, module: str) -> Path | None:
-        """Path of a module's source, found without importing anything; None if it has no Python
+        """Path of a module's source, found without importing anything. None if it has no Python
         source."""
         top, *inner = module.split(".")
         if top == "__main__":
@@ -256,7 +256,7 @@ def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
 
 @cache
 def library_version(library: str) -> str:
-    """Version of the distribution that provides an import name; empty for the standard library."""
+    """Version of the distribution that provides an import name. Empty for the standard library."""
     if library in sys.stdlib_module_names:
         return ""
     with suppress(metadata.PackageNotFoundError):

@@ -58,7 +58,7 @@ class Job:
         return ended
 
     def check(self, task: Task[Any]) -> None:
-        """Check the settings of this job; raises the task's `BadRequest` with the name of the run
+        """Check the settings of this job. Raises the task's `BadRequest` with the name of the run
         added."""
         try:
             task.request(self.settings)

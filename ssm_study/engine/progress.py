@@ -68,7 +68,7 @@ class Progress:
         return "; ".join(parts)
 
     def seconds_left(self) -> float | None:
-        """Seconds left, estimated from the mean time of the runs done in this sweep; None before
+        """Seconds left, estimated from the mean time of the runs done in this sweep. None before
         the first."""
         fresh = self.counts.total() - self.reused  # runs there before took no time now
         remaining = self.total - self.counts.total()

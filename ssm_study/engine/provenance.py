@@ -12,7 +12,7 @@ from typing import Any
 
 @cache
 def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
-    """Provenance as flat columns of a record; `git_commit` and `git_dirty` are None where no
+    """Provenance as flat columns of a record. `git_commit` and `git_dirty` are None where no
     repository tracks the file `source`."""
     source = source.resolve()
     commit = _ask_git(source, "rev-parse", "HEAD")
@@ -35,7 +35,7 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
 
 
 def _ask_git(here: Path, *question: str) -> str | None:
-    """Answer of git about the repository that tracks the file `here`; None if there is none."""
+    """Answer of git about the repository that tracks the file `here`. None if there is none."""
     with suppress(OSError, subprocess.SubprocessError):
         for arguments in (("ls-files", "--error-unmatch", here.name), question):
             command = ["git", "-C", str(here.parent), *arguments]

@@ -39,7 +39,7 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Record of `folder` with `status` as it is now (`lost`, `corrupt` included); None if there is
+    """Record of `folder` with `status` as it is now (`lost`, `corrupt` included). None if there is
     none."""
     try:
         content = contents(folder / RECORD, LARGEST)
@@ -79,7 +79,7 @@ def _fit_in_64_bits(*values: Any) -> bool:
 
 
 def storable_value(key: str, value: Any) -> bool | int | float | str | None:
-    """Value as a record stores it; raises `BadRequest` for anything but a single number, text or
+    """Value as a record stores it. Raises `BadRequest` for anything but a single number, text or
     truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()

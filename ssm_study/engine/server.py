@@ -62,7 +62,7 @@ class Server:
     pid: int = 0
 
     def fork(self, number: int) -> Child:
-        """Fork a new process that does one of the tasks; raises `BadRequest` if `preload` fails."""
+        """Fork a new process that does one of the tasks. Raises `BadRequest` if `preload` fails."""
         if self.line is None:
             self._start()
         assert self.line is not None

@@ -30,7 +30,7 @@ NOT_IDENTITY = frozenset(
 
 
 class Settings(dict[str, Any]):
-    """Dictionary of settings that is not to be changed; `settings.seed` is `settings["seed"]`, at
+    """Dictionary of settings that is not to be changed. `settings.seed` is `settings["seed"]`, at
     any depth."""
 
     def __getattr__(self, name: str) -> Any:
@@ -146,14 +146,14 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
 
 
 def value_at(settings: Any, path: str) -> Any:
-    """Value at a dotted path of the settings; None where there is no such entry."""
+    """Value at a dotted path of the settings. None where there is no such entry."""
     for word in path.split("."):
         settings = settings.get(word) if isinstance(settings, Mapping) else None
     return settings
 
 
 def read_stored_yaml(path: Path) -> str:
-    """Text of a YAML file in a run folder; refuses one that aliases would expand beyond all bounds,
+    """Text of a YAML file in a run folder. Refuses one that aliases would expand beyond all bounds,
     as it may have been altered.
 
     Raises `BadRequest` for text that is no YAML, and before anything is made of one that stands

@@ -49,7 +49,7 @@ class Stage(Generic[T]):
 
 @dataclass(frozen=True, kw_only=True)
 class StageResult:
-    """Folder of a finished stage; `seconds` is how long computing it took, `reused` whether it was
+    """Folder of a finished stage. `seconds` is how long computing it took, `reused` whether it was
     computed before this call."""
 
     path: Path
@@ -127,7 +127,7 @@ class Stages(ABC):
         """Result of the stage with this key. `note` says what the key was made of."""
 
     def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Columns of a finished stage; empty in a plan."""
+        """Columns of a finished stage. Empty in a plan."""
         return {}
 
     def unrecorded(self) -> "Stages":

@@ -82,7 +82,7 @@ class Store(Stages):
             return self._compute(name, key, note, compute)
 
     def find(self, name: str, key: str) -> StageResult | None:
-        """Intact stage with this key; None if it is missing or damaged."""
+        """Intact stage with this key. None if it is missing or damaged."""
         folder = self.folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.

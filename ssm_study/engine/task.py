@@ -52,7 +52,7 @@ class Task(ABC, Generic[R]):
         since a plan has none."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
-        """Compute the columns that need all stages; `run.facts` holds the stages' columns, `status`
+        """Compute the columns that need all stages. `run.facts` holds the stages' columns, `status`
         may be `infeasible`."""
         return {}
 
@@ -87,7 +87,7 @@ class Task(ABC, Generic[R]):
         return provenance(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
-        """Settings of a configuration; raises `BadRequest` for what no configuration may
+        """Settings of a configuration. Raises `BadRequest` for what no configuration may
         contain."""
         if not isinstance(config, Settings):
             self.refuse(config)
@@ -146,7 +146,7 @@ class Task(ABC, Generic[R]):
         )
 
     def finished(self, config: DictConfig | Settings) -> Outcome | None:
-        """Outcome of a run that is not executed now; None for a run that is.
+        """Outcome of a run that is not executed now. None for a run that is.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
@@ -205,7 +205,7 @@ CHARACTERS_OF_A_NAME = "use letters, digits, '.', '_' and '-', at most 200 of th
 
 
 def folder_of(settings: Mapping[str, Any]) -> Path:
-    """Folder of a run, `results_dir/study/run`; raises `BadRequest` for names that lead out of the
+    """Folder of a run, `results_dir/study/run`. Raises `BadRequest` for names that lead out of the
     results folder."""
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
     for key, name in names.items():

@@ -8,7 +8,7 @@ from ssm_study.models.structured import NEURONS
 
 
 def neuron_texts(device: Device, name: str) -> dict[str, str]:
-    """Parts of the C header for the neurons; empty texts for a model without neurons.
+    """Parts of the C header for the neurons. Empty texts for a model without neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.

@@ -178,7 +178,7 @@ def portable(model: Model, design: Design) -> PortableController:
 def _neurons(
     model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
 ) -> PortableNeurons | None:
-    """Neurons of a model as plain arrays; None for a model without neurons."""
+    """Neurons of a model as plain arrays. None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
     none = np.zeros((len(model.neurons), model.scale.outputs))

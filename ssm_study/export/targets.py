@@ -88,7 +88,7 @@ def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") ->
 
 
 def limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limit of the input, in physical units; infinite for a run without records.
+    """Lower and upper limit of the input, in physical units. Infinite for a run without records.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
@@ -145,7 +145,7 @@ def _range_lines(
 
 
 def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves within the limits; empty where it proves nothing."""
+    """Sentences on what the certificate proves within the limits. Empty where it proves nothing."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
@@ -245,7 +245,7 @@ def _is_certified(run: Path, model: Model, design: Design) -> bool:
 
 
 def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
-    """Text line with the change of the simulated loop by rounding; empty in double precision.
+    """Text line with the change of the simulated loop by rounding. Empty in double precision.
 
     From rest one output scale off.
     """
@@ -335,7 +335,7 @@ def _largest_rate(
 
 
 def _rounded_ball(portable: PortableMap) -> JacobianBall | None:
-    """Ball that contains the slopes of a rounded map; None where no sound one is known."""
+    """Ball that contains the slopes of a rounded map. None where no sound one is known."""
     try:
         if portable.network is None:
             return LinearScaffold(gain=portable.linear).bound().ball

@@ -252,6 +252,6 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None; None if there are none."""
+    """Mean of the values that are not None. None if there are none."""
     numbers = [value for value in values if value is not None]
     return float(np.mean(numbers)) if numbers else None

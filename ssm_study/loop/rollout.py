@@ -137,7 +137,7 @@ def _record(
 
 
 def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
-    """Arrays of zeros for each signal of a run; `shape` is cases, samples, outputs."""
+    """Arrays of zeros for each signal of a run. `shape` is cases, samples, outputs."""
     cases, samples, outputs = shape
     widths = {
         "u": len(plant.inputs),

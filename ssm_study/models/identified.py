@@ -234,11 +234,11 @@ class SSM(ScaffoldedModel):
         )
 
     def advance(self, x: State, ubar: Lifted) -> State:
-        """`x+ = A x + B ubar`."""
+        """Next state `x+ = A x + B ubar`."""
         return x @ self.linear.a.T + ubar @ self.linear.b.T
 
     def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """`S_y(C x + D ubar)`."""
+        """Scaled output `S_y(C x + D ubar)`."""
         return self.scaffold_out(x @ self.linear.c.T + ubar @ self.linear.d.T)
 
     def run(

@@ -179,11 +179,11 @@ class StructuredSSM(ScaffoldedModel):
         return phi(self.neurons, z) - phi(self.neurons, self.bias)
 
     def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
-        """`x+ = A x + B v + E w`; `injected` as in `inner`."""
+        """Next state `x+ = A x + B v + E w`. `injected` is as in `inner`."""
         return x @ self.a.T + ubar @ self.b.T + self.inner(x, ubar, injected) @ self.e.T
 
     def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """`S_y(C x + D v + H w)`."""
+        """Scaled output `S_y(C x + D v + H w)`."""
         return self.scaffold_out(x @ self.c.T + ubar @ self.d.T + self.inner(x, ubar) @ self.h.T)
 
     def run(

@@ -84,12 +84,12 @@ class RunFolder:
 
     @cached_property
     def design(self) -> Design | None:
-        """Controller and observer with their certificates; None where the run stored none."""
+        """Controller and observer with their certificates. None where the run stored none."""
         return None if self.certificate is None else Design.from_json(self.certificate)
 
     @property
     def gains(self) -> Gains | None:
-        """Gains of controller and observer; None where one of them is missing."""
+        """Gains of controller and observer. None where one of them is missing."""
         return self.design.pair if self.design is not None and self.design.feasible else None
 
     @property
@@ -104,7 +104,7 @@ class RunFolder:
 
     @cached_property
     def validation_records(self) -> Trajectories:
-        """All validation records; none where the run left no recording."""
+        """All validation records. None where the run left no recording."""
         path = self.path / "validation.mcap"
         return RecordedCases.of(path).records if path.is_file() else ()
 
@@ -203,8 +203,8 @@ class StudyFolder:
         )
 
     def of_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """Read named parts of the best run, `model` or `closed_loop` say; raises `NothingToDraw`
-        where it lacks one."""
+        """Read named parts of the best run, such as `model` or `closed_loop`. Raises
+        `NothingToDraw` where it lacks one. Raises `NothingToDraw` where it lacks one."""
         found = [getattr(self.best, part, None) for part in parts]
         if any(part is None for part in found):
             raise NothingToDraw(otherwise)

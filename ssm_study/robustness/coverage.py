@@ -181,7 +181,7 @@ def running_sum(
 def filtered(
     weight: Float[np.ndarray, "v v"], signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
-    """Apply a single-channel filter to each channel of a signal, from rest."""
+    """Apply a single-channel filter to each channel of a signal, from zero initial state."""
     order = len(weight) - 1
     system = StateSpace(
         a=weight[:order, :order],

@@ -92,7 +92,7 @@ class Mismatch:
 
     @property
     def rests(self) -> bool:
-        """Whether the plant is at rest whenever its input is, as far as the records show."""
+        """Whether the plant comes to rest whenever its input does, as far as the records show."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property

@@ -172,7 +172,7 @@ class LoopResponse:
         slopes: tuple[float, float],
         shared: Responses | None = None,
     ) -> "LoopResponse | None":
-        """Compute the responses of a loop on the grid and at its own modes; None if the loop is
+        """Compute the responses of a loop on the grid and at its own modes. None if the loop is
         unstable."""
         loop = sensitivity(linear, pair, *slopes)
         modes = np.linalg.eigvals(loop.a)

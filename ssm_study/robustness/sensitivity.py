@@ -41,8 +41,8 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
 def slope_combinations(
     system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
 ) -> Iterator[End]:
-    """Combinations of extreme slopes of maps and neurons; those of neurons at the corners unless
-    given (`at`), where L is `L + E S L_z`."""
+    """Combinations of extreme slopes of maps and neurons. Those of neurons are at the corners
+    unless given (`at`), where L is `L + E S L_z`."""
     slopes_in = slopes(balls.input)
     slopes_out = slopes(balls.output)
     for linear, own_gains in _at_frozen_neurons(system, pair, at):

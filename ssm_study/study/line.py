@@ -65,7 +65,7 @@ class Study(Task["Specification"]):
         return files_of(settings)
 
     def check(self, settings: Settings) -> "Specification":
-        """Build the request; raises `BadRequest` for every mistake that can be seen before work
+        """Build the request. Raises `BadRequest` for every mistake that can be seen before work
         begins.
 
         Recorded data are read for it.

@@ -125,7 +125,7 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
 
 
 def _read_if_there(path: Path) -> Rollouts | None:
-    """Closed loops of a recording; None where there is no such file."""
+    """Closed loops of a recording. None where there is no such file."""
     return read_rollouts(path)[0] if path.is_file() else None
 
 

@@ -28,7 +28,7 @@ Pairs = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
-    """Recording by case and signal; `loop["output"]` is `(N, T, c)` over its N cases.
+    """Recording by case and signal. `loop["output"]` is `(N, T, c)` over its N cases.
 
     `about` is its metadata. Cases are named by what stands before the last `/` of their topics, in
     the order of its number: `/case_3/output` is the signal `output` of the case `/case_3`; `/input`
@@ -170,7 +170,7 @@ def write_records(
 
 
 def read_trials(folder: Path) -> Trajectories:
-    """Records used only for the mismatch, open loop first; none where the run has no such file."""
+    """Records used only for the mismatch, open loop first. None where the run has no such file."""
     records: list[Trajectory] = []
     for path in (folder / TRIALS, folder / LOOPS):
         if path.is_file():

@@ -80,7 +80,7 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
 
 
 def _refinable_run(run: Path, log: Path | None) -> RunFiles:
-    """Files of the run to refine; raises `BadRequest` for one that cannot be refined."""
+    """Files of the run to refine. Raises `BadRequest` for one that cannot be refined."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"

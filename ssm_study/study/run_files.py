@@ -86,8 +86,8 @@ class RunFiles:
         return Path(whole) if whole and not after else Path()
 
     def _data(self) -> DataSet:
-        """Data set of the run, simulated or read again, with the trials it was refined with;
-        refuses a real device."""
+        """Data set of the run, simulated or read again, with the trials it was refined with.
+        Refuses a real device."""
         spec = self.specification
         real = getattr(self.specification.plant, "real", False)
         problem = "is a device, which is not run again"
@@ -126,7 +126,7 @@ class RunFiles:
         return judge(data, self.model, runs.validation, runs.test, mismatch)
 
     def stored(self, name: str) -> dict[str, Any]:
-        """Object in a JSON file of the run; refuses one that repeats a key."""
+        """Object in a JSON file of the run. Refuses one that repeats a key."""
         as_object = partial(object_without_repeats, name)
         content = json.loads(contents(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
@@ -152,7 +152,7 @@ class RunFiles:
 
     @cached_property
     def disturbances(self) -> list[Float[np.ndarray, "_ k"]]:
-        """Measured disturbances of the training records, as `excitation.mcap` stores them; none
+        """Measured disturbances of the training records, as `excitation.mcap` stores them. None
         where there are none."""
         cases = RecordedCases.of(self.path / "excitation.mcap").cases.values()
         return [case["disturbance"].values for case in cases if "disturbance" in case]

@@ -55,7 +55,7 @@ class Specification:
 
     @classmethod
     def from_config(cls, config: DictConfig | Settings) -> "Specification":
-        """Build and check every part of a run; raises `BadRequest` for the first that is wrong."""
+        """Build and check every part of a run. Raises `BadRequest` for the first that is wrong."""
         settings = plain_settings(config)
         # OmegaConf's own search resolves every name, which takes 15 ms a run.
         missing = next((path for path, _, value in walk_nodes(settings) if value == "???"), "")

@@ -184,7 +184,7 @@ def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Finding on one column of the record, or why it is not checked; empty where the record claims
+    """Finding on one column of the record, or why it is not checked. Empty where the record claims
     nothing."""
     column = declaration_of(name)
     stored = record.get(name)

@@ -210,7 +210,7 @@ class CandidateGrid:
 
 
 def slopes_at_rest(model: Model) -> Slopes | None:
-    """Slopes of the neurons at the equilibrium; None for a model without neurons."""
+    """Slopes of the neurons at the equilibrium. None for a model without neurons."""
     if isinstance(model, SSM) or not model.neurons:
         return None
     return phi(model.neurons, model.bias, "slope")

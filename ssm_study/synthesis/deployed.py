@@ -189,7 +189,7 @@ class WithinLimits:
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Certificates of a design within physical input limits; raises `BadRequest` where nothing can
+    """Certificates of a design within physical input limits. Raises `BadRequest` where nothing can
     be proved."""
     design.parts()
     rest = model.scale.input_equilibrium

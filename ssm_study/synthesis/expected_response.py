@@ -42,7 +42,7 @@ LEAST_SPREAD = 0.1
 
 
 def expected_area(area: float, loop_gain: float, spread: float) -> float:
-    """Expected response area `P area + (1 - P) LOSS` with `P = Phi(-ln(loop_gain) / spread)`;
+    """Expected response area `P area + (1 - P) LOSS` with `P = Phi(-ln(loop_gain) / spread)`.
     `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
@@ -157,8 +157,8 @@ def predicts_faster_response(
 
 
 def response_facts(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
-    """Column that says whether a faster response is predicted, from validation records and trials;
-    none without a design, and for a law that inverts the input map."""
+    """Column that says whether a faster response is predicted, from validation records and trials.
+    None without a design, and for a law that inverts the input map."""
     if not design.feasible or design.inverts:
         return {}
     return {"predicted_faster": predicts_faster_response(model, design.pair, mismatch, *records)}

@@ -70,7 +70,7 @@ def join_columns(a, b):
 @compiled
 @no_type_check
 def solve_linear(a, b):
-    """Solution `a^{-1} b` of a linear system by elimination with partial pivots; raises for a
+    """Solution `a^{-1} b` of a linear system by elimination with partial pivots. Raises for a
     singular a, or NaN."""
     n = len(a)
     rows = join_columns(a, b)
@@ -95,7 +95,7 @@ def solve_linear(a, b):
 @compiled
 @no_type_check
 def log_det(a):
-    """Logarithm of the determinant of a positive definite matrix, by Cholesky's factor; raises for
+    """Logarithm of the determinant of a positive definite matrix, by Cholesky's factor. Raises for
     any other matrix."""
     n = len(a)
     total = 0.0
@@ -134,7 +134,7 @@ def _add_step(total, step):
 @compiled
 @no_type_check
 def riccati_limit(a, g, h):
-    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling; raises where
+    """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling. Raises where
     there is none. G and H are overwritten."""
     n = len(a)
     ended = 0
@@ -159,7 +159,7 @@ def riccati_limit(a, g, h):
 @compiled
 @no_type_check
 def solve_lyapunov(a, source):
-    """Solution of the Lyapunov equation `P = a P a' + source`; raises unless a is stable. The
+    """Solution of the Lyapunov equation `P = a P a' + source`. Raises unless a is stable. The
     source is overwritten."""
     ended = 0
     for _ in range(DOUBLINGS):

@@ -87,7 +87,7 @@ class GuaranteedCost:
 
 @linear_algebra_failures_as_no_solution()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """Certified gain with the least guaranteed cost over tau; raises `NoSolution` if no tau is
+    """Certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is
     admissible."""
     alpha = problem.ball.alpha
     beta = problem.ball.beta

@@ -29,7 +29,7 @@ INVERTED = {
 
 
 def model_behind_map(model: Model) -> Model:
-    """Model whose input is v = S_u(u); raises `BadRequest` where `S_u` cannot be inverted channel
+    """Model whose input is v = S_u(u). Raises `BadRequest` where `S_u` cannot be inverted channel
     by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
@@ -60,7 +60,7 @@ def mismatch_behind_map(
 
 
 def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
-    """Mismatch relative to the input that a design, or a specification, commands; `mismatch` is
+    """Mismatch relative to the input that a design, or a specification, commands. `mismatch` is
     relative to u."""
     inverts = law.inverts if isinstance(law, Design) else law.invert_input
     if not inverts:

@@ -74,7 +74,7 @@ class CompiledLmi:
         self.problem = cp.Problem(cp.Minimize(goal), constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
-        """Matrices that satisfy the inequality; raises `NoSolution` with the solver's status when
+        """Matrices that satisfy the inequality. Raises `NoSolution` with the solver's status when
         it returns none."""
         parts = self.parts
         known = {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}

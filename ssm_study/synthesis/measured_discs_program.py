@@ -180,7 +180,7 @@ class ConeProgram:
     def minimise(
         self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
     ) -> Float[np.ndarray, "n"]:
-        """Solution of the program; raises `NoSolution` with the solver's status where there is
+        """Solution of the program. Raises `NoSolution` with the solver's status where there is
         none."""
         import clarabel  # slow to load
 
@@ -240,7 +240,7 @@ class AngleProgram:
     def maximise(
         self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
-        """Solution by cutting planes, and the angles that decided it; raises `NoSolution`.
+        """Solution by cutting planes, and the angles that decided it. Raises `NoSolution`.
 
         Angles that are far from deciding leave again.
         """

@@ -43,7 +43,7 @@ def is_coverage_sought(model: Model, synthesis: Any) -> bool:
 
 
 def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
-    """Design with its coverage certificate added; unchanged where there is none."""
+    """Design with its coverage certificate added. Unchanged where there is none."""
     if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
@@ -81,7 +81,7 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
 def coverage_facts(
     design: Design, model: Model, premise: Premise, fresh: Premise | None = None
 ) -> dict[str, Any]:
-    """Columns of the coverage; `coverage` is null, with its reason, where nothing is covered."""
+    """Columns of the coverage. `coverage` is null, with its reason, where nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)

@@ -77,7 +77,7 @@ class WeightBasis:
         return np.stack(rows)
 
     def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
-        """Minimum-phase filter with this squared gain, as `[A, B; C, D]`; raises `NoSolution` where
+        """Minimum-phase filter with this squared gain, as `[A, B; C, D]`. Raises `NoSolution` where
         there is none."""
         if coefficients[0] <= 0:
             return np.zeros((1, 1))
@@ -94,7 +94,7 @@ class WeightBasis:
 
 def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
     """Spectral factor `n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)` and zeros inside
-    the unit circle; raises `NoSolution`.
+    the unit circle. Raises `NoSolution`.
 
     By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
     poles outside (Oppenheim & Schafer, Discrete-Time Signal Processing, chapter 13).
@@ -267,7 +267,7 @@ class WeightProgram:
         return rows, bounds, len(bands)
 
     def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
-        """Filters from the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`; raises
+        """Filters from the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`. Raises
         `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / nu

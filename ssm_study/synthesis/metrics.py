@@ -274,8 +274,8 @@ def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
 
 
 def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """Columns of what is proved within input limits, for several inputs or outputs what all share;
-    empty where nothing is proved."""
+    """Columns of what is proved within input limits, for several inputs or outputs what all share.
+    Empty where nothing is proved."""
     within_limits = WithinLimits.of(model, design.extra_certificates)
     if within_limits is None:
         return {}
@@ -291,7 +291,7 @@ def limit_facts(design: Design, model: Model) -> dict[str, Any]:
 def shared_range(
     start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
 ) -> dict[str, float]:
-    """Range that all channels share, under these column names; empty where they share none."""
+    """Range that all channels share, under these column names. Empty where they share none."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:

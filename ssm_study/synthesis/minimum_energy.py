@@ -66,7 +66,7 @@ SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
 def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True) -> FastGain:
     """Minimum-energy gain of the modes outside the circle of radius `contraction`, `K0 / ((1 -
-    delta^2) alpha)`; zero where there is no such mode.
+    delta^2) alpha)`. Zero where there is no such mode.
 
     `widen` designs for a ball between the asked one and the widest that is possible at this r.
     """

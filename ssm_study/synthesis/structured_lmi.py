@@ -93,7 +93,7 @@ class StructuredLmi:
         return structured_observer.inequality(named, t, of.n), [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
-        """Matrices that satisfy the inequality at a rate; raises `NoSolution` with the solver's
+        """Matrices that satisfy the inequality at a rate. Raises `NoSolution` with the solver's
         status when it returns none."""
         of = self.of
         fixed = self.fixed
@@ -124,7 +124,7 @@ class StructuredLmi:
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def proved(self, k: Rows) -> Solution:
-        """Matrices that prove the problem's rate for this gain; raises `NoSolution` without any."""
+        """Matrices that prove the problem's rate for this gain. Raises `NoSolution` without any."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
         if not is_confirmed(self.problem, solution):

@@ -65,7 +65,7 @@ class Game:
 
     @cached_property
     def neurons(self) -> Neurons:
-        """Scaled neurons of the problem; raises `ValueError` if it has none."""
+        """Scaled neurons of the problem. Raises `ValueError` if it has none."""
         return self.problem.required_neurons.scaled()
 
     @cached_property
@@ -225,7 +225,7 @@ def _game_between(game: Game, slow: Game, share: float) -> Game:
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
-    """Matrices of the theorem at these multipliers; raises `NoSolution` where they do not hold."""
+    """Matrices of the theorem at these multipliers. Raises `NoSolution` where they do not hold."""
     saddle = evaluate_saddle(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons

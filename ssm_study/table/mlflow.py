@@ -88,7 +88,7 @@ def _is_metric(name: str) -> bool:
 
 
 def _milliseconds(time: str | None) -> int | None:
-    """Milliseconds since 1970 of an ISO time; None for none."""
+    """Milliseconds since 1970 of an ISO time. None for none."""
     if not time:
         return None
     return int(datetime.fromisoformat(time).timestamp() * 1000)

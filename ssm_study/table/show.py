@@ -58,7 +58,7 @@ def show(
     cost: bool = False,
     columns: bool = False,
 ) -> pd.DataFrame:
-    """Print the study's table, best first and brought up to date; returns the whole table.
+    """Print the study's table, best first and brought up to date. Returns the whole table.
 
     `where` filters, `by` sorts. With `cost`: instead of it what was computed and what reused, stage
     by stage. With `columns`: which columns hold values, what they are called, which way is better
@@ -246,7 +246,7 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
 
 
 def cell(value: object) -> str:
-    """Printed value: four digits, yes or no; `-` for what is missing."""
+    """Printed value: four digits, yes or no. `-` for what is missing."""
     if value is None or value is pd.NA:
         return "-"
     if isinstance(value, (bool, np.bool_)):

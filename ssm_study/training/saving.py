@@ -358,8 +358,8 @@ class BestModelCheckpoint(Callback):
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
     def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
-        """Record the fits of one epoch, percent, and keep the state that has them; `ended` says
-        why to stop, if so."""
+        """Record the fits of one epoch, percent, and keep the state that has them. `ended` says why
+        to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
             self.ended = (

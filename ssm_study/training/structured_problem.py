@@ -29,7 +29,7 @@ SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
 class Batch(NamedTuple):
-    """Records in scaled units, padded; `weight` is 0 where padded, and such that `|r|^2 = (1 - fit
+    """Records in scaled units, padded. `weight` is 0 where padded, and such that `|r|^2 = (1 - fit
     / 100)^2`."""
 
     u: Float[np.ndarray, "N T m"]

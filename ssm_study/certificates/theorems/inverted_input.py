@@ -32,4 +32,6 @@ from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 
 @dataclass(frozen=True, kw_only=True)
 class InvertedInput(StateFeedbackOfBall):
-    """The fields of `state_feedback`; `alpha = 1, beta = 0` is what the verifier demands."""
+    """Certificate of a state feedback that inverts the input map, with the fields of
+    `state_feedback`. The verifier demands `alpha = 1, beta = 0`. `alpha = 1, beta = 0` is what the
+    verifier demands."""

@@ -183,7 +183,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
-        """Contribution of the neurons to an output; zero for a model with one layer."""
+        """Contribution of the neurons to an output. Zero for a model with one layer."""
         del letter
         return np.zeros((of.c.shape[0], rows.xi.shape[1]))
 

@@ -56,8 +56,9 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredMeasuredDiscs(MeasuredDiscs):
-    """The fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h (p, q)`, `l_z (q, p)`,
-    `lambda_ (3 q,)`."""
+    """Certificate that the loop of a model with neurons comes to rest on every plant within a
+    measured disc. It has the fields of `measured_discs`, and `e (s, q), f (q, s), g (q, m)`, `h (p,
+    q)`, `l_z (q, p)`, `lambda_ (3 q,)`."""
 
     e: Float[np.ndarray, "s q"]
     f: Float[np.ndarray, "q s"]

@@ -34,5 +34,6 @@ from ssm_study.certificates.theorems.structured_state_feedback import Structured
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredInvertedInput(StructuredStateFeedback):
-    """The fields of `structured_state_feedback`; `alpha = 1, beta = 0` is what the verifier
-    demands."""
+    """Certificate of a state feedback that inverts the input map of a model with neurons. It has
+    the fields of `structured_state_feedback`; the verifier demands `alpha = 1, beta = 0`. `alpha =
+    1, beta = 0` is what the verifier demands."""

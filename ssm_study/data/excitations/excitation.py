@@ -29,7 +29,7 @@ class SignalRequest:
 
     @property
     def clock_samples(self) -> int:
-        """Whole samples in a clock period; refuses less than one."""
+        """Whole samples in a clock period. Refuses less than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
         require(

@@ -109,7 +109,7 @@ class MatReader(Reader, names=(".mat",)):
 def stated_step_s(
     columns: dict[str, Float[np.ndarray, "_"]], texts: dict[str, str], owners: list[str]
 ) -> float | None:
-    """Sampling time in seconds that the objects of these columns state (`Ts` of `iddata`); None
+    """Sampling time in seconds that the objects of these columns state (`Ts` of `iddata`). None
     where none does, or they differ."""
     steps = set()
     for owner in owners:

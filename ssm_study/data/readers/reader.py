@@ -69,7 +69,7 @@ class Reader(Family):
         ambiguous column."""
 
     def contents(self, path: Path) -> Table:
-        """Every column that can be read, in the order of the file; refuses a file that is not
+        """Every column that can be read, in the order of the file. Refuses a file that is not
         whole."""
         problem = f"the reader of {path.suffix} files lists no columns"
         raise BadRequest("data.path", path, problem, "name the columns")
@@ -210,7 +210,7 @@ def place_of(path: Path, name: str, titles: list[str], header: bool | None = Non
 def arrow_numbers(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
-    """Columns of an Arrow table as float64, by name; `names` has what the file calls them.
+    """Columns of an Arrow table as float64, by name. `names` has what the file calls them.
 
     Dates and times become seconds since the first; a missing value is NaN.
     """

@@ -21,7 +21,7 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw both sides for the best run without neurons."""
+    """Draw the decay of controller and of observer for the best run without neurons."""
     model, certificate = study.of_best(
         "model", "certificate", otherwise="No run left a certificate for a model without neurons."
     )
@@ -67,8 +67,8 @@ def observed(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - t
 
 
 def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
-    """`d_k / d_0`, `d_k = sqrt((x - z)^T M (x - z))`, for random pairs of starts spread over four
-    decades of size."""
+    """Relative distances `d_k / d_0`, with `d_k = sqrt((x - z)^T M (x - z))`, for random pairs of
+    initial states over four decades of size."""
     rng = np.random.default_rng(SEED)
     sizes = 10 ** rng.uniform(-2, 2, (2, PAIRS, 1))
     x, z = sizes * rng.standard_normal((2, PAIRS, len(metric)))

@@ -18,8 +18,8 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw the first input channel; coverage, order and warning are those found when the data set
-    was made."""
+    """Draw coverage and spectrum of the first input channel. Coverage, order and warning are those
+    found when the data set was made."""
     kept, record = study.of_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )

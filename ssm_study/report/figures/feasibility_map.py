@@ -47,7 +47,7 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def draw_frontier(axes: Axes, ratio: pd.Series, limit: pd.Series) -> None:
-    """One bar per model, its own exact rate limit: models differ in A, so there is no single
+    """Draw one bar per model at its own exact rate limit. Models differ in A, so there is no single
     curve."""
     models = pd.DataFrame({"ratio": ratio, "limit": limit}).dropna().drop_duplicates()
     if not len(models):

@@ -81,8 +81,8 @@ def _lifted(model: SSM, voltage: Range) -> Range:
 
 
 def _said(model: SSM, voltage: Range, threshold: float) -> str:
-    """How much of a dead-zone was learned: the mean slope inside it over the mean slope outside;
-    zero would be all."""
+    """Sentence on how much of a dead-zone was learned, from the mean slope inside it over the mean
+    slope outside. Zero would be all."""
     rise = np.diff(_lifted(model, voltage)) / np.diff(voltage)  # per volt
     inside = np.abs(voltage[1:] + voltage[:-1]) / 2 < threshold
     share = float(rise[inside].mean() / rise[~inside].mean())
@@ -99,8 +99,8 @@ def _said(model: SSM, voltage: Range, threshold: float) -> str:
 
 
 def _gain_to_volts(model: SSM, threshold: float) -> float:
-    """S_u is free up to a factor that B takes up: the factor that brings it nearest to the
-    dead-zone, least squares."""
+    """Factor that brings S_u nearest to the dead-zone by least squares. S_u is free up to a factor
+    that B takes up."""
     voltage = _around_rest(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
     learned = _lifted(model, voltage)
     return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))

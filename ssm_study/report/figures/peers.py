@@ -54,7 +54,8 @@ def draw(study: StudyFolder) -> Figure:
 
 
 def panels_of(table: pd.DataFrame) -> list[PeerPanel]:
-    """Share settled, settling time over the uncontrolled one, and peak input."""
+    """Panels of the share settled, the settling time over the uncontrolled one, and the peak
+    input."""
     ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
     ratio = ratio.where(ratio > 0)  # without: starts that were at rest
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
@@ -68,7 +69,8 @@ def panels_of(table: pd.DataFrame) -> list[PeerPanel]:
 
 
 def draw_row(axes: Axes, row: int, values: pd.Series) -> None:
-    """One dot per run; of several a bar at the median, and dots faint enough to be seen through."""
+    """Draw one dot per run in a row. Of several runs a bar stands at the median, and dots are faint
+    enough to be seen through."""
     several = len(values) > 1
     look: dict[str, Any] = {"s": 16, "color": style.BLUE, "lw": 0, "zorder": 3, "clip_on": False}
     axes.scatter(values, [row] * len(values), alpha=0.5 if several else 1.0, **look)

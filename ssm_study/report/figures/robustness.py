@@ -56,7 +56,7 @@ def _write_cells(
     times: Float[np.ndarray, "R C"],
     shares: Float[np.ndarray, "R C"],
 ) -> None:
-    """Number of each cell: seconds, or the share that settles on red."""
+    """Write the number into each cell. It is seconds, or the share that settles on red."""
 
     for (i, j), share in np.ndenumerate(shares):
         if np.isnan(share):
@@ -71,7 +71,8 @@ def _write_cells(
 
 
 def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Controllers down, situations across, in the order in which they were compared."""
+    """Table of settling times with a row per controller and a column per situation, in the order of
+    the comparison."""
     rows = compared.assign(value=column(compared, name))
     means = rows.pivot_table(
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False

@@ -10,7 +10,8 @@ from ssm_study.table.columns import column
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Columns of the curve that start with `fit_` (%), or else those of a loss, against `epoch`."""
+    """Draw the columns of the curve that start with `fit_` (%), or else those of a loss, against
+    `epoch`."""
     (curve,) = study.of_best("curve", otherwise="No run left a training curve.")
     fig = style.canvas(style.COLUMN_IN, 2.3)
     axes = fig.add_subplot()

@@ -37,13 +37,13 @@ def first_channel(part: RecordedCases, name: str) -> Stretch:
 
 
 def label_axes(axes: Axes, time_s: Stretch, label: str) -> None:
-    """Time below, the signal's name and unit beside."""
+    """Label the axes with the time and the signal's name and unit."""
     axes.set(xlabel="Time (s)", ylabel=label)
     axes.set_xlim(time_s[0], time_s[-1])
 
 
 def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None) -> None:
-    """Measured output as dots, the model on top."""
+    """Draw the measured output as dots and the model on top."""
     time_s = part.time_s("measured")[:LONGEST]
     label = "model" if fit is None else f"model (fit {fit:.1f} % on the whole record)"
     measured = first_channel(part, "measured")
@@ -54,7 +54,7 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
 
 
 def draw_error(axes: Axes, part: RecordedCases) -> None:
-    """Measured output less the model's, in the output's unit."""
+    """Draw the measured output less the model's, in the output's unit."""
     time_s = part.time_s("measured")[:LONGEST]
     error = first_channel(part, "measured") - first_channel(part, "simulated")
     axes.axhline(0, color=style.PALE)

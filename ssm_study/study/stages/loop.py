@@ -64,14 +64,14 @@ def compute_loop(
 
 
 def read_loop(folder: Path) -> Experiment | None:
-    """Closed-loop experiment of the stage; None where there were no gains."""
+    """Closed-loop experiment of the stage. None where there were no gains."""
     return read_experiment(folder) if (folder / ON_PLANT).is_file() else None
 
 
 def measure_loop(
     experiment: Experiment | None, _data: DataSet, _bounded: ModelRun, design: Design
 ) -> Facts:
-    """Columns of the closed loop; none without a loop."""
+    """Columns of the closed loop. None without a loop."""
     if experiment is None:
         return {}
     closed, loop_on = experiment
