@@ -123,8 +123,8 @@ class Model:
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit in percent of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y -
-        mean(y)||)`.
+        """Fit of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y - mean(y)||)` in
+        percent.
 
         Raises `BadRequest` where the shapes differ.
         """
@@ -137,8 +137,7 @@ class Model:
     def simulation_errors(
         self, u: Values, y: Values, disturbance: Values | None = None
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of a free run from the equilibrium, one column per
-        output."""
+        """Measured minus simulated outputs of a free run, one column per output."""
         measured, predicted = self._measured_and_predicted(u, y, disturbance)
         return pd.DataFrame(measured - predicted, columns=self.output_names)
 
