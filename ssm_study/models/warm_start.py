@@ -55,8 +55,8 @@ class PieceStarts:
 
 
 def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
-    """Choose whether the initial state of a piece comes from its first samples or from the log
-    before it, as the training and validation records predict better.
+    """Choose whether a piece's initial state comes from its first samples or from the log before
+    it, by which predicts training and validation records better.
 
     Nothing of the test records is used but the inputs and outputs that precede them in their logs.
     """

@@ -26,7 +26,7 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """A requirement that one part of a record's spectrum puts on the weights, `seen <= sum over
+    """Requirement that one part of a record's spectrum puts on the weights. It is `seen <= sum over
     lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is

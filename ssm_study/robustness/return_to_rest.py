@@ -40,7 +40,7 @@ def after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
     """Oscillations and offsets of the output, in output scales, that remain after the input has
-    returned to its equilibrium.
+    returned to a constant value.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -63,8 +63,8 @@ def after_returns(
 
 
 def spread_of_rest_points(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance, in output scales, between the end of one return to rest and the mean of
-    the others at the same input, if none still moves there."""
+    """Largest distance, in output scales, between the final output of one return to a constant
+    input and the mean of the others. It is zero if one still moves there."""
     offsets = list[float]()
     for outputs in _by_input(scale, records).values():
         if max(map(swing, outputs)) < AT_REST:
@@ -93,8 +93,8 @@ def _started_far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
 
 
 def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
-    """Distance of each resting output from the equilibrium, or from the mean of the others,
-    noise removed."""
+    """Distance of each final output from the equilibrium, or from the mean of the others, noise
+    removed."""
     tails = [_tail(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])

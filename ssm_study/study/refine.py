@@ -1,5 +1,5 @@
-"""Refinement of a run: close the loop as a trial, measure the mismatch from it, and design again,
-until the proof covers records and trial or the loop comes to rest.
+"""Refinement of a run by trials of its closed loop, until the proof covers records and trial or the
+loop comes to rest. Each trial closes the loop, measures the mismatch from it, and designs again.
 
 Each iteration is a run of the study: the configuration of the one before with one trial more
 (`study.trials`).

@@ -117,8 +117,8 @@ def log_det(a):
 @compiled
 @no_type_check
 def _add_step(total, step):
-    """Add a symmetrised step to a sum, in place; 1 where the step no longer counts, -1 where the
-    sum diverges (or is NaN), else 0."""
+    """Add a symmetrised step to a sum, in place. Returns 1 where the step no longer counts, -1
+    where the sum diverges (or is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
         for j in range(i + 1):

@@ -41,8 +41,8 @@ from ssm_study.certificates.theorem import Blocks, VerificationContext
 
 @dataclass(frozen=True, kw_only=True)
 class NameOfTheTheorem(StateFeedback, abstract=True):
-    """The equation in one line; shapes of the fields of one's own (`y: Float[np.ndarray, "n n"]`),
-    which stand here, beside `a, b, alpha, beta, rate, p, k` of the base."""
+    """Equation of the theorem in one line. Here stand the shapes of the fields of one's own (`y:
+    Float[np.ndarray, "n n"]`), beside `a, b, alpha, beta, rate, p, k` of the base."""
 
     products: ClassVar[
         Mapping[str, tuple[str, str]]
