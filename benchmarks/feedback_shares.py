@@ -20,7 +20,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from benchmarks.common import study_of
-from ssm_study.evidence.feedback import fed_back, is_closed
+from ssm_study.evidence.feedback import fed_back_share, is_closed
 from ssm_study.signals import DataSet, Scale, Trajectory
 
 MEASURED = ("ced", "cascaded_tanks", "silverbox", "emps")
@@ -104,7 +104,7 @@ def row(name: str, logs: Iterable[DataSet]) -> dict[str, object]:
     shares = []
     alarms = 0
     for data in logs:
-        shares.append((fed_back(data, 1), fed_back(data, 0)))
+        shares.append((fed_back_share(data, 1), fed_back_share(data, 0)))
         alarms += is_closed(data, *shares[-1])
     ends = np.percentile(100 * np.array(shares), [0, 5, 50, 95, 100], axis=0)
     told: dict[str, object] = {"logs": name, "count": len(shares), "taken_for_closed": alarms}

@@ -70,8 +70,8 @@ def findings(case: Case) -> Iterator[Finding]:
             if float(share) >= LEAST_SHARE
             else doubt(f"{told}: move the set point more.")
         )
-    earlier = fed_back(case.data, 1)
-    present = fed_back(case.data, 0)
+    earlier = fed_back_share(case.data, 1)
+    present = fed_back_share(case.data, 0)
     closed = is_closed(case.data, earlier, present)
     at_once = closed and earlier < EARLIER and answers_at_once(case.data)
     if at_once and not case.model.linear.d.any():
@@ -243,7 +243,7 @@ def own_mode(data: DataSet, lags: int) -> float:
     return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
-def fed_back(data: DataSet, first: int) -> float:
+def fed_back_share(data: DataSet, first: int) -> float:
     """Share of the input's innovations that earlier innovations of the output explain. The
     largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other
     half."""
@@ -252,7 +252,7 @@ def fed_back(data: DataSet, first: int) -> float:
         return 0.0
     first_half = _joined_rows(halves[0::2])
     second_half = _joined_rows(halves[1::2])
-    powers = _missed(first_half, second_half) + _missed(second_half, first_half)
+    powers = _residual_powers(first_half, second_half) + _residual_powers(second_half, first_half)
     power, new, clipped, missed = powers
     tested = (new > FORESEEN * power) & (clipped > 0)
     return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
@@ -263,7 +263,7 @@ def _joined_rows(halves: list[list[Rows]]) -> list[Rows]:
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
-def _missed(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
+def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
     """Residual powers of a regression on fresh data. Powers in the scored half: of the input, of
     `w`, of `w` clipped, and of what `v` leaves of that."""
     past, y, u = fitted

@@ -95,7 +95,7 @@ def doubt(sentence: str) -> Finding:
     return Finding(level="doubt", sentence=sentence)
 
 
-def graded(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
+def finding_by_size(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
     """Finding whose level depends on the size of a number. A doubt from `doubtful` on, `cannot
     judge` from `hopeless` on, nothing below."""
     if size >= hopeless:

@@ -4,7 +4,7 @@ and test against predictors that know nothing, or are linear."""
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, doubt, graded, note
+from ssm_study.evidence.finding import Case, Finding, doubt, finding_by_size, note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import other_start
 from ssm_study.signals import fit_of_error, fit_percent, lagged
@@ -43,7 +43,7 @@ def findings(case: Case) -> list[Finding]:
     found += starts_apart(case)
     owed = owed_to_input(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
-    return found + graded(
+    return found + finding_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
 
@@ -69,7 +69,7 @@ def poor_fit(case: Case) -> list[Finding]:
             )
         ]
     remedy = "record more of what moves the output, or another input."
-    return graded(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
+    return finding_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
 
 
 def starts_apart(case: Case) -> list[Finding]:

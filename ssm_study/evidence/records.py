@@ -8,7 +8,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
-from ssm_study.evidence.response import INTEGRATES, kept_over
+from ssm_study.evidence.response import INTEGRATES, remaining_share_of_slowest_mode
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
@@ -185,7 +185,7 @@ def _length(case: Case) -> Iterator[str]:
     response = case.model.linear.response_samples()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
-    elif (kept := kept_over(case)) > INTEGRATES:
+    elif (kept := remaining_share_of_slowest_mode(case)) > INTEGRATES:
         told = (
             f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over "
             "the longest record"

@@ -49,7 +49,7 @@ def findings(case: Case) -> list[Finding]:
     return [*_coherence(case), *_dead_time(case), *_sampling(case)]
 
 
-def kept_over(case: Case) -> float:
+def remaining_share_of_slowest_mode(case: Case) -> float:
     """Fraction of the model's slowest mode that remains after the longest training record. It is 1
     for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
@@ -117,7 +117,7 @@ def _sampling(case: Case) -> Iterator[Finding]:
         return
     if response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif response >= FINE and kept_over(case) <= INTEGRATES:
+    elif response >= FINE and remaining_share_of_slowest_mode(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield note(
             f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "

@@ -169,7 +169,7 @@ def test_what_runs_away_still_grows_with_itself(pole):
 def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
     y = scipy.signal.lfilter([0.3], [1, -0.7], u) + 0.02 * RNG.standard_normal(len(u))
     log = case(u, y)
-    assert feedback.fed_back(log.data, 0) > feedback.PRESENT
+    assert feedback.fed_back_share(log.data, 0) > feedback.PRESENT
     (found,) = feedback.findings(log)
     assert "use model.feedthrough=true" in found.sentence
     assert "closed-loop" not in found.sentence

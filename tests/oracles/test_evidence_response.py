@@ -255,9 +255,9 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
 )
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
-    assert feedback.fed_back(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
+    assert feedback.fed_back_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
     assert (
-        feedback.fed_back(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
+        feedback.fed_back_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
         < feedback.EARLIER / 2
     )
 
@@ -322,7 +322,9 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     """With little noise the present output explains less than the limit, and so do those of two
     samples ago."""
     u, y = in_loop(REFERENCES["steps"], 0.007, 1)
-    present, before, two_ago = (feedback.fed_back(case(u, y).data, first) for first in (0, 1, 2))
+    present, before, two_ago = (
+        feedback.fed_back_share(case(u, y).data, first) for first in (0, 1, 2)
+    )
     assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present
     (found,) = feedback.findings(case(u, y))
     assert "as in a closed-loop log" in found.sentence
