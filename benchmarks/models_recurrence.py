@@ -51,7 +51,10 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     u = torch.randn(batch, samples, 1, requires_grad=True)
     start = on_ring(2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0))
     ours = LRU(start, feedthrough=False).float()
-    evaluations = {"convolution": recurrence.by_convolution, "chunks": recurrence.by_chunks}
+    evaluations = {
+        "convolution": recurrence.by_convolution,
+        "chunks": recurrence.simulate_in_chunks,
+    }
     runs = {
         name: step(ours, lambda v, law=law: law(ours.modes(), v), u)
         for name, law in evaluations.items()

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 
-from ssm_study.models.structured_kernel import bend
+from ssm_study.models.structured_kernel import activation_and_slope
 
 AT_ONCE = 8  # records side by side, the innermost index: what the processor does in one instruction
 
@@ -77,7 +77,7 @@ def _derivatives(k, v, x0, y, weight):
     still = np.empty(q)
     rest = np.empty(q)
     for i in range(q):
-        still[i], rest[i] = bend(k.kinds[i], k.bias[i])
+        still[i], rest[i] = activation_and_slope(k.kinds[i], k.bias[i])
     for block in range(v.shape[0]):
         x[0] = x0[block]
         for t in range(samples):
@@ -92,7 +92,7 @@ def _derivatives(k, v, x0, y, weight):
                         w[t, i, r], slope[t, i, r] = value - still[i], 1.0 - value * value
                     continue
                 for r in range(AT_ONCE):
-                    value, slope[t, i, r] = bend(k.kinds[i], z[i, r])
+                    value, slope[t, i, r] = activation_and_slope(k.kinds[i], z[i, r])
                     w[t, i, r] = value - still[i]
             x[t + 1] = 0.0
             _add(k.a, x[t], x[t + 1])

@@ -12,7 +12,7 @@ from ssm_study.api.model import Model, Values
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import new_folder
 from ssm_study.api.steps import identify
-from ssm_study.data.arrays import logged
+from ssm_study.data.arrays import write_log_files
 from ssm_study.refusal import BadRequest, positive
 
 Signals = Values | Sequence[Values]
@@ -64,7 +64,7 @@ def fit(
     >>> model.score(u, y[:800]) > 95
     True
     """
-    step_s = read_sampling_time(step_s)
+    step_s = sampling_time_in_seconds(step_s)
     choices = {
         "data": "recorded",
         "model": model,
@@ -84,7 +84,7 @@ def fit(
     reduction = parts.build("reduction")
 
     folder = new_folder() if results_dir is None else Path(results_dir)
-    log = logged(u, y, folder, float(step_s), disturbance)
+    log = write_log_files(u, y, folder, float(step_s), disturbance)
     parts.set_given("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
     parts.set_given("data", disturbance=log.disturbances or None)
     data = parts.build("data").build(parts.numbers["seed"])
@@ -110,7 +110,7 @@ def fit(
     )
 
 
-def read_sampling_time(step_s: Any) -> float:
+def sampling_time_in_seconds(step_s: Any) -> float:
     """Sampling time in seconds, from a number or a time difference. Raises `BadRequest` for what is
     none."""
     remedy = "give it in seconds"

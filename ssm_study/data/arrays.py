@@ -32,7 +32,7 @@ class LoggedArrays:
     disturbances: list[str]
 
 
-def logged(
+def write_log_files(
     u: Any, y: Any, folder: Path, step_s: float | None = None, disturbance: Any = None
 ) -> LoggedArrays:
     """Write arrays of experiments to log files. Each experiment as `logs/<digest>.parquet`, so
@@ -88,7 +88,7 @@ def signal(
     channels.
     """
     if isinstance(values, pd.DataFrame) and columns is not None:
-        values = in_order(values, name, columns)
+        values = select_columns(values, name, columns)
     table = numbers(values, name)
     problem = f"needs one column per channel: {channels}"
     remedy = "give those that the model was fitted to"
@@ -120,7 +120,7 @@ def disturbance_values(
     return table
 
 
-def in_order(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
+def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
     """Select a frame's columns in the order of the model's channels.
 
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.

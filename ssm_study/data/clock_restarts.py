@@ -60,10 +60,10 @@ def on_even_clocks(
     ]
     if not restarts:
         return experiments[0]
-    return one_behind_the_other(experiments, where)
+    return join_experiments(experiments, where)
 
 
-def one_behind_the_other(experiments: Sequence[EvenRows], where: str) -> EvenRows:
+def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
     """Join the experiments of one file into one log. Experiments of one sampling time as pieces
     of one log, none of which follows another."""
     steps_s = [experiment.step_s for experiment in experiments]

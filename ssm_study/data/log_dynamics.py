@@ -105,7 +105,7 @@ def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
         coarse_u = block_means(u[1:], stride)
         coarse_y = answering[stride - 1 :: stride][: len(coarse_u)]
         enough = len(coarse_u) >= 4 * LAGS
-        lag = first_answer(coarse_u, coarse_y) if enough else None
+        lag = first_response_lag(coarse_u, coarse_y) if enough else None
         if lag is not None:
             return lag_sentence(lag, word) if stride == 1 else slow_sentence(lag, stride, word)
     level = explained_level(u, y)
@@ -145,7 +145,7 @@ def slow_sentence(lag: int, stride: int, word: str) -> str:
     )
 
 
-def first_answer(u: Signal, y: Signal) -> int | None:
+def first_response_lag(u: Signal, y: Signal) -> int | None:
     """Smallest lag at which the output responds to a change of the input. None where none is
     significant."""
     if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:

@@ -282,7 +282,7 @@ class RecordedData(Columns, AroundRest):
             logs.append(_Log(pieces=numbered, remark=remark))
         if self.reference is None and self.controller is None:
             return logs
-        return self._by_set_point(logs)
+        return self._project_inputs_on_set_point(logs)
 
     def read_pieces(
         self,
@@ -303,7 +303,7 @@ class RecordedData(Columns, AroundRest):
         apart = [replace(one, u=one.u[:, :count], d=one.u[:, count:]) for one in pieces]
         return apart, remark
 
-    def _by_set_point(self, logs: "list[_Log]") -> "list[_Log]":
+    def _project_inputs_on_set_point(self, logs: "list[_Log]") -> "list[_Log]":
         """Replace the input of closed-loop logs by the part that the set point explains."""
         pieces = [piece for log in logs for piece in log.pieces]
         count = len(self.inputs)
@@ -326,13 +326,13 @@ class RecordedData(Columns, AroundRest):
     def _split(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
         """Split every log into training, validation and test, and describe the cuts in words."""
         splitter, words = self._splitter(logs)
-        cuts = [self._cut(log, splitter) for log in logs]
+        cuts = [self._split_log(log, splitter) for log in logs]
         samples = sum(len(piece) for log in logs for piece in log)
         taken = sum(len(record) for cut in cuts for part in cut for record in part)
         short = f"; {samples - taken} samples in stretches that are too short are left out"
         return cuts, words + (short if taken < samples else "")
 
-    def _cut(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
+    def _split_log(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
         return splits.over_pieces(log, splitter, self.start_up_samples + 2)
 
     def _splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
@@ -354,7 +354,7 @@ class RecordedData(Columns, AroundRest):
         if self.split == "auto":
             shortest = self.start_up_samples + FEWEST
             able = all(sum(map(len, log)) // BLOCKS >= shortest for log in logs)
-            if not able or not any(end_is_unlike(self._cut(log, in_time)) for log in logs):
+            if not able or not any(end_is_unlike(self._split_log(log, in_time)) for log in logs):
                 return in_time, "in the order of time"
         why = "" if self.split == "blocks" else ", because its end is unlike its beginning"
         return in_blocks, f"in {BLOCKS} interleaved blocks{why}"

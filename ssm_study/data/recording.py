@@ -143,7 +143,7 @@ class Columns:
         try:
             pieces, remarks = self._on_clock(path, output_path or path)
         except BadRequest as error:
-            raise with_look(error, path) from error
+            raise refusal_with_look_command(error, path) from error
         whole = range(first, pieces_end(pieces) if last is None else last)
         problem = f"no such samples, {path.name} has {pieces_end(pieces)}"
         inside = first < whole.stop <= pieces_end(pieces)
@@ -312,7 +312,7 @@ def pieces_end(pieces: EvenRows) -> int:
     return pieces.starts[-1] + len(pieces.values[-1])
 
 
-def with_look(error: BadRequest, path: Path) -> BadRequest:
+def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
     """Add to a refusal the command that shows what is in the file."""
     remedy = error.remedy.rstrip(".")
     is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either

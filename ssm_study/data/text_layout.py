@@ -137,10 +137,10 @@ def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayou
         first -= 1  # a row of numbers with a cell that is none: it is refused where it is read
     above = [row for row in cells[:first] if is_header(row, columns, sample)]
     refuse_shifted_names(path, cells[:first], above, columns)
-    remarks = [counted(len(comments), "comment line")] if comments else []
+    remarks = [number_with_noun(len(comments), "comment line")] if comments else []
     names, units = names_and_units(above)
     if len(above) < first and first:
-        remarks.append(f"{counted(first - len(above), 'line')} of prose above")
+        remarks.append(f"{number_with_noun(first - len(above), 'line')} of prose above")
     if names is None and comments and first == 0:
         names = names_in_comment(comments, separator, columns, decimal)
     if units:
@@ -263,7 +263,7 @@ def first_row_of_numbers(
     return None
 
 
-def counted(number: int, noun: str) -> str:
+def number_with_noun(number: int, noun: str) -> str:
     """Write a number with its noun in singular or plural. A number with its noun: `1 line`, `2
     lines`."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"

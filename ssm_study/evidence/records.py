@@ -260,14 +260,14 @@ def _repeated(records: tuple[Trajectory, ...], length: int) -> float:
 
 
 def _spectrum(case: Case) -> Iterator[str]:
-    def power(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
+    def power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""
         u, _ = _joined(case, records)
         _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
         return np.asarray(spectrum.sum(axis=1))
 
-    trained = power(case.data.training)
-    tested = power(case.data.test)
+    trained = power_spectrum(case.data.training)
+    tested = power_spectrum(case.data.test)
     if len(trained) != len(tested):
         return
     untrained = trained < 0.01 * trained.mean()

@@ -159,7 +159,7 @@ def _resting_line(device: Device) -> str:
 
     Integrators do so by themselves, and oscillators go on.
     """
-    rows = device.controller.resting
+    rows = device.controller.held_states
     if rows.stop <= rows.start:
         return ""
     return f"    else for (int i = {rows.start}; i < {rows.stop}; ++i) next[i] = state->x[i];\n"

@@ -162,7 +162,7 @@ class Device:
         """Value of the input map S_u at an input limit, which is first clipped to `WIDEST` scaled
         inputs."""
         scaled = controller.scale.scaled_input(limit.astype(float))
-        return float(_mapped(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
+        return float(_evaluate_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Constants of the C code by name, in its order, except those of its maps."""
@@ -214,12 +214,12 @@ class Device:
         requested = controller.scale.physical_input(times(controller.k, x - rest["x"], rest["v"]))
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
-        lifted = _mapped(controller.s_in, controller.scale.scaled_input(u))
+        lifted = _evaluate_map(controller.s_in, controller.scale.scaled_input(u))
         measured = controller.scale.scaled_output(y)
         read = times(controller.d, lifted, times(controller.c, x))
         if neurons and neurons.h.any():
             read = times(neurons.h, neurons(x, lifted), read)
-        error = _mapped(controller.s_out, read) - measured
+        error = _evaluate_map(controller.s_out, read) - measured
         following = times(controller.b, lifted, times(controller.a, x))
         following = times(controller.l, error, following)
         if d is not None:
@@ -230,7 +230,7 @@ class Device:
         if np.array_equal(u, requested):
             following = times(controller.e, measured - rest["w"], following)
         else:
-            following[controller.resting] = x[controller.resting]
+            following[controller.held_states] = x[controller.held_states]
         return u, following
 
     def aim(self, r: Vector) -> dict[str, Vector]:
@@ -252,11 +252,11 @@ class Device:
         requested = scale.physical_input(_undone(points.inward, wanted))
         u = np.clip(requested, self.lower, self.upper)
         v = scale.scaled_input(u)
-        lifted = _mapped(controller.s_in, v)
+        lifted = _evaluate_map(controller.s_in, v)
         return {
             "x": reached(points.at_rest, lifted),
             "v": v,
-            "w": _mapped(controller.s_out, reached(points.seen, lifted)),
+            "w": _evaluate_map(controller.s_out, reached(points.seen, lifted)),
         }
 
     def replay(
@@ -299,7 +299,7 @@ def _reaching_products(part: Any) -> int:
     return part.slopes.shape[1] if isinstance(part, Joined) else part.size
 
 
-def _mapped(portable: PortableMap, v: Vector) -> Vector:
+def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
     """Value of a map at `v`, computed in the order of the C code."""
     out = times(portable.linear, v)
     if portable.network is None:

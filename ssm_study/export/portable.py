@@ -95,7 +95,7 @@ class PortableController:
         return matrices | scale | neurons | disturbances
 
     @property
-    def resting(self) -> slice:
+    def held_states(self) -> slice:
         """Slice of the states that have to be held while a limit acts. They are the integrators of
         a ramp's internal model.
 

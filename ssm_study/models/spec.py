@@ -108,13 +108,13 @@ def from_data(
     for lags in (longest, min(order, longest)):
         response = impulse_response(*arx(records, lags, feedthrough))
         start = modal_start(realise(response, order, rng))
-        share = explained(start, records)
+        share = output_regression_coefficient(start, records)
         if share >= LEAST_SHARE:
             return start
     return replace(start, c=share * start.c, d=share * start.d)
 
 
-def explained(start: Initialisation, records: Pairs) -> float:
+def output_regression_coefficient(start: Initialisation, records: Pairs) -> float:
     """Regression coefficient of the measured output on the output of an initial linear system. `<y,
     ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than
     zero is."""
@@ -262,13 +262,13 @@ class SSMSpec(ModelSpec):
     dead_time: int = 0
 
     def __post_init__(self) -> None:
-        whole(0, "dead_time", self.dead_time, "use 0 for none")
-        whole(1, "order", self.order, "a model has at least one state, use 8 or so")
-        whole(1, "hidden_width", self.hidden_width, "use 32 or so")
+        require_whole_number(0, "dead_time", self.dead_time, "use 0 for none")
+        require_whole_number(1, "order", self.order, "a model has at least one state, use 8 or so")
+        require_whole_number(1, "hidden_width", self.hidden_width, "use 32 or so")
         check_slopes(self.slope_lower, self.slope_upper)
         one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
-            whole(0, "real_modes", self.real_modes, "use 2")
+            require_whole_number(0, "real_modes", self.real_modes, "use 2")
             pairs = self.order - self.real_modes
             remedy = "leave an even number of states for the pairs"
             fits = pairs >= 0 and pairs % 2 == 0
@@ -327,7 +327,7 @@ def scaled_with_disturbances(data: DataSet) -> Pairs:
     return scaled(data.with_disturbances_as_inputs())
 
 
-def whole(least: int, name: str, value: object, remedy: str) -> None:
+def require_whole_number(least: int, name: str, value: object, remedy: str) -> None:
     """Refuse a value that is no whole number, or is below `least`."""
     fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
     require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)

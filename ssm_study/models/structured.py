@@ -35,7 +35,7 @@ class Neuron(NamedTuple):
     c: str
 
 
-NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.bend`)
+NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.activation_and_slope`)
     "tanh": Neuron(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2, "tanh(z)"),
     "softplus": Neuron(
         lambda z: np.logaddexp(0.0, z),

@@ -46,7 +46,7 @@ class Matrices(NamedTuple):
 
 @compiled
 @no_type_check
-def bend(code, z):
+def activation_and_slope(code, z):
     """Value and slope of one activation function. `(phi(z), phi'(z))` of the neuron with that
     code."""
     if code == 0:
@@ -76,7 +76,7 @@ def _neurons(
             z += k.f[i, j] * x[j]
         for j in range(v.shape[0]):
             z += k.g[i, j] * v[j]
-        value, slope[i] = bend(k.kinds[i], z)
+        value, slope[i] = activation_and_slope(k.kinds[i], z)
         w[i] = value - still[i]
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from ssm_study.models.scaffolds.linear import Linear, LinearScaffold
 from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, whole
+from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, require_whole_number
 from ssm_study.models.structured import codes
 from ssm_study.refusal import at_least, one_of, require
 
@@ -174,7 +174,7 @@ class StructuredSpec(ModelSpec):
             if name in AUTOMATIC and getattr(self, name) == AUTO:
                 continue
             alternative = f", or {AUTO}" if name in AUTOMATIC else ""
-            whole(least, name, getattr(self, name), f"use 4 or so{alternative}")
+            require_whole_number(least, name, getattr(self, name), f"use 4 or so{alternative}")
         one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
         one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
         if self.neurons != AUTO:

@@ -221,7 +221,7 @@ def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Outpu
     return y.mT
 
 
-def by_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
+def simulate_in_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by blocks of samples. Blocks of 64 samples as matrix
     products; the states between blocks follow the same law, 64 times slower."""
     return Chunks.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
@@ -280,4 +280,4 @@ def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by the fastest method. The faster of convolution and chunks
     for this length and order; both are the same law."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
-    return (by_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)
+    return (simulate_in_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)

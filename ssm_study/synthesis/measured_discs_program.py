@@ -151,7 +151,7 @@ def _form_of(
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
-    pairs = theorem.map_forms(alone, theorem.signals(alone))
+    pairs = theorem.static_map_forms(alone, theorem.signals(alone))
     forms = [multiplier * form for multiplier, form in pairs]
     return np.asarray(np.sum(forms, axis=0))
 

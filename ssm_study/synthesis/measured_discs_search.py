@@ -226,7 +226,7 @@ def metric_candidates(
     rows = theorem.signals(of)
     order = len(rows.xi)
     form = theorem.disc_form(of, rows)
-    for multiplier, positive in theorem.map_forms(of, rows):
+    for multiplier, positive in theorem.static_map_forms(of, rows):
         form = form + multiplier * positive
     a = rows.step[:, :order]
     b = rows.step[:, order:]

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from ssm_study.data.log_dynamics import first_answer
+from ssm_study.data.log_dynamics import first_response_lag
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import Settings, linear_model
 from ssm_study.training.folds import with_joined_records
@@ -58,7 +58,7 @@ def answering_lag(data: DataSet) -> int | None:
     """Number of samples until the output first responds to any input. None where noise hides it."""
     record = max(with_joined_records(data).training, key=len)
     lags = [
-        first_answer(u, y)
+        first_response_lag(u, y)
         for u, y in product(record.u.T, record.y.T)
         if np.ptp(u) > 0 and np.ptp(y) > 0 and len(record) > SHORTEST
     ]

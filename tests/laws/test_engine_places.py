@@ -13,9 +13,9 @@ for name in dir(caching):
     if hasattr(getattr(caching, name), "ensure_cache_path"):
         getattr(caching, name).ensure_cache_path = refuse
 import numpy as np
-from ssm_study.models.structured_kernel import bend
+from ssm_study.models.structured_kernel import activation_and_slope
 from ssm_study.plants import dc_motor_kernel
-print(bend(0, 0.0))
+print(activation_and_slope(0, 0.0))
 """
 
 

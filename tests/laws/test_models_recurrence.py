@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.spec import explained, from_data, on_ring
+from ssm_study.models.spec import from_data, on_ring, output_regression_coefficient
 from ssm_study.models.torch_ssm import LRU
 
-EVALUATIONS = {"convolution": recurrence.by_convolution, "chunks": recurrence.by_chunks}
+EVALUATIONS = {"convolution": recurrence.by_convolution, "chunks": recurrence.simulate_in_chunks}
 Evaluation = Callable[..., torch.Tensor]
 
 
@@ -235,4 +235,4 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
         made = start.free_run(records[0][0])
         assert np.abs(made).max() < 10 * np.abs(y).max()
         assert np.linalg.norm(made - records[0][1]) <= np.linalg.norm(records[0][1]) * (1 + 1e-9)
-        assert explained(start, records) >= 0.5
+        assert output_regression_coefficient(start, records) >= 0.5

@@ -13,7 +13,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import NEURONS, StructuredSSM, phi
-from ssm_study.models.structured_kernel import bend
+from ssm_study.models.structured_kernel import activation_and_slope
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
 
@@ -102,7 +102,9 @@ def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: 
     assert -1e-12 <= (high - low) / gap <= 1 + 1e-9
     slope = phi((kind,), np.array([z]), "slope")[0]
     assert 0 <= slope <= 1
-    np.testing.assert_allclose(bend(KINDS.index(kind), z), (low, slope), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(
+        activation_and_slope(KINDS.index(kind), z), (low, slope), rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,7 +14,7 @@ from ssm_study.data.log_dynamics import (
     answer_sentence,
     describe_dynamics,
     fed_back_share,
-    first_answer,
+    first_response_lag,
     input_shares,
 )
 from ssm_study.data.look import look
@@ -137,7 +137,7 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     x = np.convolve(u, 1 / 60 * np.exp(-np.arange(400) / 60))[: len(u)]
     y = np.convolve(x, 1 / 60 * np.exp(-np.arange(400) / 60))[: len(u)]
     y += 0.01 * rng.standard_normal(len(y))
-    assert first_answer(u, y) is None
+    assert first_response_lag(u, y) is None
     assert "slow" in answer_sentence(u, y, input_shares(u, y))
 
 

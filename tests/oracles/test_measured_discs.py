@@ -115,7 +115,7 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     numbers["lambda_out"] = np.ones(3) if bent else np.zeros(0)
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
     rows = MeasuredDiscs.signals(of)
-    forms = [form for _, form in MeasuredDiscs.map_forms(of, rows)]
+    forms = [form for _, form in MeasuredDiscs.static_map_forms(of, rows)]
     order = len(rows.xi)
     p = cp.Variable((order, order), symmetric=True)
     margin = cp.Variable()

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ssm_study.api.fitting import read_sampling_time
+from ssm_study.api.fitting import sampling_time_in_seconds
 from ssm_study.api.model import import_python_control
 from ssm_study.api.parts import write_value
 from ssm_study.cli.main import WRONG_REQUEST, main
@@ -68,14 +68,14 @@ def test_a_column_that_is_named_twice_is_refused_before_any_run(
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "often", 0.0, -1.0, [0.1]])
 def test_what_is_no_sampling_time_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="step_s"):
-        read_sampling_time(value)
+        sampling_time_in_seconds(value)
 
 
 @pytest.mark.parametrize(
     "value", [0.1, np.float64(0.1), pd.Timedelta("100ms"), timedelta(milliseconds=100)]
 )
 def test_a_time_difference_is_a_sampling_time(value: object) -> None:
-    assert read_sampling_time(value) == 0.1
+    assert sampling_time_in_seconds(value) == 0.1
 
 
 TEXTS = ["a\\b", "a\\", "it's", "a\\'b", "\\\\server\\share", "a b", "", "[x]", "\\\\'", "'\\"]

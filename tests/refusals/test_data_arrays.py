@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.data.arrays import check_index, logged, signal
+from ssm_study.data.arrays import check_index, signal, write_log_files
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -40,13 +40,13 @@ INDEX = pd.date_range("2026-01-01", periods=T, freq="10ms")
 )
 def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(BadRequest, match=says):
-        logged(u, y, tmp_path, 0.1)
+        write_log_files(u, y, tmp_path, 0.1)
 
 
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
     by_time = pd.Series(U, name="power", index=INDEX)
     for u in (U, U[:, None], np.ma.masked_array(U), by_time, by_time.to_frame()):
-        paths = logged(u, Y, tmp_path, 0.01).paths
+        paths = write_log_files(u, Y, tmp_path, 0.01).paths
         assert np.array_equal(pd.read_parquet(paths[0]).iloc[:, 0], U)
 
 
@@ -75,7 +75,7 @@ def test_frames_are_matched_by_the_names_of_their_columns() -> None:
 def test_an_index_that_is_no_even_clock_of_the_sampling_time(tmp_path, index, says: str) -> None:  # type: ignore[no-untyped-def]
     u = pd.Series(U, index=index, name="u")
     with pytest.raises(BadRequest, match=says):
-        logged(u, pd.Series(Y, index=index, name="y"), tmp_path, 0.01)
+        write_log_files(u, pd.Series(Y, index=index, name="y"), tmp_path, 0.01)
 
 
 def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:

@@ -12,7 +12,7 @@ from plants_cases import from_yaml
 from pyarrow import parquet
 from scipy.io import savemat
 
-from ssm_study.data.arrays import logged
+from ssm_study.data.arrays import write_log_files
 from ssm_study.data.experiments import RecordedExperiments
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.data.readers.reader import read_table
@@ -371,7 +371,7 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
 )
 def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str) -> None:
     with pytest.raises(BadRequest, match=says):
-        logged(u, y, tmp_path)
+        write_log_files(u, y, tmp_path)
 
 
 @pytest.mark.parametrize("change", [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}])

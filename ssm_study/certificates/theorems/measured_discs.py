@@ -110,7 +110,7 @@ class MeasuredDiscs(Theorem):
         signals = cls.signals(of)
         form = signals.xi.T @ of.p @ signals.xi - signals.step.T @ of.p @ signals.step
         form = form + cls.disc_form(of, signals)
-        for multiplier, positive in cls.map_forms(of, signals):
+        for multiplier, positive in cls.static_map_forms(of, signals):
             form = form + multiplier * positive
         disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
         positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "kappa", "floor")}
@@ -128,7 +128,7 @@ class MeasuredDiscs(Theorem):
         return deviation.T @ deviation - of.kappa * of.kappa * reference
 
     @classmethod
-    def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+    def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
         """Quadratic forms of the static maps and the multipliers of each. Each multiplier with
         the form of the static maps that it multiplies, which no signal of the loop makes
         positive."""
@@ -166,8 +166,8 @@ class MeasuredDiscs(Theorem):
         rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
         rows.drive = of.alpha * rows.u + rows.p
         zero = np.zeros((p, rows.xi.shape[1]))
-        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + cls.neurons_at_output(of, rows, "w")
-        rows.do = of.c @ rows.eps + cls.neurons_at_output(of, rows, "d")
+        rows.o = of.c @ rows.x[:n] + of.d @ rows.drive + cls.neuron_contribution(of, rows, "w")
+        rows.do = of.c @ rows.eps + cls.neuron_contribution(of, rows, "d")
         rows.m = of.alpha_out * rows.o + getattr(rows, "r2", zero)
         rows.injected = of.alpha_out * rows.do + getattr(rows, "r1", zero) - rows.e
         fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])
@@ -182,7 +182,7 @@ class MeasuredDiscs(Theorem):
         return rows
 
     @classmethod
-    def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
+    def neuron_contribution(cls, of: Any, rows: Any, letter: str) -> Any:
         """Contribution of the neurons to an output. Zero for a model with one layer."""
         del letter
         return np.zeros((of.c.shape[0], rows.xi.shape[1]))

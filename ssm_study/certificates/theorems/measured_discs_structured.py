@@ -78,7 +78,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         return super().inputs_of(of) | {"w": q, "d_w": q}
 
     @classmethod
-    def neurons_at_output(cls, of: Any, rows: Any, letter: str) -> Any:
+    def neuron_contribution(cls, of: Any, rows: Any, letter: str) -> Any:
         """Rows that give the neurons' contribution to the output."""
         return of.h @ (rows.w if letter == "w" else rows.d_w)
 
@@ -97,8 +97,8 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         return [(rows.w, z), (rows.d_w, dz), (rows.w + rows.d_w, z + dz)]
 
     @classmethod
-    def map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
-        forms = super().map_forms(of, signals)
+    def static_map_forms(cls, of: Any, signals: Any) -> list[tuple[Any, Any]]:
+        forms = super().static_map_forms(of, signals)
         q = of.g.shape[0]
         for i, (given, seen) in enumerate(cls.neuron_pairs(of, signals)):
             weights = diagonal(of.lambda_[:, i * q : (i + 1) * q])

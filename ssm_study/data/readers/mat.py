@@ -60,7 +60,7 @@ class Text(str):
     content: str = ""
 
 
-def _must(condition: bool, otherwise: str) -> None:
+def _require_bytes(condition: bool, otherwise: str) -> None:
     """Raise `ValueError` unless the condition on the file's bytes holds."""
     if not condition:
         raise ValueError(otherwise)
@@ -165,13 +165,13 @@ def parse(path: Path) -> dict[str, Value]:
     content = path.read_bytes()
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_hdf5(path, MOST_BYTES)
-    _must(len(content) >= 20, "it is too short")
+    _require_bytes(len(content) >= 20, "it is too short")
     return dict(_version_4(path) if 0 in content[:4] else _version_5(content))
 
 
 def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
-    _must(order != "", "its header names no byte order")
+    _require_bytes(order != "", "its header names no byte order")
     left = MOST_BYTES
     for kind, data in _elements(content[128:], order):
         parts: Iterable[tuple[int, bytes]] = [(kind, data)]
@@ -179,12 +179,12 @@ def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
             stream = zlib.decompressobj()
             unpacked = stream.decompress(data, max(left, 1))  # 0 would be no limit
             left -= len(unpacked)
-            _must(
+            _require_bytes(
                 not stream.unconsumed_tail,
                 f"it unpacks to more than {MOST_BYTES >> 20} MiB; split it",
             )
             parts = _elements(unpacked, order)
-            _must(stream.eof, "a compressed variable is cut short")
+            _require_bytes(stream.eof, "a compressed variable is cut short")
         for inner, matrix in parts:
             if inner == MATRIX:
                 yield from _named_values(matrix, order)
@@ -201,12 +201,12 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
             length = first >> 16
             start = at + 4
             step = 8
-            _must(length <= 4, "a small element is too long")
+            _require_bytes(length <= 4, "a small element is too long")
         else:
             kind = first
             start = at + 8
             step = 8 + (length if kind == COMPRESSED else -(-length // 8) * 8)
-        _must(start + length <= len(content), "it is cut short")
+        _require_bytes(start + length <= len(content), "it is cut short")
         yield kind, content[start : start + length]
         at += step
 
@@ -225,7 +225,7 @@ def _named_values(data: bytes, order: str, owner: str = "") -> Iterator[tuple[st
         name = parts[1][1].decode("ascii", errors="replace") if len(parts) > 1 else ""
         yield owner or name, CLASSES[OPAQUE]
         return
-    _must(len(parts) >= 3, "a variable has no name")
+    _require_bytes(len(parts) >= 3, "a variable has no name")
     name = owner or parts[2][1].decode("ascii")
     if kind in (STRUCT, OBJECT):
         yield from _fields(parts, kind, name, order)
@@ -250,11 +250,11 @@ def _fields(
         yield owner, CLASSES[kind]
         return
     length = int(struct.unpack_from(order + "i", parts[at][1])[0])
-    _must(0 < length <= 4096, "a struct has no names of fields")
+    _require_bytes(0 < length <= 4096, "a struct has no names of fields")
     names = parts[at + 1][1]
     fields = [names[k : k + length].split(b"\0")[0] for k in range(0, len(names), length)]
     matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
-    _must(len(fields) == len(matrices), "a struct has other fields than names")
+    _require_bytes(len(fields) == len(matrices), "a struct has other fields than names")
     for field, matrix in zip(fields, matrices, strict=True):
         label = field.decode("ascii")
         yield from _named_values(matrix, order, f"{owner}.{label}" if owner else label)
@@ -271,10 +271,10 @@ def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
         return word
     if flags & COMPLEX:
         return "complex"
-    _must(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
+    _require_bytes(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
     numbers = np.frombuffer(parts[3][1], order + STORAGE[parts[3][0]])
     fills = min(shape, default=-1) >= 0 and math.prod(shape) == len(numbers)
-    _must(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
+    _require_bytes(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
     return numbers.reshape(shape, order="F")
 
 

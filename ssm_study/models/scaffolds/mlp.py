@@ -100,7 +100,7 @@ class Mlp(Trainable):
         if self.certified:
             free = certified_start(frame, self.depth, rng)
         else:
-            free = free_start(frame, self.depth, rng)
+            free = unconstrained_start(frame, self.depth, rng)
         if self.train_slopes:  # they begin near the two ends of the sector
             for i in range(self.depth):
                 free[f"slope_negative_{i}"] = np.full(h, -2.0)
@@ -188,7 +188,7 @@ def certified_start(frame: Frame, depth: int, rng: np.random.Generator) -> Start
     return directions | kinks
 
 
-def free_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
+def unconstrained_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
     """Initial weights and biases of a perceptron without constraints."""
     h = frame.width
     channels = frame.samples.shape[1]
