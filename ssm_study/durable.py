@@ -110,7 +110,7 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def opened(path: Path) -> io.BufferedReader:
+def open_regular_file(path: Path) -> io.BufferedReader:
     """Open a regular file for reading. For reading; raises `OSError` for a pipe or a device,
     which may never end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
@@ -121,9 +121,9 @@ def opened(path: Path) -> io.BufferedReader:
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:
-    """Read a whole file as bytes. The whole file; raises `OSError` as `opened`, and for one of
+    """Read a whole file as bytes. The whole file; raises `OSError` as `open_regular_file`, and for one of
     more than `most` bytes before any are read."""
-    with opened(path) as stream:
+    with open_regular_file(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
         return stream.read()
@@ -131,7 +131,7 @@ def contents(path: Path, most: int = LARGEST) -> bytes:
 
 def sha256_of_file(path: Path) -> str:
     """Hexadecimal digest, read block by block."""
-    with opened(path) as stream:
+    with open_regular_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

@@ -376,7 +376,7 @@ class OldModules(MetaPathFinder):
         if present != fullname:
             return ModuleSpec(fullname, Alias(present), is_package=True)
         inner = fullname.removeprefix(f"{OURS}.")
-        if inner not in _renamed_in():
+        if inner not in _modules_with_renames():
             return None
         spec = _found_by_others(fullname, path)
         if spec is not None and spec.loader is not None:
@@ -417,7 +417,7 @@ class Alias(Loader):
 
 
 @cache
-def _renamed_in() -> frozenset[str]:
+def _modules_with_renames() -> frozenset[str]:
     """Names of the modules in which something was renamed."""
     return frozenset(name.rpartition(".")[0] for name in (*NAMES, *METHODS))
 
@@ -453,7 +453,7 @@ def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
         answer_to_both(kind, methods)
     defined = vars(base).get("__init_subclass__")
 
-    def init_subclass(cls: type, **options: Any) -> None:
+    def redirect_renamed_overrides(cls: type, **options: Any) -> None:
         """Give a new subclass the old method names, then do what its base class does."""
         answer_to_both(cls, methods)
         if defined is None:
@@ -462,7 +462,7 @@ def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
             function: Callable[..., None] = defined.__func__
             function(cls, **options)
 
-    base.__init_subclass__ = classmethod(init_subclass)  # type: ignore[assignment]
+    base.__init_subclass__ = classmethod(redirect_renamed_overrides)  # type: ignore[assignment]
 
 
 def answer_to_both(kind: type, methods: Mapping[str, str]) -> None:
@@ -487,6 +487,8 @@ def install() -> None:
     """Make old modules importable; asked once, when the package is imported."""
     if not any(isinstance(finder, OldModules) for finder in sys.meta_path):
         sys.meta_path.insert(0, OldModules())
-    for inner in _renamed_in():  # imported before this, by whatever imports the package in parts
+    for (
+        inner
+    ) in _modules_with_renames():  # imported before this, by whatever imports the package in parts
         with suppress(KeyError):
             _give_old_names(sys.modules[f"{OURS}.{inner}"], inner)

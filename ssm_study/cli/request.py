@@ -119,7 +119,9 @@ def checking_request(request: Command) -> Iterator[None]:
     check_retry(config, "*" if request.is_sweep else str(config.run))
     if not request.is_sweep:
         settings = STUDY.settings(config)
-        _ = STUDY.finished(settings) or STUDY.request(settings)  # built only if it is to run
+        _ = STUDY.outcome_without_running(settings) or STUDY.request(
+            settings
+        )  # built only if it is to run
     # Ours checks its jobs, and counts them.
     if not request.is_sweep or launcher.endswith("ProcessesLauncher"):
         yield
@@ -127,7 +129,7 @@ def checking_request(request: Command) -> Iterator[None]:
     jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), grid_combinations(config))
     # On Slurm our launcher checks them, too.
     for job in jobs if "ssm_study" not in launcher else ():
-        if STUDY.finished(job.settings) is None:
+        if STUDY.outcome_without_running(job.settings) is None:
             job.check(STUDY)
     with Watch([job.folder for job in jobs]) if jobs else nullcontext():
         yield

@@ -199,7 +199,7 @@ class Code:
         if module not in self.modules:
             path = self._source_path(module)
             is_cached = module.split(".")[0] == OURS and not self.folders
-            scan = _scan_cached if is_cached else _scan_source
+            scan = _scan_module if is_cached else _scan_source
             self.modules[module] = None if path is None else scan(path, module)
         return self.modules[module]
 
@@ -276,7 +276,7 @@ def _files_of_distributions() -> list[tuple[metadata.Distribution, str]]:
     return listed
 
 
-def _scan_cached(path: Path, module: str) -> Module:
+def _scan_module(path: Path, module: str) -> Module:
     """Scan a source file, or take the result from the cache where its content is known."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()

@@ -65,7 +65,7 @@ def launch(
     jobs = jobs_of(composer, overrides, first_number)
     unique = list({job.folder: job for job in jobs}.values())  # equal configurations are one run
     for job in unique:
-        job.outcome = task.finished(job.settings)
+        job.outcome = task.outcome_without_running(job.settings)
     to_do = [job for job in unique if job.outcome is None]
     for job in to_do:  # all of them before the first is begun: a typo is not found after an hour
         job.check(task)

@@ -79,7 +79,7 @@ class Store(Stages):
                 corrupt = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
                 corrupt.parent.mkdir(parents=True, exist_ok=True)
                 folder.rename(corrupt)
-            return self._compute(name, key, note, compute)
+            return self._compute_stage(name, key, note, compute)
 
     def find(self, name: str, key: str) -> StageResult | None:
         """Intact stage with this key. None if it is missing or damaged."""
@@ -97,7 +97,9 @@ class Store(Stages):
         require(is_plain, "stage", name, "not a plain name", "use letters and digits")
         return self.root / name / key[:32]
 
-    def _compute(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+    def _compute_stage(
+        self, name: str, key: str, note: dict[str, Any], compute: Compute
+    ) -> StageResult:
         """Compute a stage in a temporary folder, seal it, and move it to its place."""
         final = self.folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")

@@ -111,7 +111,7 @@ class Task(ABC, Generic[R]):
         """Execute the run of this configuration unless it is finished, and leave its record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
-        outcome = self.finished(settings)
+        outcome = self.outcome_without_running(settings)
         if settings.get("dry_run"):
             walks = [lambda stages: self.stages(self.request(settings), stages)]
             if outcome is not None:
@@ -145,7 +145,7 @@ class Task(ABC, Generic[R]):
             retry_failed=bool(settings.retry_failed),
         )
 
-    def finished(self, config: DictConfig | Settings) -> Outcome | None:
+    def outcome_without_running(self, config: DictConfig | Settings) -> Outcome | None:
         """Outcome of a run that is not executed now. None for a run that is.
 
         Raises `BadRequest` for a finished run whose input files have changed since.

@@ -7,7 +7,7 @@ from typing import Any
 
 from ssm_study.certificates.certificate import Infeasible
 from ssm_study.columns import Column
-from ssm_study.durable import opened
+from ssm_study.durable import open_regular_file
 from ssm_study.loop.regulation import IdentifiedPlant
 from ssm_study.study.findings import Checked, Claims, NotChecked
 from ssm_study.study.loop_recordings import NOISE_FREE
@@ -74,7 +74,7 @@ def _byte_order_marks(folder: Path) -> Iterator[Checked]:
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
             continue
-        with opened(path) as stream:
+        with open_regular_file(path) as stream:
             begins = stream.read(4)
         if begins.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             name = path.relative_to(folder).as_posix()

@@ -144,7 +144,7 @@ def test_what_a_cache_knows_of_a_file_ends_with_its_content(
     )
 
     def read() -> set[str]:
-        return set(code._scan_cached(file, "one").parts)
+        return set(code._scan_module(file, "one").parts)
 
     file.write_text("first = 1\n")
     assert read() == read() == {"first"}
