@@ -94,7 +94,7 @@ class IdentifiedCase:
         prefers what the proof covers."""
         synthesis = self.parts.synthesis
         if self.evidence == CANNOT_JUDGE:
-            synthesis = synthesis.cautious()
+            synthesis = synthesis.with_largest_margin()
         certified: list[Design] = []
 
         def prefer_and_note(pairs: Any, make: Any, *others: Any) -> Any:

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ssm_study import style
-from ssm_study.report.words import spoken
+from ssm_study.report.words import choice_label
 
 NEEDED = (
     "plant",
@@ -71,7 +71,7 @@ def roc(table: pd.DataFrame) -> Figure:
             continue  # one kind only: no curve
         false, true = roc_points(score, good)
         (line,) = axes.plot(
-            false, true, label=f"{spoken(plant)}, area {np.trapezoid(true, false):.3f}"
+            false, true, label=f"{choice_label(plant)}, area {np.trapezoid(true, false):.3f}"
         )
         axes.plot(
             *roc_points(own["mismatch_margin"].to_numpy(float), good),
@@ -111,7 +111,7 @@ def settling(table: pd.DataFrame) -> Figure:
         np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True
     ):
         _panel(axes, table[table["plant"] == plant])
-        axes.set(title=spoken(plant), xlabel="Stability margin (–)")
+        axes.set(title=choice_label(plant), xlabel="Stability margin (–)")
     fig.axes[0].set_ylabel("Settling time / uncontrolled (–)")
     handles, labels = fig.axes[0].get_legend_handles_labels()
     fig.legend(handles, labels, loc="outside lower center", ncols=2)

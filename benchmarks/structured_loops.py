@@ -51,7 +51,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     ]
     silent = judge(data, made, *free, shown).level == CANNOT_JUDGE
     started = time.process_time()
-    design = (parts.synthesis.cautious() if silent else parts.synthesis).design(
+    design = (parts.synthesis.with_largest_margin() if silent else parts.synthesis).design(
         made, balls, data.validation, shown
     )
     spent = time.process_time() - started

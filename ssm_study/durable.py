@@ -121,8 +121,8 @@ def open_regular_file(path: Path) -> io.BufferedReader:
 
 
 def contents(path: Path, most: int = LARGEST) -> bytes:
-    """Read a whole file as bytes. The whole file; raises `OSError` as `open_regular_file`, and for one of
-    more than `most` bytes before any are read."""
+    """Read a whole file as bytes. The whole file; raises `OSError` as
+    `open_regular_file`, and for one of more than `most` bytes before any are read."""
     with open_regular_file(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))

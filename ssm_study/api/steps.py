@@ -94,7 +94,7 @@ def design_controller(
     lower, upper = input_limits(*limits, data.applied)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
-            synthesis = synthesis.cautious()
+            synthesis = synthesis.with_largest_margin()
         decays = decays_of(model, data.mismatch_records, data.validation)
         synthesis = synthesis.covering(premise).starting_from(decays)
         synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))

@@ -210,7 +210,7 @@ class Device:
         """
         controller = self.controller
         neurons = controller.neurons
-        rest = self.aim(r)
+        rest = self.nearest_equilibrium(r)
         requested = controller.scale.physical_input(times(controller.k, x - rest["x"], rest["v"]))
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
@@ -233,7 +233,7 @@ class Device:
             following[controller.held_states] = x[controller.held_states]
         return u, following
 
-    def aim(self, r: Vector) -> dict[str, Vector]:
+    def nearest_equilibrium(self, r: Vector) -> dict[str, Vector]:
         """Equilibrium nearest to the set point `r` within the limits.
 
         State `x`, scaled input `v` and output `w`.

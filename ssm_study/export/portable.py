@@ -132,7 +132,7 @@ class PortableController:
         )
 
 
-def portable(model: Model, design: Design) -> PortableController:
+def portable_controller(model: Model, design: Design) -> PortableController:
     """Controller of a model and its design as plain arrays.
 
     Raises `BadRequest` when the design has no controller or observer, or was made for another

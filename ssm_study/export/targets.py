@@ -25,7 +25,7 @@ from ssm_study.engine.settings import read_stored_yaml, resolve_node
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
-from ssm_study.export.portable import PortableController, as_floats, portable
+from ssm_study.export.portable import PortableController, as_floats, portable_controller
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.stored import model_from_json
@@ -206,7 +206,7 @@ def load(run: Path) -> PortableController:
         is_there = (run / name).is_file()
         remedy = "name the folder of a run that reached the controller"
         require(is_there, "run", run, f"it has no {name}", remedy)
-    return portable(_model(run), Design.load(run / "certificate.json"))
+    return portable_controller(_model(run), Design.load(run / "certificate.json"))
 
 
 def _model(run: Path) -> Model:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from ssm_study.report.words import spoken, words
+from ssm_study.report.words import choice_label, words
 from ssm_study.table.columns import column, flag, requested_values, swept_settings, text
 from ssm_study.table.rank import predicted_stable
 
@@ -74,7 +74,7 @@ def by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
         yield "", table
         return
     for name in filter(None, plants.unique()):
-        title = spoken(name)
+        title = choice_label(name)
         yield f"{title[:1].upper()}{title[1:]}: ", table[plants == name]
 
 

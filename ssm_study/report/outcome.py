@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.words import NO_FASTER, SETTLED, decides, judged
+from ssm_study.report.words import NO_FASTER, SETTLED, prediction_grounds, verdict_per_run
 
 WIDTH = 80
 MISSING = "–"
@@ -73,7 +73,7 @@ def outcome_table(record: Mapping[str, Any]) -> Table:
 def outcome_text(record: Mapping[str, Any]) -> Text:
     """Text of the run's verdict with its sentence. `cannot judge` stands before it where the
     evidence allows no judgement."""
-    verdict = judged(pd.DataFrame([dict(record)])).iloc[0]
+    verdict = verdict_per_run(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
     where = ", on the identified model" if settles and not _on_plant(record) else ""
     sentence = f"{verdict.word}: {verdict.sentence}{where}"
@@ -246,7 +246,7 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if record.get("evidence") == DOUBT:
         word += ", with doubts"
     names = ("resolved_margin", "controller_radius", "noise_peak")
-    grounds = decides(*(record.get(name) for name in names))
+    grounds = prediction_grounds(*(record.get(name) for name in names))
     sine_margin = record.get("sine_margin")
     if sine_margin is not None and sine_margin <= 1 < (record.get("resolved_margin") or 0.0):
         margin = printed(record, "sine_margin")

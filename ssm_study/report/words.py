@@ -30,7 +30,7 @@ CHOICES: dict[str, str] = {
 }  # fmt: skip
 
 
-def spoken(choice: object) -> str:
+def choice_label(choice: object) -> str:
     """Printed name of a controller, situation or plant, such as `paper's LMI` for `paper_lmi`."""
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
@@ -40,7 +40,9 @@ def words(name: object) -> str:
     return DERIVED.get(str(name)) or label(str(name))
 
 
-def decides(margin: float | None, radius: float | None, noise: float | None = None) -> str:
+def prediction_grounds(
+    margin: float | None, radius: float | None, noise: float | None = None
+) -> str:
     """Words on the numbers that decide a prediction, each beside its bound.
 
     `stability margin 2.03 > 1, spectral radius of the controller 0.892 < 1`; noise where it counts.
@@ -143,7 +145,7 @@ BY_CLASS = (
 VERDICTS = (SETTLED, NO_FASTER, LOST, UNTRIED, *BY_CLASS[3:])
 
 
-def judged(table: pd.DataFrame) -> pd.Series:
+def verdict_per_run(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table. A `Verdict` per row: its outcome class, where a run that
     is certified alone may have closed no loop."""
     found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
@@ -152,7 +154,7 @@ def judged(table: pd.DataFrame) -> pd.Series:
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
     """Verdict of each row, as one word."""
-    return judged(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
+    return verdict_per_run(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
 
 
 def counts(table: pd.DataFrame) -> str:

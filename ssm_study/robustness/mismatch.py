@@ -148,7 +148,7 @@ def measure_mismatch(
     response = model.linear.response_samples()
     returns = [trial for trial in mismatch_records if is_return(trial)]
     still, offsets = after_returns(model.scale, returns, response)
-    own_offsets, swings = _rests_after_motion(moving, response)
+    own_offsets, swings = _offsets_and_swings_at_rest(moving, response)
     decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     return Mismatch(
@@ -163,7 +163,7 @@ def measure_mismatch(
     )
 
 
-def _rests_after_motion(
+def _offsets_and_swings_at_rest(
     moving: list[RecordErrors], response: int
 ) -> tuple[list[float], list[float]]:
     """Remaining offsets and oscillations of the output after the input has come to a constant

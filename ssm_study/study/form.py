@@ -47,7 +47,7 @@ def form(run: RunFiles) -> Claims:
     if run.claims_certificate:
         yield from _reasons(run)
     if run.closes_loop:
-        yield from _bands(run)
+        yield from _check_settling_bands(run)
 
 
 def has_declared_kind(column: Column, value: Any) -> bool:
@@ -107,7 +107,7 @@ def _reasons(run: RunFiles) -> Claims:
             yield NotChecked({claim: "words, which decide nothing"})
 
 
-def _bands(run: RunFiles) -> Iterator[Checked]:
+def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
     """Check that the settling band in each recording of a loop is that of its plant."""
     twin = IdentifiedPlant.of(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):

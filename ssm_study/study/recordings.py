@@ -95,7 +95,7 @@ class RecordedCases:
         return float(self.about["settling_band"])
 
     @property
-    def rest_s(self) -> float:
+    def settled_time_s(self) -> float:
         """Time shortly after the last response of a closed loop has settled, in seconds.
 
         The whole horizon where one does not.

@@ -47,7 +47,7 @@ def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | No
         if isinstance(experiment, tuple):
             closed, _ = experiment
             trials += records_of_loops(closed.controlled)
-    _write_with_trials(folder, data, tuple(trials))
+    _write_data_and_trials(folder, data, tuple(trials))
 
 
 def compute_logged(
@@ -55,10 +55,10 @@ def compute_logged(
 ) -> None:
     """Write the data set with the user's logs of trials."""
     trials = read_logs(refine, data, records.step_s)
-    _write_with_trials(folder, records, trials)
+    _write_data_and_trials(folder, records, trials)
 
 
-def _write_with_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
+def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) -> None:
     """Write the data set with the trials added to the records that measure the mismatch, and write
     the trials as a recording."""
     mismatch_records = (*data.mismatch_records, *trials)

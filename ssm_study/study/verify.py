@@ -99,10 +99,10 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
     failing: dict[str, list[str]] = {}
     for finding in findings:
         if not finding.holds:
-            failing.setdefault(_cause(finding), []).append(finding.claim)
+            failing.setdefault(_finding_text(finding), []).append(finding.claim)
     lines = []
     for finding in findings:
-        cause = _cause(finding)
+        cause = _finding_text(finding)
         claims = [finding.claim] if finding.holds else failing.pop(cause, [])
         if len(claims) == 1:
             lines.append(str(finding))
@@ -111,7 +111,7 @@ def finding_lines(findings: Sequence[Checked]) -> list[str]:
     return lines
 
 
-def _cause(finding: Checked) -> str:
+def _finding_text(finding: Checked) -> str:
     """Reason that a failed finding gives, by which failures are grouped. Where no file derives the
     column, the stored value is left out."""
     return UNGIVEN if finding.found.endswith(UNGIVEN) else finding.found

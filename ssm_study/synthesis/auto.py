@@ -227,7 +227,7 @@ class Auto:
         (`decays_of`)."""
         return replace(self, decays=decays)
 
-    def cautious(self) -> "Auto":
+    def with_largest_margin(self) -> "Auto":
         """Copy of this choice with the same grids that takes the design with the largest margin."""
         return replace(self, margin=float("inf"))
 

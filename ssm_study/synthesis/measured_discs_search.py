@@ -80,7 +80,7 @@ def largest_kappa(
         for inside in INSIDE:
             scaled = nu * inside**2
             multipliers, margin = _largest_margin(forms, weights, centre, scaled, multipliers)
-            numbers = _theorem_numbers(forms, weights, centre, scaled**0.5, multipliers)
+            numbers = _theorem_variables(forms, weights, centre, scaled**0.5, multipliers)
             proof = certify_numbers(theorem, context, numbers, margin, started)
             if proof is not None:
                 return proof
@@ -174,7 +174,7 @@ def _largest_margin(
     return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
 
 
-def _theorem_numbers(
+def _theorem_variables(
     forms: LoopForms,
     weights: Weights,
     centre: float,
@@ -335,7 +335,7 @@ def _certify_program(
             except NoSolution:
                 continue
             multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)
-            numbers = _theorem_numbers(
+            numbers = _theorem_variables(
                 program.forms, weights, program.centre, scaled**0.5, multipliers
             )
             proof = certify_numbers(theorem, context, numbers, room, started)

@@ -160,7 +160,7 @@ def test_a_caution_without_any_mismatch_takes_the_largest_margin():
     """Infinite times zero is no number."""
     record = motor_record()
     exact = replace(record, y=motor_model().simulate(record.u))
-    design = SMALL.cautious().design(motor_model(), BALLS, (exact,))
+    design = SMALL.with_largest_margin().design(motor_model(), BALLS, (exact,))
     assert design.certified
     assert "no judgement" in design.state_feedback.solver_status
 

@@ -125,7 +125,7 @@ def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_pa
     """The rest point at the limit is held; back within reach the input leaves the limit at once."""
     made = device(tmp_path, kind="monotone", integral=True)
     c = made.controller
-    far = made.aim(c.scale.physical_output(np.array([50.0])))
+    far = made.nearest_equilibrium(c.scale.physical_output(np.array([50.0])))
     assert c.scale.physical_input(far["v"]) in (made.lower, made.upper)
     rest = c.scale.physical_output(far["w"])
     x = far["x"]

@@ -189,7 +189,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
     for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
         x, u = equilibrium(model, r)
-        aimed = device.aim(r)
+        aimed = device.nearest_equilibrium(r)
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
         assert np.abs(aimed["x"] - x).max() < 20 * missed
         assert aimed["v"] == pytest.approx(u, abs=20 * missed)

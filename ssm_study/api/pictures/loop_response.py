@@ -92,7 +92,7 @@ def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> 
 def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
     """Output beside its reference, settling band in grey, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
-    seen = _seen_range(run, time_s)
+    seen = _drawn_time_range(run, time_s)
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
@@ -123,7 +123,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
 
-def _seen_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
+def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
     """Times that are drawn: around the step, as long as what follows it takes."""
     end_s = float(run.time_s[-1])
     at_s = BEFORE * len(run.time_s) * run.step_s

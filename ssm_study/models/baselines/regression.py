@@ -225,13 +225,13 @@ class _OutputError:
     def started(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
         """Initial parameters with a given denominator. Parameters with this F and all others by
         least squares: the free run is linear in them."""
-        parameters = np.concatenate([f, np.zeros(self.extra + self._gains)])
+        parameters = np.concatenate([f, np.zeros(self.extra + self._input_coefficient_count)])
         residual, jacobian = self.linearised(parameters)
         others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
         return np.concatenate([f, others])
 
     @property
-    def _gains(self) -> int:
+    def _input_coefficient_count(self) -> int:
         """Number of the input's coefficients."""
         return self.order * self.records[0][0].shape[1]
 

@@ -33,11 +33,11 @@ def draw(study: StudyFolder) -> Figure:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         metric = np.linalg.inv(p)  # the dual form: M = P^-1
         draw_decay(control, distances(controlled(model, a, b, k), metric), feedback)
-        name_axes(control, "State feedback")
+        label_axes(control, "State feedback")
     if "l" in observer:
         metric = np.array(observer["q"])  # the primal form: M = Q
         draw_decay(observe, distances(observed(model, np.array(observer["l"])), metric), observer)
-        name_axes(observe, "Observer error")
+        label_axes(observe, "Observer error")
     return fig
 
 
@@ -96,7 +96,7 @@ def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any])
     axes.set(yscale="log", ylim=(lowest, 3))
 
 
-def name_axes(axes: Axes, title: str) -> None:
+def label_axes(axes: Axes, title: str) -> None:
     """Label the axes with the sample and the relative distance, and place the legend above."""
     axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
     style.above(axes)

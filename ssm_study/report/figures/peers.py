@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import counts, spoken, words
+from ssm_study.report.words import choice_label, counts, words
 from ssm_study.table.columns import column, text
 
 
@@ -48,7 +48,7 @@ def draw(study: StudyFolder) -> Figure:
         axes.set(xlabel=panel.label, ylim=(len(methods) - 0.5, -0.5), **panel.scale)
         if axes.get_xscale() == "log":
             label_decades(axes)
-        axes.set_yticks(range(len(methods)), [spoken(name) for name in methods])
+        axes.set_yticks(range(len(methods)), [choice_label(name) for name in methods])
         axes.grid(axis="y", visible=False)
     return fig
 

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import spoken
+from ssm_study.report.words import choice_label
 from ssm_study.table.columns import column
 
 DARK = 0.45  # ratio below which a cell is so dark that its number is white
@@ -78,4 +78,4 @@ def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False
     )
     means = means.reindex(index=rows["controller"].unique(), columns=rows["situation"].unique())
-    return means.rename(index=spoken, columns=spoken)
+    return means.rename(index=choice_label, columns=choice_label)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.report.page.chart_looks import STROKES, framed, quantitative
-from ssm_study.report.words import spoken
+from ssm_study.report.words import choice_label
 from ssm_study.style import BLUE
 
 HEADS = ("Settled", "Mean settling (s)", "Worst (s)", "Peak input", "Mismatch margin", "Certified")
@@ -39,7 +39,9 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
     """Table with a row per controller. Its columns are the numbers of the one situation, or all
     situations."""
     situations = list(dict.fromkeys(rows["situation"]))
-    first = [(spoken(name), own.iloc[0]) for name, own in rows.groupby("controller", sort=False)]
+    first = [
+        (choice_label(name), own.iloc[0]) for name, own in rows.groupby("controller", sort=False)
+    ]
     if len(situations) == 1:
         return ComparedTable(
             caption="Controllers on this run's plant, from the same starts",
@@ -57,8 +59,8 @@ def controllers_table(rows: pd.DataFrame) -> ComparedTable:
     }
     return ComparedTable(
         caption="Controllers on this run's plant: share settled, mean settling time of those",
-        heads=tuple(spoken(situation) for situation in situations),
-        rows=[(spoken(name), own) for name, own in cells.items()],
+        heads=tuple(choice_label(situation) for situation in situations),
+        rows=[(choice_label(name), own) for name, own in cells.items()],
     )
 
 

@@ -21,7 +21,7 @@ from ssm_study.report.page.first_screen import (
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
-from ssm_study.report.words import VERDICTS, counts, spoken, verdicts, words
+from ssm_study.report.words import VERDICTS, choice_label, counts, verdicts, words
 from ssm_study.table.columns import (
     DECLARED,
     FURTHER,
@@ -107,7 +107,7 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Text blocks of the page's HTML."""
     best = study.best
     config = best.path / ".hydra" / "config.yaml" if best else None
-    on = {"Plant": text(table, "plant").map(spoken), "Data": text(table, "data_source")}
+    on = {"Plant": text(table, "plant").map(choice_label), "Data": text(table, "data_source")}
     subject = "".join(
         f"{word}: {', '.join(names)}. "
         for word, said in on.items()
@@ -238,7 +238,7 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
     validation record."""
     found: dict[str, Any] = {}
     if (loop := run.closed_loop) is not None:
-        until = int(np.searchsorted(loop.time_s("output"), loop.rest_s)) + 1
+        until = int(np.searchsorted(loop.time_s("output"), loop.settled_time_s)) + 1
         found["loop"] = _packed(loop, until, y="output", u="input", alone="uncontrolled")
         found["loop"] |= {"band": loop.settling_band, "goal": float(loop["reference"][0, -1, 0])}
     if (record := run.validation) is not None:

@@ -46,7 +46,7 @@ def compute_synthesis(
     ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
-        judgeable = synthesis.cautious() if judged.level == CANNOT_JUDGE else synthesis
+        judgeable = synthesis.with_largest_margin() if judged.level == CANNOT_JUDGE else synthesis
         decays = decays_of(model, data.mismatch_records, data.validation)
         method = judgeable.covering(premise).starting_from(decays)
         if limits["applied"]:
