@@ -7,9 +7,12 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.bounds.network import Network
+from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.study.run_files import RunFiles
 
+CANCELLED = "the neuron bends at no value of a record, so that its bias cancels with that at zero"
 UNREACHED = "no record reaches this part of the map, and training is not repeated"
 
 
@@ -38,7 +41,46 @@ def unreached_numbers(run: RunFiles) -> dict[str, str]:
         signal = scale.scaled_output(np.concatenate(outputs))
         bends = scaffold_out(scaffold_out.breakpoints.T).T
         places += unreached_places("scaffold_out", bends, signal)
-    return dict.fromkeys(places, UNREACHED)
+    found = dict.fromkeys(places, UNREACHED)
+    if isinstance(scaffold_in, MlpScaffold):
+        signal = scale.scaled_input(np.concatenate(inputs))
+        found |= cancelled_biases("scaffold_in", scaffold_in.network, signal)
+    if isinstance(scaffold_out, MlpScaffold):
+        found |= cancelled_biases("scaffold_out", scaffold_out.network, None)
+    return found
+
+
+def cancelled_biases(
+    name: str, network: Network, signal: Float[np.ndarray, "T m"] | None
+) -> dict[str, str]:
+    """Biases that change no value of `phi(W d + b) - phi(b)` in any layer, each with the reason.
+
+    They are those of neurons with one slope on both sides and, where the signal is known, of
+    neurons that bend at no value between zero and those of the signal.
+    """
+    places = {}
+    values = None if signal is None else np.vstack([np.zeros((1, signal.shape[1])), signal])
+    for layer, bias in enumerate(network.biases):
+        negative = network.negative_slopes[layer]
+        positive = network.positive_slopes[layer]
+        flags = negative == positive
+        if values is not None:
+            moved = values @ network.weights[layer].T + bias
+            flags = flags | (moved > 0).all(axis=0) | (moved < 0).all(axis=0)
+            values = leaky(moved, negative, positive) - leaky(bias, negative, positive)
+        numbers = ", ".join(map(str, np.flatnonzero(flags)))
+        if numbers:
+            places[f"model.json {name}.biases.{layer}: {numbers}"] = CANCELLED
+    return places
+
+
+def leaky(
+    z: Float[np.ndarray, "*batch h"],
+    negative: Float[np.ndarray, "h"],
+    positive: Float[np.ndarray, "h"],
+) -> Float[np.ndarray, "*batch h"]:
+    """Leaky rectifier with two slopes for each neuron."""
+    return np.where(z < 0, negative * z, positive * z)
 
 
 def unreached_places(

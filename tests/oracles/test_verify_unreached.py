@@ -1,12 +1,14 @@
 """Numbers of a map that `verify` lists as reached by no record: they alone change no signal."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from ssm_study.bounds.network import Network
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.study.unreached_numbers import unreached_places
+from ssm_study.study.unreached_numbers import cancelled_biases, unreached_places
 
 MAP = MonotoneScaffold(
     breakpoints=np.array([[-2.0, -1.5, -0.6, 0.4, 0.7, 1.3, 2.2]]),
@@ -29,3 +31,34 @@ def test_a_number_is_listed_exactly_if_no_signal_changes_with_it(ends: tuple[flo
             if np.array_equal(replace(MAP, **{field: values})(signal), MAP(signal)):
                 without_effect.append(f"model.json scaffold_in.{field}.0.{number}")
     assert listed == without_effect
+
+
+def test_a_bias_is_listed_exactly_if_no_signal_changes_with_it() -> None:
+    """Of a network of two layers, with linear neurons and some that bend beyond the signal."""
+    rng = np.random.default_rng(3)
+    sizes = (1, 9, 8, 1)
+    weights = tuple(rng.standard_normal((b, a)) for a, b in pairwise(sizes))
+    slopes = tuple(rng.uniform(0.1, 1.0, size) for size in sizes[1:-1])
+    upper = tuple(np.where(np.arange(len(row)) % 3 == 0, row, 1.0) for row in slopes)
+    biases = tuple(2.0 * rng.standard_normal(size) for size in sizes[1:-1])
+    network = Network(weights=weights, biases=biases, negative_slopes=slopes, positive_slopes=upper)
+    signal = np.linspace(-0.7, 0.4, 801)[:, None]
+    listed = set()
+    for place in cancelled_biases("scaffold_in", network, signal):
+        row, _, numbers = place.partition(": ")
+        listed |= {f"{row}.{number}" for number in numbers.split(", ")}
+    without_effect = set()
+    for layer, bias in enumerate(biases):
+        for number in range(len(bias)):
+            moved = [row.copy() for row in biases]
+            moved[layer][number] += 1e-6
+            other = replace(network, biases=tuple(moved))
+            if np.abs(other(signal) - network(signal)).max() < 1e-12:
+                without_effect.add(f"model.json scaffold_in.biases.{layer}.{number}")
+    assert listed == without_effect
+    assert 4 < len(listed) < 17
+    only_linear = cancelled_biases("scaffold_out", network, None)
+    assert list(only_linear) == [
+        "model.json scaffold_out.biases.0: 0, 3, 6",
+        "model.json scaffold_out.biases.1: 0, 3, 6",
+    ]
