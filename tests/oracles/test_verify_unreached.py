@@ -34,7 +34,7 @@ def test_a_number_is_listed_exactly_if_no_signal_changes_with_it(ends: tuple[flo
 
 
 def test_a_bias_is_listed_exactly_if_no_signal_changes_with_it() -> None:
-    """Of a network of two layers, with linear neurons and some that bend beyond the signal."""
+    """The network has two layers, linear neurons, and some that bend beyond the signal."""
     rng = np.random.default_rng(3)
     sizes = (1, 9, 8, 1)
     weights = tuple(rng.standard_normal((b, a)) for a, b in pairwise(sizes))
