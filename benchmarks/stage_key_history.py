@@ -41,7 +41,7 @@ STAGES = {
     "synthesis": ("compute_synthesis", "synthesis.auto.Auto"),
     "loop": ("compute_loop", "plants.dc_motor.DCMotor", "loop.regulation.Loop"),
 }
-SCAN = fingerprint._scanned
+SCAN = fingerprint._scan_module
 SCANNED: dict[tuple[bytes, str, bool], fingerprint.Module] = {}
 
 
@@ -114,7 +114,7 @@ def changes(history: list[dict[str, str]]) -> Iterator[str]:
 def main() -> None:
     last = sys.argv[1]
     count = int(sys.argv[2])
-    fingerprint._scanned = scan_once
+    fingerprint._scan_module = scan_once
     history = [both_ways(commit) for commit in commits(last, count)]
     history = [pair for pair in history if pair[0]]
     print(f"{len(history) - 1} commits up to {last}")

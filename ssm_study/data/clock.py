@@ -91,8 +91,7 @@ def on_even_clock(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Put the rows of a log on an even clock. The rows on an even clock, cut at holes and at
-    missing values.
+    """Put the rows of a log on an even clock, cut at holes and at missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a

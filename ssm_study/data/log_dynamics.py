@@ -65,7 +65,7 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
     sentences = [rest_sentence(sum(len(rest_segments(piece)) for piece in records))]
-    fed_back = fed_back_share(u, y)
+    fed_back = share_from_earlier_outputs(u, y)
     answer = answer_sentence(u, y, shares)
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
     sentences.append(same_sample_sentence() if is_ambiguous else answer)
@@ -172,7 +172,7 @@ def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np
     return np.stack(columns, axis=1), dy[LAGS:]
 
 
-def fed_back_share(u: Signal, y: Signal) -> float:
+def share_from_earlier_outputs(u: Signal, y: Signal) -> float:
     """Share of the input's changes that earlier outputs explain, beyond what earlier inputs
     explain.
 

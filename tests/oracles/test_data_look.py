@@ -13,9 +13,9 @@ from ssm_study.data.log_dynamics import (
     FED_BACK,
     answer_sentence,
     describe_dynamics,
-    fed_back_share,
     first_response_lag,
     input_shares,
+    share_from_earlier_outputs,
 )
 from ssm_study.data.look import look
 from ssm_study.refusal import BadRequest
@@ -70,7 +70,7 @@ def test_a_sweep_of_sines_is_no_closed_loop() -> None:
     u = sum(np.sin(2 * np.pi * f * time / 500 + f**2) for f in range(10, 60, 5))
     y = np.convolve(u, 0.95 ** np.arange(60) * np.sin(0.3 * np.arange(60)))[:1000]
     y = y + 0.02 * np.random.default_rng(0).standard_normal(1000)
-    assert fed_back_share(u, y) < FED_BACK
+    assert share_from_earlier_outputs(u, y) < FED_BACK
 
 
 def test_the_command_draws_and_prints(
