@@ -193,9 +193,8 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
                 vectors_alone(resolve_name("matplotlib.figure:Figure.savefig")),
             )
         yield
-        assert jaxtyping.config.jaxtyping_disable == (module in WHOLE_RUNS), (
-            "a fixture left it otherwise"
-        )
+        jaxtyping_disable = jaxtyping.config.jaxtyping_disable
+        assert jaxtyping_disable == (module in WHOLE_RUNS), "a fixture left it otherwise"
 
 
 # What `verify` makes again of a run: pure functions of their parts.
@@ -219,7 +218,8 @@ def once(function: Callable[..., Any]) -> Callable[..., Any]:
     known: dict[bytes, Any] = {}
 
     def made(*given: Any) -> Any:
-        key = hashlib.sha256(pickle.dumps(given)).digest()
+        text = pickle.dumps(given)
+        key = hashlib.sha256(text).digest()
         if key not in known:
             known[key] = function(*given)
         return known[key]
@@ -258,7 +258,8 @@ def made_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def benchmark_data() -> Path:
-    folder = Path(os.environ.get("SSM_STUDY_DATA", REPOSITORY.parent / "shared" / "data"))
+    data_path = REPOSITORY.parent / "shared" / "data"
+    folder = Path(os.environ.get("SSM_STUDY_DATA", data_path))
     if not folder.is_dir():
         pytest.skip(f"benchmark records not found at {folder}; set SSM_STUDY_DATA")
     return folder
@@ -281,7 +282,8 @@ def smoke_study(shared_folder: Path) -> Path:
 
     results = shared_folder / "results"
     with FileLock(shared_folder / "smoke.lock"):
-        if not (results / "smoke" / "runs.parquet").exists():
+        runs_path = results / "smoke" / "runs.parquet"
+        if not (runs_path).exists():
             with shapes_unchecked():
                 assert (
                     main(["run", "experiment=smoke", f"results_dir={results}", "progress=false"])

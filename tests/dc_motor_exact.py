@@ -38,8 +38,9 @@ class _Flow:
         f[3, 1:3] = 1.0, -1.0
         self.modes = modes
         self.limit = p.coulomb
+        difference = -p.damping - p.motor_viscous
         self.torque = np.array([
-            [p.k, -p.damping - p.motor_viscous, p.damping, -p.stiffness, 0.0],
+            [p.k, difference, p.damping, -p.stiffness, 0.0],
             [0.0, p.damping, -p.damping - p.load_viscous, p.stiffness, -load_nm],
         ])  # fmt: skip
         for body, inertia in enumerate((motor.motor_inertia_kgm2, motor.load_inertia_kgm2)):
@@ -56,7 +57,8 @@ class _Flow:
         while stuck."""
         if self.modes[body] != 0:
             return float(self.modes[body] * z[1 + body])
-        return float(self.limit - abs(self.torque[body] @ z))
+        difference = self.limit - abs(self.torque[body] @ z)
+        return float(difference)
 
 
 def _mode(speed: float, torque: float, limit: float) -> int:
@@ -88,9 +90,10 @@ def _first_end(
     before = z
     for look in range(looks):
         after = transition @ before
+        bodies = (0, 1)
         ends = [
             (_end_within(flow, before, body, span / looks), body)
-            for body in (0, 1)
+            for body in bodies
             if flow.keeps(after, body) < 0.0
         ]
         if ends:
@@ -111,9 +114,12 @@ def _period(
     modes = [_mode(z[1 + b], float(torque[b] @ z), limit) for b in (0, 1)]
     while True:
         flow = _Flow(motor, (modes[0], modes[1]), v, load)
-        end = _first_end(flow, z, motor.step_s - t, motor.step_s / SCANS_PER_STEP)
+        span = motor.step_s - t
+        scan = motor.step_s / SCANS_PER_STEP
+        end = _first_end(flow, z, span, scan)
         if end is None:
-            return flow.at(z, motor.step_s - t), ends
+            difference = motor.step_s - t
+            return flow.at(z, difference), ends
         after, body = end
         z = flow.at(z, after)
         t = t + after
@@ -130,7 +136,9 @@ def simulate_exactly(
 ) -> ExactRun:
     """`x[k]` for `k = 0 .. T` under voltage `u` and load torque `d`, switch times to 1e-10 s."""
     load = np.zeros_like(u) if d is None else d
-    v_eff = np.sign(u[:, 0]) * np.maximum(np.abs(u[:, 0]) - motor.constants.dead_zone, 0.0)
+    dead_zone = motor.constants.dead_zone
+    difference = np.abs(u[:, 0]) - dead_zone
+    v_eff = np.sign(u[:, 0]) * np.maximum(difference, 0.0)
     z = np.append(x0, 1.0)
     states = [x0]
     times = []
@@ -138,4 +146,5 @@ def simulate_exactly(
         z, ends = _period(motor, z, float(v), float(load[k, 0]))
         states.append(z[:4].copy())
         times += [k * motor.step_s + t for t in ends]
-    return ExactRun(x=np.array(states), switch_times_s=np.array(times))
+    switch_times_s = np.array(times)
+    return ExactRun(x=np.array(states), switch_times_s=switch_times_s)

@@ -18,16 +18,19 @@ def motor_log(folder: Path) -> Path:
     torque = rng.uniform(0, 2, SAMPLES // 25).repeat(25)
     speed = np.zeros(SAMPLES + 1)
     for k in range(SAMPLES):
-        inside = np.sign(voltage[k]) * max(abs(voltage[k]) - 0.4, 0.0)
+        largest = max(abs(voltage[k]) - 0.4, 0.0)
+        inside = np.sign(voltage[k]) * largest
         speed[k + 1] = 0.85 * speed[k] + 0.4 * inside - 0.5 * torque[k]
     noise = 0.01 * rng.standard_normal(SAMPLES)
     columns = {"voltage": voltage, "torque": torque, "speed": speed[:-1] + noise}
     path = folder / "motor.csv"
-    pd.DataFrame(columns).to_csv(path, index=False)
+    table = pd.DataFrame(columns)
+    table.to_csv(path, index=False)
     return path
 
 
 def recorded(folder: Path, **fields: object) -> RecordedData:
     """The log as the command reads it."""
     told = {"input": "voltage", "output": "speed", "step_s": STEP_S, "start_up_samples": 10}
-    return RecordedData(path=str(motor_log(folder)), **told | fields)  # type: ignore[arg-type]
+    path = str(motor_log(folder))
+    return RecordedData(path=path, **told | fields)  # type: ignore[arg-type]

@@ -146,7 +146,9 @@ def commands(page: Path) -> Iterator[str]:
             if command and not command.startswith("#"):
                 yield " ".join(command.split())
     text = FENCED.sub("", text)
-    yield from (" ".join(found.split()) for found in INLINE.findall(text) + INDENTED.findall(text))
+    inline = INLINE.findall(text)
+    indented = INDENTED.findall(text)
+    yield from (" ".join(found.split()) for found in inline + indented)
 
 
 def every_command() -> dict[str, str]:
@@ -158,12 +160,14 @@ def every_command() -> dict[str, str]:
 
 def files_to_write(page: Path) -> dict[str, str]:
     """Files that the reader is told to write: blocks with a path as their title."""
-    return {path: dedent(text) for _, path, text in WRITTEN.findall(page.read_text())}
+    written = WRITTEN.findall(page.read_text())
+    return {path: dedent(text) for _, path, text in written}
 
 
 def maker(study: str) -> str | None:
     """The documented command that makes this study, or what `make study` runs."""
-    made = re.findall(r"^\t\$\(BIN\)/(ssm-study run .+)$", (ROOT / "Makefile").read_text(), re.M)
+    text = (ROOT / "Makefile").read_text()
+    made = re.findall(r"^\t\$\(BIN\)/(ssm-study run .+)$", text, re.M)
     runs = [
         command for command in [*every_command(), *made] if command.startswith("ssm-study run ")
     ]
@@ -198,7 +202,9 @@ def small(arguments: list[str], written: Path | None = None) -> list[str]:
         [*words, *([] if written is None else [f"hydra.searchpath=[file://{written}]"])]
     )
     given = {word.split("=")[0] for word in words}
-    swept = OmegaConf.to_container(config.hydra.sweeper).get("params") or {}  # type: ignore[union-attr]
+    sweeper = config.hydra.sweeper
+    omega_conf = OmegaConf.to_container(sweeper)
+    swept = omega_conf.get("params") or {}  # type: ignore[union-attr]
     words += [first_value(f"{key}={values}") for key, values in swept.items() if key not in given]
     config = composed(words) if swept else config
     replaced = {key: value for key, value in SMALL.items() if has(config, key)}
@@ -231,7 +237,8 @@ def composed(words: list[str]) -> DictConfig:
 
 
 def first_value(word: str) -> str:
-    override = OverridesParser.create().parse_override(word)
+    overrides_parser = OverridesParser.create()
+    override = overrides_parser.parse_override(word)
     if not override.is_sweep_override():
         return word
     key = override.input_line.split("=")[0]
@@ -243,7 +250,8 @@ def first_value(word: str) -> str:
 def small_copy(script: Path, to: Path) -> None:
     """The benchmark, shortened; a pattern that it no longer has is an error of the table above."""
     text = script.read_text()
-    for pattern, instead in SMALL_SOURCE.get(script.name, {}).items():
+    small_source = SMALL_SOURCE.get(script.name, {})
+    for pattern, instead in small_source.items():
         text, found = re.subn(pattern, instead, text, flags=re.M)
         assert found == 1, f"{script.name}: {pattern} stands {found} times in it"
     to.write_text(text)
@@ -255,9 +263,8 @@ def small_benchmark(words: list[str]) -> list[str]:
     name = Path(words[0]).name
     if name not in AS_IT_IS | {key.split()[0] for key in [*SMALL_OPTIONS, *SMALL_SOURCE]}:
         return [words[0], "--help"]
-    options = SMALL_OPTIONS.get(
-        f"{name} {words[1]}" if words[1:] else name, SMALL_OPTIONS.get(name, "")
-    )
+    small_options = SMALL_OPTIONS.get(name, "")
+    options = SMALL_OPTIONS.get(f"{name} {words[1]}" if words[1:] else name, small_options)
     flags = {word for word in options.split() if word.startswith("--")}
     return [*without(words, flags), *shlex.split(options)]
 
@@ -278,6 +285,7 @@ def place(folder: Path) -> None:
     (folder / "benchmarks").mkdir()
     for script in (ROOT / "benchmarks").glob("*.py"):
         small_copy(script, folder / "benchmarks" / script.name)
-    shutil.copytree(ROOT / "results" / "reference", folder / "results" / "reference")
+    reference_path = ROOT / "results" / "reference"
+    shutil.copytree(reference_path, folder / "results" / "reference")
     for name in ("conf", "tests", "experiments", "Makefile", "benchmarks/rehearsal"):
         (folder / name).symlink_to(ROOT / name)

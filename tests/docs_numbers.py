@@ -22,19 +22,22 @@ TEXT_BLOCK = re.compile(r"^```text\n(.*?)^```", re.M | re.S)
 def printed_outcome(record: Mapping[str, Any]) -> str:
     """The outcome table of a run as plain text, without the figures."""
     stream = io.StringIO()
-    print_outcome(record, (), Console(file=stream, width=80, no_color=True))
+    console = Console(file=stream, width=80, no_color=True)
+    print_outcome(record, (), console)
     return stream.getvalue()
 
 
 def text_blocks(page: str) -> list[str]:
     """Every block of program output on a page, in order."""
-    return TEXT_BLOCK.findall((DOCS / page).read_text())
+    text = (DOCS / page).read_text()
+    return TEXT_BLOCK.findall(text)
 
 
 def outcome_on_page(page: str, first_words: str) -> str:
     """The block of a page that begins with these words, without run name and figures."""
     (block,) = [block for block in text_blocks(page) if block.startswith(first_words)]
-    return "\n".join(line for line in block.splitlines() if not line.startswith(("Run ", "  res")))
+    lines = block.splitlines()
+    return "\n".join(line for line in lines if not line.startswith(("Run ", "  res")))
 
 
 def assert_outcome_holds(on_page: str, printed: str) -> None:
@@ -42,13 +45,16 @@ def assert_outcome_holds(on_page: str, printed: str) -> None:
 
     Words agree exactly; a number may differ by `NEAR` of itself.
     """
-    words = NUMBER.sub("#", " ".join(on_page.split()))
+    text = " ".join(on_page.split())
+    words = NUMBER.sub("#", text)
     begun = " ".join(printed.split())
     place = NUMBER.sub("#", begun).find(words)
     assert place >= 0, f"the program prints other words:\n{printed}"
     skipped = NUMBER.sub("#", begun)[:place].count("#")
-    stated = [float(number) for number in NUMBER.findall(on_page)]
-    actual = [float(number) for number in NUMBER.findall(printed)][skipped:]
+    numbers = NUMBER.findall(on_page)
+    stated = [float(number) for number in numbers]
+    numbers = NUMBER.findall(printed)
+    actual = [float(number) for number in numbers][skipped:]
     for number, other in zip(stated, actual, strict=False):
         assert number == pytest.approx(other, rel=NEAR), f"{number} on the page, {other} printed"
 

@@ -24,15 +24,21 @@ SETTINGS = {"run": "${run_name:}", "seed": 0, "do": "work", "rate": 1}
 
 
 def read(folder: Path) -> float:
-    return float(json.loads((folder / "number.json").read_text())["number"])
+    text = (folder / "number.json").read_text()
+    content = json.loads(text)
+    number = content["number"]
+    return float(number)
 
 
 def compute(folder: Path, *_: float, **asked: Any) -> None:
     ledger = folder.parents[2] / "ledger"
     with ledger.open("a") as stream:
         stream.write(f"{folder.parent.name} {asked}\n")
-    time.sleep(float(os.environ.get("WORK_S", "0")))
-    (folder / "number.json").write_text(json.dumps({"number": 10.0 * asked["seed"]}))
+    seconds = float(os.environ.get("WORK_S", "0"))
+    time.sleep(seconds)
+    number = 10.0 * asked["seed"]
+    text = json.dumps({"number": number})
+    (folder / "number.json").write_text(text)
 
 
 DATA = Stage(name="data", compute=compute, read=read)
@@ -43,12 +49,15 @@ MODEL = Stage(
 
 class Badly(Task[Settings]):
     def check(self, config: Settings) -> Settings:
-        require(config.seed >= 0, "seed", config.seed, "negative", "give 0 or more")
+        condition = config.seed >= 0
+        require(condition, "seed", config.seed, "negative", "give 0 or more")
         return config
 
     def stages(self, request: Settings, stages: Stages) -> None:
-        data = stages.run_stage(DATA, {"seed": request.seed})
-        stages.run_stage(MODEL, {"rate": request.rate, "seed": request.seed}, None, data)
+        settings = {"seed": request.seed}
+        data = stages.run_stage(DATA, settings)
+        settings = {"rate": request.rate, "seed": request.seed}
+        stages.run_stage(MODEL, settings, None, data)
 
     def parameters(self, request: Settings) -> dict[str, Any]:
         return {"seed": request.seed, "rate_controller": request.rate}
@@ -56,9 +65,12 @@ class Badly(Task[Settings]):
     def run(self, request: Settings, run: Run) -> dict[str, Any]:
         BEHAVIOUR[request.do](run)
         number = run.facts["number"]
-        (run.path / "model.json").write_text(json.dumps({"number": number}))
+        model_path = run.path / "model.json"
+        text = json.dumps({"number": number})
+        model_path.write_text(text)
+        fit_test_percent = number + request.rate
         return {
-            "fit_test_percent": number + request.rate,
+            "fit_test_percent": fit_test_percent,
             "stable_fraction": 1.0,
             "threads_seen": _threads(request),
         }

@@ -55,7 +55,8 @@ def device(
     controller = load(
         random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral)
     )
-    ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in (-1, 1))
+    signs = (-1, 1)
+    ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in signs)
     return Device.of(controller, real, *ends)
 
 
@@ -87,11 +88,10 @@ def products(device: Device, folder: Path) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
     header = c_files(device, about="counted")["controller.h"].replace("#include <math.h>", "")
-    sizes = (
-        device.controller.scale.outputs,
-        device.controller.scale.outputs,
-        device.controller.scale.inputs,
-    )
+    outputs = device.controller.scale.outputs
+    scale = device.controller.scale
+    inputs = device.controller.scale.inputs
+    sizes = (outputs, scale.outputs, inputs)
     called = "track(&state, y, r, u)" if device.set_points else "step(&state, y, u)"
     body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(
         *sizes

@@ -36,7 +36,8 @@ class Program:
 
     def send_signal(self, number: signal.Signals) -> None:
         assert self.process.pid is not None
-        os.kill(self.process.pid, number)
+        pid = self.process.pid
+        os.kill(pid, number)
 
     def wait(self, timeout_s: float) -> Ended:
         """Wait until it ends; a program that does not is killed, and the test fails."""
@@ -44,11 +45,12 @@ class Program:
         if self.process.exitcode is None:
             self.process.kill()
             raise TimeoutError(f"the program did not end within {timeout_s} s")
-        return Ended(
-            returncode=self.process.exitcode,
-            stdout=(self.folder / "stdout").read_text(),
-            stderr=(self.folder / "stderr").read_text(),
-        )
+        returncode = self.process.exitcode
+        stdout_path = self.folder / "stdout"
+        stdout = stdout_path.read_text()
+        stderr_path = self.folder / "stderr"
+        stderr = stderr_path.read_text()
+        return Ended(returncode=returncode, stdout=stdout, stderr=stderr)
 
 
 def start_program(text: str, folder: Path) -> Program:
@@ -67,7 +69,8 @@ def _run(folder: Path) -> None:
         file = os.open(folder / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(file, number)
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.argv = [str(folder / "program.py")]
+    program_path = str(folder / "program.py")
+    sys.argv = [program_path]
     try:
         runpy.run_path(sys.argv[0], run_name="__main__")
     except KeyboardInterrupt as interrupt:

@@ -27,20 +27,18 @@ BALLS = Balls(input=INPUT_BALL, output=OUTPUT_BALL)
 def flat(by_frequency: np.ndarray, gain: float) -> Mismatch:
     """One view of which only sizes are known."""
     none = np.zeros(len(ANGLES), dtype=complex)
-    return Mismatch(
-        views=(
-            View(
-                amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency
-            ),
-        )
-    )
+    view = View(amplitude=1.0, gain=gain, by_frequency=by_frequency, linear=none, rest=by_frequency)
+    views = (view,)
+    return Mismatch(views=views)
 
 
 @cache
 def motor() -> DCMotor:
-    values = yaml.safe_load(
-        (Path(__file__).parents[1] / "conf" / "plant" / "dc_motor.yaml").read_text()
-    )
+    conf_path = Path(__file__).parents[1] / "conf"
+    plant_path = conf_path / "plant"
+    dc_motor_path = plant_path / "dc_motor.yaml"
+    text = dc_motor_path.read_text()
+    values = yaml.safe_load(text)
     return DCMotor(**{name: value for name, value in values.items() if name != "_target_"})
 
 
@@ -48,24 +46,28 @@ def motor() -> DCMotor:
 def motor_model() -> SSM:
     """Second order, dead-zone and friction as one flat piece of S_u; least squares on
     `motor_record`, 84 % fit."""
+    a = np.array([[0.973, 0.1], [0.0, -0.495]])
+    b = np.array([[0.04], [0.44]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    breakpoints = np.array([[-0.39, 0.39]])
+    slopes = np.array([[1.0, 0.12, 1.0]])
+    scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    gain = np.eye(1)
+    scaffold_out = LinearScaffold(gain=gain)
+    input_scale = np.array([1.7])
+    output_scale = np.array([5.0])
+    input_equilibrium = np.zeros(1)
+    output_equilibrium = np.zeros(1)
+    scale = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     return SSM(
-        linear=StateSpace(
-            a=np.array([[0.973, 0.1], [0.0, -0.495]]),
-            b=np.array([[0.04], [0.44]]),
-            c=np.array([[1.0, 0.0]]),
-            d=np.zeros((1, 1)),
-        ),
-        scaffold_in=MonotoneScaffold(
-            breakpoints=np.array([[-0.39, 0.39]]), slopes=np.array([[1.0, 0.12, 1.0]])
-        ),
-        scaffold_out=LinearScaffold(gain=np.eye(1)),
-        scale=Scale(
-            input_scale=np.array([1.7]),
-            output_scale=np.array([5.0]),
-            input_equilibrium=np.zeros(1),
-            output_equilibrium=np.zeros(1),
-        ),
-        step_s=0.01,
+        linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.01
     )
 
 
@@ -75,8 +77,10 @@ def motor_record() -> Trajectory:
     draws them."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-3, 3, 120), rng.integers(2, 30, 120))[:800, None]
-    y = motor().simulate(u[None])[1][0]
-    return Trajectory(u=u, y=y + np.sqrt(0.02) * rng.standard_normal(y.shape), step_s=0.01)
+    response = motor().simulate(u[None])
+    y = response[1][0]
+    white_noise = rng.standard_normal(y.shape)
+    return Trajectory(u=u, y=y + np.sqrt(0.02) * white_noise, step_s=0.01)
 
 
 @cache
@@ -85,34 +89,36 @@ def motor_design() -> Design:
         rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
     )
     model = motor_model()
-    return Design(
-        state_feedback=synthesis.state_feedback(model.linear, INPUT_BALL),
-        observer=synthesis.observer(model.linear, OUTPUT_BALL),
-    )
+    state_feedback = synthesis.state_feedback(model.linear, INPUT_BALL)
+    observer = synthesis.observer(model.linear, OUTPUT_BALL)
+    return Design(state_feedback=state_feedback, observer=observer)
 
 
 def random_model(seed: int, *, inputs: int = 1, outputs: int = 1, order: int = 4) -> SSM:
     """A stable random model with slopes in [0.5, 1] and unequal scales, away from the origin."""
     rng = np.random.default_rng(seed)
     a = rng.standard_normal((order, order))
-    a *= rng.uniform(0.5, 0.97) / np.abs(np.linalg.eigvals(a)).max()
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    a *= rng.uniform(0.5, 0.97) / spectral_radius
     breakpoints = np.sort(rng.uniform(-1, 1, (inputs, 3)), axis=1)
+    b = rng.standard_normal((order, inputs))
+    c = rng.standard_normal((outputs, order))
+    d = np.zeros((outputs, inputs))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    slopes = rng.uniform(0.5, 1.0, (inputs, 4))
+    scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    scaffold_out = LinearScaffold.identity(outputs)
+    input_scale = rng.uniform(0.5, 2, inputs)
+    output_scale = rng.uniform(0.5, 5, outputs)
+    input_equilibrium = rng.standard_normal(inputs)
+    output_equilibrium = rng.standard_normal(outputs)
+    scale = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     return SSM(
-        linear=StateSpace(
-            a=a,
-            b=rng.standard_normal((order, inputs)),
-            c=rng.standard_normal((outputs, order)),
-            d=np.zeros((outputs, inputs)),
-        ),
-        scaffold_in=MonotoneScaffold(
-            breakpoints=breakpoints, slopes=rng.uniform(0.5, 1.0, (inputs, 4))
-        ),
-        scaffold_out=LinearScaffold.identity(outputs),
-        scale=Scale(
-            input_scale=rng.uniform(0.5, 2, inputs),
-            output_scale=rng.uniform(0.5, 5, outputs),
-            input_equilibrium=rng.standard_normal(inputs),
-            output_equilibrium=rng.standard_normal(outputs),
-        ),
-        step_s=0.01,
+        linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.01
     )

@@ -14,9 +14,8 @@ CONF = Path(__file__).resolve().parents[1] / "conf"
 def choices(group: str) -> list[str]:
     """Every yaml of the group that is complete: those asking for a file (`???`) have tests of their
     own."""
-    return sorted(
-        path.stem for path in (CONF / group).glob("*.yaml") if ": ???" not in path.read_text()
-    )
+    paths = (CONF / group).glob("*.yaml")
+    return sorted(path.stem for path in paths if ": ???" not in path.read_text())
 
 
 @cache

@@ -28,7 +28,8 @@ PHONE = {"deviceMetrics": {"width": 390, "height": 844, "pixelRatio": 2, "touch"
 def chromium(profile: Path, *, phone: bool = False, dark: bool = False) -> Iterator[Any]:
     """A Selenium driver with a fresh profile, its console kept."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    found = {name: shutil.which(name) for name in ("chromium", "chromedriver")}
+    names = ("chromium", "chromedriver")
+    found = {name: shutil.which(name) for name in names}
     if not all(found.values()):
         pytest.skip(
             "no chromium with chromedriver on this machine (Debian: chromium, chromium-driver)"
@@ -40,13 +41,13 @@ def chromium(profile: Path, *, phone: bool = False, dark: bool = False) -> Itera
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     if phone:
         options.add_experimental_option("mobileEmulation", PHONE)
-    driver = webdriver.Chrome(
-        options=options, service=webdriver.ChromeService(found["chromedriver"])
-    )
+    service = webdriver.ChromeService(found["chromedriver"])
+    driver = webdriver.Chrome(options=options, service=service)
     try:
         driver.set_script_timeout(60)
         if dark:
-            asked = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+            features = [{"name": "prefers-color-scheme", "value": "dark"}]
+            asked = {"features": features}
             driver.execute_cdp_cmd("Emulation.setEmulatedMedia", asked)
         yield driver
     finally:
@@ -57,9 +58,8 @@ def wait_for(driver: Any, condition: str, seconds: float = 30) -> None:
     """Until the JavaScript expression holds."""
     from selenium.webdriver.support.ui import WebDriverWait
 
-    WebDriverWait(driver, seconds, 0.05).until(
-        lambda d: d.execute_script(f"return Boolean({condition})"), condition
-    )
+    web_driver_wait = WebDriverWait(driver, seconds, 0.05)
+    web_driver_wait.until(lambda d: d.execute_script(f"return Boolean({condition})"), condition)
 
 
 def axe_script() -> str:

@@ -34,57 +34,76 @@ def random_run(
     model = random_model(rng, kind, channels)
     design = random_design(rng, model, integral)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "model.json").write_text(json.dumps(model.to_json()))
+    text = json.dumps(model.to_json())
+    (folder / "model.json").write_text(text)
     design.save(folder / "certificate.json")
     return folder
 
 
 def random_model(rng: np.random.Generator, kind: str, channels: int) -> SSM:
     a = rng.standard_normal((ORDER, ORDER))
-    d = 0.1 * rng.standard_normal((channels, channels))
+    white_noise = rng.standard_normal((channels, channels))
+    d = 0.1 * white_noise
     b = rng.standard_normal((ORDER, channels))
     c = rng.standard_normal((channels, ORDER))
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    linear = StateSpace(a=0.6 * a / spectral_radius, b=b, c=c, d=d)
+    scaffold_in = random_scaffold(rng, kind, channels)
+    scaffold_out = random_scaffold(rng, kind, channels)
+    input_scale = rng.uniform(0.5, 2, channels)
+    output_scale = rng.uniform(0.5, 2, channels)
+    input_equilibrium = rng.standard_normal(channels)
+    output_equilibrium = rng.standard_normal(channels)
+    scale = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     return SSM(
-        linear=StateSpace(a=0.6 * a / np.abs(np.linalg.eigvals(a)).max(), b=b, c=c, d=d),
-        scaffold_in=random_scaffold(rng, kind, channels),
-        scaffold_out=random_scaffold(rng, kind, channels),
-        scale=Scale(
-            input_scale=rng.uniform(0.5, 2, channels),
-            output_scale=rng.uniform(0.5, 2, channels),
-            input_equilibrium=rng.standard_normal(channels),
-            output_equilibrium=rng.standard_normal(channels),
-        ),
-        step_s=0.01,
+        linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.01
     )
 
 
 def random_scaffold(rng: np.random.Generator, kind: str, channels: int) -> Scaffold:
     if kind == "linear":
-        return LinearScaffold(
-            gain=np.eye(channels) + 0.1 * rng.standard_normal((channels, channels))
-        )
+        white_noise = rng.standard_normal((channels, channels))
+        gain = np.eye(channels) + 0.1 * white_noise
+        return LinearScaffold(gain=gain)
     if kind == "mlp":
-        return MlpScaffold(network=_network(rng, channels, (5, 6)))
+        hidden = (5, 6)
+        mlp_scaffold_network = _network(rng, channels, hidden)
+        return MlpScaffold(network=mlp_scaffold_network)
     if kind == "monotone":
-        breaks = np.sort(rng.standard_normal((channels, 5)), axis=1)
-        return MonotoneScaffold(breakpoints=breaks, slopes=rng.uniform(0.1, 1, (channels, 6)))
+        white_noise = rng.standard_normal((channels, 5))
+        breaks = np.sort(white_noise, axis=1)
+        slopes = rng.uniform(0.1, 1, (channels, 6))
+        return MonotoneScaffold(breakpoints=breaks, slopes=slopes)
     network = _network(rng, channels, (5,))
-    return ResidualScaffold(alpha=0.7, beta=0.3, network=network, multipliers=(np.ones(5),))
+    multipliers = (np.ones(5),)
+    return ResidualScaffold(alpha=0.7, beta=0.3, network=network, multipliers=multipliers)
 
 
 def _network(rng: np.random.Generator, channels: int, hidden: tuple[int, ...]) -> Network:
     widths = (channels, *hidden, channels)
     pairs = list(zip(widths[1:], widths[:-1], strict=True))
+    weights = tuple(rng.standard_normal(shape) / np.sqrt(shape[1]) for shape in pairs)
+    biases = tuple(rng.standard_normal(h) for h in hidden)
+    negative_slopes = tuple(np.full(h, 0.1) for h in hidden)
+    positive_slopes = tuple(rng.uniform(0.5, 1, h) for h in hidden)
     return Network(
-        weights=tuple(rng.standard_normal(shape) / np.sqrt(shape[1]) for shape in pairs),
-        biases=tuple(rng.standard_normal(h) for h in hidden),
-        negative_slopes=tuple(np.full(h, 0.1) for h in hidden),
-        positive_slopes=tuple(rng.uniform(0.5, 1, h) for h in hidden),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
 
 
 def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[str]) -> Design:
-    (n, m), p, linear = model.linear.b.shape, model.scale.outputs, model.linear
+    linear_b = model.linear.b
+    outputs = model.scale.outputs
+    (n, m), p, linear = linear_b.shape, outputs, model.linear
     shared = {
         "alpha": 0.5,
         "beta": 0.1,
@@ -108,14 +127,15 @@ def random_design(rng: np.random.Generator, model: SSM, integral: bool | list[st
         fed = error_input_matrix(modes, p) @ (0.7 * np.eye(p))
         a = np.block([[a, np.zeros((n, len(modes)))], [fed @ linear.c, modes]])
         b = np.vstack([b, fed @ linear.d])
-    k = 0.1 * rng.standard_normal((m, len(a)))
-    l = 0.05 * rng.standard_normal((n, p))  # noqa: E741
+    white_noise = rng.standard_normal((m, len(a)))
+    k = 0.1 * white_noise
+    white_noise = rng.standard_normal((n, p))
+    l = 0.05 * white_noise  # noqa: E741
     wide = np.eye(len(a))
     eye = np.eye(n)
-    return Design(
-        state_feedback=StateFeedbackOfBall(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared),
-        observer=ObserverOfBall(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared),
-    )
+    state_feedback = StateFeedbackOfBall(a=a, b=b, p=wide, y=wide, x=k, sigma=1.0, k=k, **shared)
+    observer = ObserverOfBall(a=linear.a, c=linear.c, q=eye, u=eye, v=l, eta=1.0, l=l, **shared)
+    return Design(state_feedback=state_feedback, observer=observer)
 
 
 def write_recordings(run: Path, *, seed: int = 0) -> Path:
@@ -123,10 +143,13 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
     study leaves them."""
     rng = np.random.default_rng(seed)
     time_s = np.arange(200) * 0.01
-    u = np.sign(rng.standard_normal((200, 1))) * 5
+    white_noise = rng.standard_normal((200, 1))
+    u = np.sign(white_noise) * 5
     y = rng.standard_normal((200, 1))
-    volt = (Channel(name="armature_voltage", unit="V"),)
-    speed = (Channel(name="load_speed", unit="rad/s"),)
+    channel = Channel(name="armature_voltage", unit="V")
+    volt = (channel,)
+    channel = Channel(name="load_speed", unit="rad/s")
+    speed = (channel,)
 
     def group(topic: str, channels: tuple[Channel, ...], values: np.ndarray) -> SignalGroup:
         return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
@@ -134,26 +157,27 @@ def write_recordings(run: Path, *, seed: int = 0) -> Path:
     signals = [("/input", volt, u), ("/measured", speed, y), ("/simulated", speed, 0.9 * y)]
     for name in ("validation", "test"):
         written = tuple(group(*signal) for signal in signals)
-        write_mcap(run / f"{name}.mcap", written, {"step_s": "0.01"})
+        metadata = {"step_s": "0.01"}
+        write_mcap(run / f"{name}.mcap", written, metadata)
     records = [group(f"/record_{i}/input", volt, rng.uniform(-5, 5, (200, 1))) for i in range(3)]
     write_mcap(run / "excitation.mcap", tuple(records), {})
     cases = []
     for i, start in enumerate(rng.uniform(-4, 4, 11)):
         decay = start * np.exp(-time_s / 0.05)[:, None]
-        cases += [
-            group(f"/case_{i}/reference", speed, 0 * y),
-            group(f"/case_{i}/output", speed, decay),
-        ]
-        cases += [group(f"/case_{i}/input", volt, -decay)]
-        cases += [group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))]
-    write_mcap(run / "closed_loop.mcap", tuple(cases), {"settling_band": "0.5"})
-    rows = [
-        f"{name},{case},0.9,0.1,0.2,3.0" for name in ("pi", "auto") for case in ("nominal", "delay")
-    ]
+        signal_group = group(f"/case_{i}/reference", speed, 0 * y)
+        cases += [signal_group, group(f"/case_{i}/output", speed, decay)]
+        signal_group = group(f"/case_{i}/input", volt, -decay)
+        cases += [signal_group]
+        signal_group = group(f"/case_{i}/uncontrolled", speed, np.sqrt(np.abs(decay)))
+        cases += [signal_group]
+    metadata = {"settling_band": "0.5"}
+    write_mcap(run / "closed_loop.mcap", tuple(cases), metadata)
+    names = ("pi", "auto")
+    rows = [f"{name},{case},0.9,0.1,0.2,3.0" for name in names for case in ("nominal", "delay")]
     head = "controller,situation,stable_fraction,"
     head += "settling_time_mean_s,settling_time_open_loop_s,input_peak_v"
-    (run / "comparison.csv").write_text("\n".join([head, *rows]) + "\n")
-    (run / "training_curve.json").write_text(
-        json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)])
-    )
+    text = "\n".join([head, *rows])
+    (run / "comparison.csv").write_text(text + "\n")
+    text = json.dumps([{"epoch": k, "loss_training": 1 / (k + 1)} for k in range(9)])
+    (run / "training_curve.json").write_text(text)
     return run

@@ -50,13 +50,16 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     slope = float(rng.choice([0.01, 0.05, 0.2, 0.5]))
     rate = float(rng.choice([0.02, 0.05, 0.1, 0.2, 0.3, 0.4]))
     limit = float(1 - (0.97 * (1 - slope) / (1 + slope)) ** 2) * rng.uniform(0.9, 1.1)
+    order = 4 + 4 * (k % 3)
+    hidden_width = int(rng.choice([8, 16, 32]))
+    synthesis_method = str(rng.choice(["lmi", "riccati", "closed_form"]))
     known = {
         "study": "sweep", "run": f"order{4 + 4 * (k % 3)}_{k:04d}", "seed": k % 5,
-        "order": 4 + 4 * (k % 3),
-        "hidden_width": int(rng.choice([8, 16, 32])), "slope_lower": slope, "slope_upper": 1.0,
+        "order": order,
+        "hidden_width": hidden_width, "slope_lower": slope, "slope_upper": 1.0,
         "scaffold_in": "mlp",
         "excitation": "aprbs", "rate_controller": rate, "rate_observer": 0.2,
-        "synthesis_method": str(rng.choice(["lmi", "riccati", "closed_form"])),
+        "synthesis_method": synthesis_method,
     }  # fmt: skip
     if k % 17 == 11:
         return {**known, "status": "failed"}
@@ -74,20 +77,27 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     }  # fmt: skip
     if rate >= limit:
         return {**known, **model, "status": "infeasible"}
-    stable = int(np.clip(rng.normal(14 - 20 * rate - (92 - fit) / 5, 1.5), 0, 10))
+    difference = 14 - 20 * rate - (92 - fit) / 5
+    stable = int(np.clip(rng.normal(difference, 1.5), 0, 10))
     time_s = 0.19 * (1 - rate) + 0.01 * rng.uniform()
+    controller_gain_norm = 10 ** (3 * rate)
+    settling_time_mean_s = time_s if stable else None
+    settling_time_worst_s = 1.4 * time_s if stable else None
+    input_peak_v = 3.0 + 9 * rate
+    mismatch_margin = 0.2 + stable / 6
+    resolved_margin = 0.2 + stable / 6
     loop = {
-        "controller_gain_norm": 10 ** (3 * rate), "observer_feasible": True,
+        "controller_gain_norm": controller_gain_norm, "observer_feasible": True,
         "observer_certified": True,
         "observer_margin": 1e-3, "observer_rate_limit": 1.0, "observer_gain_norm": 1.2,
         "synthesis_seconds": 0.01,
         "initial_conditions": 10, "stable_count": stable, "stable_fraction": stable / 10,
-        "settling_time_mean_s": time_s if stable else None,
-        "settling_time_worst_s": 1.4 * time_s if stable else None,
-        "settling_time_open_loop_s": 0.185, "overshoot_worst": 0.3, "input_peak_v": 3.0 + 9 * rate,
+        "settling_time_mean_s": settling_time_mean_s,
+        "settling_time_worst_s": settling_time_worst_s,
+        "settling_time_open_loop_s": 0.185, "overshoot_worst": 0.3, "input_peak_v": input_peak_v,
         "control_energy": 1.5, "empirical_rate": 0.8, "certified_bound_violations": 0,
         "mismatch_gain": 0.3,
-        "mismatch_margin": 0.2 + stable / 6, "resolved_margin": 0.2 + stable / 6,
+        "mismatch_margin": mismatch_margin, "resolved_margin": resolved_margin,
         "controller_radius": 0.9,
         "predicted_stable": stable >= 5,
     }  # fmt: skip
@@ -100,5 +110,6 @@ def write_study(folder: Path, frame: pd.DataFrame) -> Path:
     for record in json.loads(frame.to_json(orient="records")):
         run = folder / record["run"]
         run.mkdir(exist_ok=True)
-        (run / "record.json").write_text(json.dumps(record))
+        text = json.dumps(record)
+        (run / "record.json").write_text(text)
     return folder

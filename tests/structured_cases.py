@@ -25,15 +25,16 @@ def drawn(
     """`A` of that radius, neurons of that size, one output that sees them if `h`."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(n, n))
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    b = rng.normal(size=(n, m))
+    c = rng.normal(size=(1, n))
+    d = np.zeros((1, m))
+    e = size * rng.normal(size=(n, q)) / np.sqrt(n)
+    f = size * rng.normal(size=(q, n))
+    g = 0.3 * rng.normal(size=(q, m))
     return StructuredSystem(
-        a=a * radius / np.abs(np.linalg.eigvals(a)).max(),
-        b=rng.normal(size=(n, m)),
-        c=rng.normal(size=(1, n)),
-        d=np.zeros((1, m)),
-        e=size * rng.normal(size=(n, q)) / np.sqrt(n),
-        f=size * rng.normal(size=(q, n)),
-        g=0.3 * rng.normal(size=(q, m)),
-        h=h * rng.normal(size=(1, q)),
+        a=a * radius / spectral_radius, b=b, c=c, d=d, e=e, f=f, g=g, h=h * rng.normal(size=(1, q))
     )
 
 
@@ -56,7 +57,8 @@ def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) 
 
 def slopes_of_all(system: StructuredSystem, seed: int, random: int) -> np.ndarray:
     """Every corner of the neurons' slopes, and random ones between."""
-    inside = np.random.default_rng(seed).uniform(size=(random, system.neurons))
+    rng = np.random.default_rng(seed)
+    inside = rng.uniform(size=(random, system.neurons))
     return np.concatenate([system.corners(), inside])
 
 
@@ -97,26 +99,43 @@ def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> Str
     rng = np.random.default_rng(seed)
     q = len(neurons)
     a = rng.normal(size=(3, 3))
+    norm = np.linalg.norm(a, 2)
+    b = rng.normal(size=(3, 1))
+    c = rng.normal(size=(1, 3))
+    d = np.zeros((1, 1))
+    e = 0.2 * rng.normal(size=(3, q))
+    f = 0.4 * rng.normal(size=(q, 3))
+    g = 0.3 * rng.normal(size=(q, 1))
+    h = np.zeros((1, q))
+    bias = rng.normal(size=q)
+    breakpoints = np.array([[-0.2, 0.2]])
+    slopes = np.array([[1.0, 0.4, 0.9]])
+    scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    gain = np.eye(1)
+    scaffold_out = LinearScaffold(gain=gain)
+    input_scale = np.array([2.0])
+    output_scale = np.array([3.0])
+    input_equilibrium = np.array([0.5])
+    output_equilibrium = np.array([1.0])
+    scale = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     return StructuredSSM(
-        a=0.6 * a / np.linalg.norm(a, 2),
-        b=rng.normal(size=(3, 1)),
-        c=rng.normal(size=(1, 3)),
-        d=np.zeros((1, 1)),
-        e=0.2 * rng.normal(size=(3, q)),
-        f=0.4 * rng.normal(size=(q, 3)),
-        g=0.3 * rng.normal(size=(q, 1)),
-        h=np.zeros((1, q)),
-        bias=rng.normal(size=q),
+        a=0.6 * a / norm,
+        b=b,
+        c=c,
+        d=d,
+        e=e,
+        f=f,
+        g=g,
+        h=h,
+        bias=bias,
         neurons=neurons,
-        scaffold_in=MonotoneScaffold(
-            breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.4, 0.9]])
-        ),
-        scaffold_out=LinearScaffold(gain=np.eye(1)),
-        scale=Scale(
-            input_scale=np.array([2.0]),
-            output_scale=np.array([3.0]),
-            input_equilibrium=np.array([0.5]),
-            output_equilibrium=np.array([1.0]),
-        ),
+        scaffold_in=scaffold_in,
+        scaffold_out=scaffold_out,
+        scale=scale,
         step_s=0.01,
     )

@@ -57,7 +57,9 @@ def modal_energy(
 ) -> Complex[np.ndarray, "k k"]:
     """`W` of the fast modes (all `|lambda| > r`): Hermitian; `P = (1/delta^2 - 1) W` with sigma =
     1."""
-    return np.outer(b, b.conj()) / (np.outer(eigenvalues, eigenvalues.conj()) - contraction**2)
+    outer_product = np.outer(b, b.conj())
+    difference = np.outer(eigenvalues, eigenvalues.conj()) - contraction**2
+    return outer_product / difference
 
 
 def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver: str) -> Solution:
@@ -74,29 +76,24 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     root = energy_root(ah, bh)
     balanced_a = scipy.linalg.solve_triangular(root, ah @ root, lower=True)
     balanced_b = scipy.linalg.solve_triangular(root, bh, lower=True)
+    state_weight = np.eye(modes.fast)
     lmi = CompiledLmi(
         a=balanced_a,
         b=balanced_b,
         objective=objective,
         full=False,
-        state_weight=np.eye(modes.fast),
+        state_weight=state_weight,
         input_weight=1.0,
     )
     # Scaled by 1/r, the asked factor is one: a rate just above zero stands for it.
-    found = lmi.solve(
-        replace(
-            problem,
-            a=balanced_a,
-            b=balanced_b,
-            rate=float(np.finfo(float).eps),
-            state_weight=np.eye(modes.fast),
-        ),
-        solver,
+    rate = float(np.finfo(float).eps)
+    state_weight = np.eye(modes.fast)
+    changed_problem = replace(
+        problem, a=balanced_a, b=balanced_b, rate=rate, state_weight=state_weight
     )
-    k = (
-        scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T").T
-        @ modes.left[: modes.fast]
-    )
+    found = lmi.solve(changed_problem, solver)
+    triangular = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T")
+    k = triangular.T @ modes.left[: modes.fast]
     fast = FastGain(k=k, p=root @ (found.p / found.sigma) @ root.T)
     p = with_slow_modes(problem, modes, fast)
     return Solution(p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast} fast modes")
@@ -115,19 +112,13 @@ class ModalLmiSynthesis(Synthesis):
     def __post_init__(self) -> None:
         super().__post_init__()
         choices = tuple(name for name in OBJECTIVES if name != "guaranteed_cost")
+        condition = self.objective in choices
         require(
-            self.objective in choices,
-            "synthesis.objective",
-            self.objective,
-            "unknown",
-            f"use one of {choices}",
+            condition, "synthesis.objective", self.objective, "unknown", f"use one of {choices}"
         )
+        condition = self.solver in SOLVERS
         require(
-            self.solver in SOLVERS,
-            "synthesis.solver",
-            self.solver,
-            "unknown",
-            f"use one of {tuple(SOLVERS)}",
+            condition, "synthesis.solver", self.solver, "unknown", f"use one of {tuple(SOLVERS)}"
         )
 
     def solve(self, problem: Problem) -> Solution:

@@ -16,6 +16,7 @@ def ratio_limit(a: np.ndarray, b: np.ndarray, contraction: float) -> float:
     if unreached_modulus(a, b) >= contraction:
         return 0.0
     if b.shape[1] == 1:
-        moduli = np.abs(np.linalg.eigvals(a))
+        eigenvalues = np.linalg.eigvals(a)
+        moduli = np.abs(eigenvalues)
         return float(np.prod(contraction / np.maximum(moduli, contraction)))
     return float(1 / np.sqrt(1 + largest_energy(a, b, contraction)))

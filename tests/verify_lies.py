@@ -42,24 +42,31 @@ def altered(
 
 def sealed_anew(run: Path, **claims: Any) -> None:
     seal_run(run)
-    write_record(run, (read_record(run) or {}) | claims)
+    record = (read_record(run) or {}) | claims
+    write_record(run, record)
 
 
 def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    content = json.loads(path.read_text())
+    text = path.read_text()
+    content = json.loads(text)
     change(content)
-    path.write_text(json.dumps(content))
+    text = json.dumps(content)
+    path.write_text(text)
 
 
 def loop_again(run: Path) -> dict[str, Any]:
     """The columns that the altered recordings would give."""
     kept, _ = read_experiment(run)
-    return behaviour(kept) | certificate_columns(kept, RunFiles(path=run, record={}).design)
+    run_files = RunFiles(path=run, record={})
+    design = run_files.design
+    return behaviour(kept) | certificate_columns(kept, design)
 
 
 def fits_again(run: Path) -> dict[str, Any]:
-    model = RunFiles(path=run, record={}).model
-    pair = (read_simulation(run / f"{name}.mcap") for name in ("validation", "test"))
+    run_files = RunFiles(path=run, record={})
+    model = run_files.model
+    names = ("validation", "test")
+    pair = (read_simulation(run / f"{name}.mcap") for name in names)
     return fit_facts(*(Simulation.of(model, kept.records, kept.start_up_samples) for kept in pair))
 
 
@@ -108,12 +115,17 @@ def lie_about_starts(run: Path) -> None:
     stored = RunFiles(path=run, record={})
     model = stored.model
     part = stored.design.extra_certificates["state_feedback_unlimited"]
-    farthest = part.p @ model.linear.c.T
-    size = np.sqrt((model.linear.c @ farthest).item() / part.level)
+    linear_c = model.linear.c
+    farthest = part.p @ linear_c.T
+    linear_c = model.linear.c
+    item = (linear_c @ farthest).item()
+    size = np.sqrt(item / part.level)
     starts = (1 - 1e-9) * farthest / size
     assert type(part).holds(**(part.variables | {"starts": starts}))
     low, high = outputs_of(model, starts)
-    assert high[0] > 1.5 * (read_record(run) or {})["unlimited_to"]
+    unlimited_to = (read_record(run) or {})["unlimited_to"]
+    lower_limit = 1.5 * unlimited_to
+    assert high[0] > lower_limit
 
     def change(content: dict[str, Any]) -> None:
         entry = content["state_feedback_unlimited"]
@@ -121,7 +133,9 @@ def lie_about_starts(run: Path) -> None:
         entry["digest"] = digest(entry)
 
     edited(run / "certificate.json", change)
-    sealed_anew(run, unlimited_from=float(low[0]), unlimited_to=float(high[0]))
+    unlimited_from = float(low[0])
+    unlimited_to = float(high[0])
+    sealed_anew(run, unlimited_from=unlimited_from, unlimited_to=unlimited_to)
 
 
 def lie_about_excitation(run: Path) -> None:
@@ -131,8 +145,10 @@ def lie_about_excitation(run: Path) -> None:
 
 def lie_about_configuration(run: Path, old: str, new: str, **columns: Any) -> None:
     path = run / ".hydra" / "config.yaml"
-    assert path.read_text().count(old) == 1
-    path.write_text(path.read_text().replace(old, new))
+    text = path.read_text()
+    assert text.count(old) == 1
+    text = path.read_text()
+    path.write_text(text.replace(old, new))
     sealed_anew(run, **columns)
 
 
@@ -146,17 +162,20 @@ def lie_about_labels(
 
 
 def in_thousands(group: Any) -> Any:
-    return replace(group, channels=tuple(replace(one, unit="krpm") for one in group.channels))
+    channels = tuple(replace(one, unit="krpm") for one in group.channels)
+    return replace(group, channels=channels)
 
 
 def sooner(group: Any) -> Any:
-    return replace(group, time_s=group.time_s / 2)
+    time_s = group.time_s / 2
+    return replace(group, time_s=time_s)
 
 
 def lie_twice(run: Path, file: str = "certificate.json", key: str = '"rate":') -> None:
     """Who reads the first of two equal keys sees another rate than who reads the last."""
     path = run / file
-    path.write_text(path.read_text().replace(key, f"{key} 0.99, {key}", 1))
+    text = path.read_text()
+    path.write_text(text.replace(key, f"{key} 0.99, {key}", 1))
     sealed_anew(run)
 
 

@@ -40,13 +40,16 @@ def worst_jacobian(
     rng = np.random.default_rng(seed)
     points = rng.uniform(-span, span, size=(64 * starts, scaffold.inputs))
     distances = [_distance(scaffold.jacobian(v), ball.alpha) for v in points]
-    best = np.argsort(distances)[::-1][:starts]
+    order = np.argsort(distances)
+    best = order[::-1][:starts]
     found = [(distances[i], points[i]) for i in best]
     network = getattr(scaffold, "network", None)
     if isinstance(network, Network):
         for i in best:
-            v = _climb(network, _own_centre(scaffold, ball), points[i])
-            found.append((_distance(scaffold.jacobian(v), ball.alpha), v))
+            alpha = _own_centre(scaffold, ball)
+            v = _climb(network, alpha, points[i])
+            jacobian = scaffold.jacobian(v)
+            found.append((_distance(jacobian, ball.alpha), v))
     distance, v = max(found, key=lambda pair: pair[0])
     return Worst(v=v, distance=distance)
 
@@ -57,7 +60,9 @@ def _own_centre(scaffold: Scaffold, ball: JacobianBall) -> float:
 
 
 def _distance(jacobian: Float[np.ndarray, "m m"], alpha: float) -> float:
-    return float(np.linalg.norm(jacobian - alpha * np.eye(len(jacobian)), 2))
+    difference = jacobian - alpha * np.eye(len(jacobian))
+    norm = np.linalg.norm(difference, 2)
+    return float(norm)
 
 
 def _climb(network: Network, alpha: float, start: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
@@ -74,7 +79,8 @@ def _climb(network: Network, alpha: float, start: Float[np.ndarray, "m"]) -> Flo
 def _nearness(
     v: Float[np.ndarray, "m"], network: Network, alpha: float, temperature: float
 ) -> float:
-    return -_distance(_smooth_jacobian(network, v, temperature), alpha)
+    jacobian = _smooth_jacobian(network, v, temperature)
+    return -_distance(jacobian, alpha)
 
 
 def _smooth_jacobian(

@@ -21,16 +21,22 @@ TWO_POLES = StateSpace(
 
 
 def true_system() -> SSM:
+    scaffold_out = LinearScaffold.identity(1)
+    input_scale = np.ones(1)
+    output_scale = np.ones(1)
+    input_equilibrium = np.array([0.5])
+    output_equilibrium = np.array([10.0])
+    scale = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     return SSM(
         linear=TWO_POLES,
         scaffold_in=SOFT_DEAD_ZONE,
-        scaffold_out=LinearScaffold.identity(1),
-        scale=Scale(
-            input_scale=np.ones(1),
-            output_scale=np.ones(1),
-            input_equilibrium=np.array([0.5]),
-            output_equilibrium=np.array([10.0]),
-        ),
+        scaffold_out=scaffold_out,
+        scale=scale,
         step_s=0.01,
     )
 
@@ -46,21 +52,33 @@ def data_set(
     system = true_system()
 
     def record(name: str) -> Trajectory:
-        u = held_levels(rng, samples, hold) + system.scale.input_equilibrium
+        input_equilibrium = system.scale.input_equilibrium
+        u = held_levels(rng, samples, hold) + input_equilibrium
         y = system.simulate(u)
         return Trajectory(u=u, y=y + noise * rng.normal(size=y.shape), step_s=0.01, name=name)
 
     training = tuple(record(f"training_{i}") for i in range(records))
+    validation = (record("validation"),)
+    test = (record("test"),)
+    channel = Channel(name="voltage", unit="V")
+    inputs = (channel,)
+    channel = Channel(name="speed", unit="rad/s")
+    outputs = (channel,)
+    scale_input_equilibrium = system.scale.input_equilibrium
+    output_equilibrium = system.scale.output_equilibrium
+    input_scale = np.array([1.2])
+    output_scale = np.array([3.0])
+    scale = Scale(
+        input_equilibrium=scale_input_equilibrium,
+        output_equilibrium=output_equilibrium,
+        input_scale=input_scale,
+        output_scale=output_scale,
+    )
     return DataSet(
         training=training,
-        validation=(record("validation"),),
-        test=(record("test"),),
-        inputs=(Channel(name="voltage", unit="V"),),
-        outputs=(Channel(name="speed", unit="rad/s"),),
-        scale=Scale(
-            input_equilibrium=system.scale.input_equilibrium,
-            output_equilibrium=system.scale.output_equilibrium,
-            input_scale=np.array([1.2]),
-            output_scale=np.array([3.0]),
-        ),
+        validation=validation,
+        test=test,
+        inputs=inputs,
+        outputs=outputs,
+        scale=scale,
     )

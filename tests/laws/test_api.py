@@ -41,7 +41,8 @@ GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_o
 
 @pytest.fixture(scope="module")
 def log() -> pd.DataFrame:
-    u = np.repeat(np.random.default_rng(0).uniform(-3, 3, 60), 8)
+    rng = np.random.default_rng(0)
+    u = np.repeat(rng.uniform(-3, 3, 60), 8)
     y = np.zeros_like(u)
     for k in range(len(u) - 1):
         y[k + 1] = 0.9 * y[k] + 0.2 * np.tanh(u[k])
@@ -51,9 +52,8 @@ def log() -> pd.DataFrame:
 @pytest.fixture(scope="module")
 def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> Design:
     folder = tmp_path_factory.mktemp("library") / "res'ults"
-    model = st.fit(
-        log[["valve's voltage"]], log["air, temperature"], STEP_S, *QUICK, results_dir=folder
-    )
+    u = log[["valve's voltage"]]
+    model = st.fit(u, log["air, temperature"], STEP_S, *QUICK, results_dir=folder)
     return st.control(model, *GIVEN)
 
 
@@ -62,12 +62,10 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
         "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & "
         "set(sys.modules)))"
     )
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", told], capture_output=True, text=True, check=True
-        ).stdout
-        == "[]\n"
-    )
+    stdout = subprocess.run(
+        [sys.executable, "-c", told], capture_output=True, text=True, check=True
+    ).stdout
+    assert stdout == "[]\n"
     with pytest.raises(AttributeError, match="no attribute 'regulate'"):
         _ = st.regulate
 
@@ -75,12 +73,10 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
 def test_what_a_stored_model_needs_loads_no_torch() -> None:
     told = "import sys; from ssm_study.models import structured, structured_spec; "
     told += "from ssm_study.models.baselines import solved; print('torch' in sys.modules)"
-    assert (
-        subprocess.run(
-            [sys.executable, "-c", told], capture_output=True, text=True, check=True
-        ).stdout
-        == "False\n"
-    )
+    stdout = subprocess.run(
+        [sys.executable, "-c", told], capture_output=True, text=True, check=True
+    ).stdout
+    assert stdout == "False\n"
 
 
 MODULES = ("certifying", "comparing", "controlling", "fitting")
@@ -106,9 +102,11 @@ def test_a_saved_design_is_the_run_of_the_command(design: Design, tmp_path: Path
     """The words of a design make the same run by the command: same model, same gains."""
     saved = design.save(tmp_path / "saved")
     assert main(["run", *design.overrides, f"results_dir={tmp_path}", "study=again"]) == 0
-    (again,) = (path.parent for path in (tmp_path / "again").glob("*/record.json"))
+    paths = (tmp_path / "again").glob("*/record.json")
+    (again,) = (path.parent for path in paths)
     for name in ("model.json", "certificate.json"):
-        ours, theirs = (json.loads((folder / name).read_text()) for folder in (saved, again))
+        folders = (saved, again)
+        ours, theirs = (json.loads((folder / name).read_text()) for folder in folders)
         for content in (ours, theirs):
             for part in content.values():
                 if isinstance(part, dict):
@@ -121,7 +119,8 @@ def test_a_saved_design_verifies_and_loads(design: Design, tmp_path: Path) -> No
     saved = design.save(tmp_path / "mine")
     assert [finding for finding in verify(saved) if not finding.holds] == []
     assert st.load(saved).certificate.certified
-    assert "controller_step" in design.to_c(tmp_path / "controller.h").read_text()
+    text = design.to_c(tmp_path / "controller.h").read_text()
+    assert "controller_step" in text
     with pytest.raises(BadRequest, match="exists; name a new folder"):
         design.save(tmp_path / "mine")
 
@@ -134,18 +133,32 @@ def test_python_control_takes_model_and_controller(design: Design, log: pd.DataF
     inner = model.to_control()
     controller = design.to_control()
     assert inner.dt == controller.dt == STEP_S
-    from_rest = log[["valve's voltage"]] * 0 + design.model.scale.input_equilibrium[0] + 1e-6
-    output = (model.predict(from_rest).to_numpy() - design.model.scale.output_equilibrium)[:100]
-    linear = control.forced_response(inner, inputs=np.full((1, 100), 1e-6)).outputs[:, None]
-    assert np.abs(output - linear).max() < 1e-6 * np.abs(linear).max() + 1e-15
+    input_equilibrium = design.model.scale.input_equilibrium
+    from_rest = log[["valve's voltage"]] * 0 + input_equilibrium[0] + 1e-6
+    output_equilibrium = design.model.scale.output_equilibrium
+    difference = model.predict(from_rest).to_numpy() - output_equilibrium
+    output = difference[:100]
+    inputs = np.full((1, 100), 1e-6)
+    outputs = control.forced_response(inner, inputs=inputs).outputs
+    linear = outputs[:, None]
+    difference = np.abs(output - linear)
+    largest_difference = difference.max()
+    largest = np.abs(linear).max()
+    upper_limit = 1e-6 * largest + 1e-15
+    assert largest_difference < upper_limit
     loop = st.simulate(design, [0.0, 0.2], "loop.horizon_s=6")
-    assert set(loop) == {"case", "time_s", "valve_s_voltage", "air_temperature"}
-    ends = loop.groupby("case")["air_temperature"].last() - design.model.scale.output_equilibrium[0]
-    assert np.abs(ends).max() < 1e-3
+    expected = {"case", "time_s", "valve_s_voltage", "air_temperature"}
+    assert set(loop) == expected
+    air_temperature = loop.groupby("case")["air_temperature"]
+    output_equilibrium = design.model.scale.output_equilibrium
+    ends = air_temperature.last() - output_equilibrium[0]
+    largest = np.abs(ends).max()
+    assert largest < 1e-3
 
 
 def test_frames_keep_names_and_index(log: pd.DataFrame) -> None:
-    later = log.set_index(pd.RangeIndex(5, 5 + len(log)))
+    range_index = pd.RangeIndex(5, 5 + len(log))
+    later = log.set_index(range_index)
     model = st.fit(log[["valve's voltage"]], log[["air, temperature"]], STEP_S, *QUICK)
     predicted = model.predict(later[["valve's voltage"]])
     assert list(predicted) == ["air_temperature"]
@@ -187,7 +200,8 @@ def test_study_gives_its_table(tmp_path: Path, smoke_study: Path) -> None:
     (tmp_path / ".store").symlink_to(smoke_study.parent / ".store")  # its model is there already
     words = ("experiment=smoke", f"results_dir={tmp_path}", "study=mine", "progress=false")
     table = st.study(*words)
-    assert list(table["status"]) == ["ok"]
+    status = list(table["status"])
+    assert status == ["ok"]
     assert not HydraConfig.initialized()  # the next run here would keep these words as its own
     with pytest.raises(BadRequest, match="a contraction rate lies in"):
         st.study(*words, "synthesis=riccati", "synthesis.rate_controller=2")
@@ -237,20 +251,32 @@ def test_control_refuses(log: pd.DataFrame) -> None:
         infeasible.to_c("never.h")
     with pytest.raises(BadRequest, match="a baseline is scored only"):
         st.control(st.fit(u, y, STEP_S, "model=gru", "training.max_epochs=1"))
-    plant = control.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    a = [[0.9]]
+    b = [[1.0]]
+    c = [[1.0]]
+    d = [[0.0]]
+    plant = control.StateSpace(a, b, c, d, 0.1)
     with pytest.raises(BadRequest, match="chooses by a validation record, and there is none"):
         st.control(plant, method="auto")
+    a = [[-0.9]]
+    b = [[1.0]]
+    c = [[1.0]]
+    d = [[0.0]]
+    state_space = control.StateSpace(a, b, c, d)
     with pytest.raises(BadRequest, match="not a sampling time"):
-        st.control(control.StateSpace([[-0.9]], [[1.0]], [[1.0]], [[0.0]]), *GIVEN)
+        st.control(state_space, *GIVEN)
 
 
 def test_a_hydra_program_may_compose_with_us() -> None:
     """Whoever calls this from a program of Hydra's own finds the program's composition as it
     was."""
-    folder = str(Path(__file__).parents[2] / "conf")
+    parents = Path(__file__).parents
+    conf_path = parents[2] / "conf"
+    folder = str(conf_path)
     with initialize_config_dir(folder, version_base="1.3"):
         theirs = GlobalHydra.instance().hydra
-        assert composed(["study=library"]).study == "library"
+        study = composed(["study=library"]).study
+        assert study == "library"
         with pytest.raises(BadRequest, match="modle"):
             composed(["modle.order=2"])
         assert GlobalHydra.instance().hydra is theirs
@@ -258,7 +284,9 @@ def test_a_hydra_program_may_compose_with_us() -> None:
 
 def test_science_alone_goes_from_arrays_to_c(tmp_path: Path) -> None:
     """The example needs neither Hydra nor the command, the study, the table or the page."""
-    script = Path(__file__).parents[2] / "examples" / "arrays_to_controller.py"
+    parents = Path(__file__).parents
+    examples_path = parents[2] / "examples"
+    script = examples_path / "arrays_to_controller.py"
     rooms = (
         "'hydra', 'ssm_study.study', 'ssm_study.cli', 'ssm_study.table', 'ssm_study.report.page'"
     )
@@ -270,10 +298,12 @@ print([name for name in sys.modules if name in ({rooms})])
 """
     done = start_program(program, tmp_path / "program").wait(timeout_s=200)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1] == "[]"
+    lines = done.stdout.splitlines()
+    assert lines[-1] == "[]"
     assert "certified in exact arithmetic" in done.stdout
     for block in ("Model\n", "Design\n"):
-        assert_outcome_holds(outcome_on_page("howto_python.md", block), done.stdout)
+        on_page = outcome_on_page("howto_python.md", block)
+        assert_outcome_holds(on_page, done.stdout)
     assert (tmp_path / "controller.h").is_file()
 
 
@@ -282,7 +312,8 @@ def test_models_and_designs_say_what_they_are(design: Design) -> None:
     model = design.origin
     assert model is not None
     for subject in (model, design):
-        assert 3 <= len(repr(subject).splitlines()) <= 16
+        lines = repr(subject).splitlines()
+        assert 3 <= len(lines) <= 16
         assert "<table>" in subject._repr_html_()
     assert "fit on the test records" in repr(model)
     figures = [model.plot(), model.bode(), model.residuals(), model.poles(), model.input_map()]
@@ -299,7 +330,9 @@ def test_the_continuous_model_is_what_was_sampled(design: Design) -> None:
     discrete = model.to_control()
     again = control.c2d(model.to_continuous(), STEP_S)
     for name in "ABCD":
-        np.testing.assert_allclose(getattr(again, name), getattr(discrete, name), atol=1e-9)
+        actual = getattr(again, name)
+        expected = getattr(discrete, name)
+        np.testing.assert_allclose(actual, expected, atol=1e-9)
 
 
 def test_the_frequency_response_is_python_controls(design: Design) -> None:
@@ -307,7 +340,8 @@ def test_the_frequency_response_is_python_controls(design: Design) -> None:
     assert model is not None
     response = model.frequency_response(20)
     values = model.to_control()(np.exp(1j * response.frequency_rad_s.to_numpy() * STEP_S))
-    np.testing.assert_allclose(response.magnitude, np.abs(values), rtol=1e-9)
+    expected = np.abs(values)
+    np.testing.assert_allclose(response.magnitude, expected, rtol=1e-9)
 
 
 def test_certify_proves_what_sampled_slopes_do() -> None:
@@ -316,19 +350,24 @@ def test_certify_proves_what_sampled_slopes_do() -> None:
     a = np.array([[0.9, 0.2], [0.0, 0.7]])
     b = np.array([[0.3], [1.0]])
     k = np.array([[-0.1, -0.2]])
-    proof = st.certify(a, b, K=k, slopes=(0.6, 1.4))
+    slopes = (0.6, 1.4)
+    proof = st.certify(a, b, K=k, slopes=slopes)
     assert proof.certified
     controller = proof.controller
     assert controller is not None
-    metric = np.linalg.inv(controller.certificate.p)
+    certificate_p = controller.certificate.p
+    metric = np.linalg.inv(certificate_p)
     factor = np.linalg.cholesky(metric).T
     inverse = np.linalg.inv(factor)
     worst = 0.0
     for slope in rng.uniform(0.6, 1.4, 200):
         step = factor @ (a + slope * b @ k) @ inverse
-        worst = max(worst, np.linalg.norm(step, 2))
-    assert worst <= np.sqrt(1 - controller.rate) + 1e-12
-    refused = st.certify(a, b, K=20 * k, slopes=(0.6, 1.4))
+        norm = np.linalg.norm(step, 2)
+        worst = max(worst, norm)
+    upper_limit = np.sqrt(1 - controller.rate) + 1e-12
+    assert worst <= upper_limit
+    slopes = (0.6, 1.4)
+    refused = st.certify(a, b, K=20 * k, slopes=slopes)
     assert not refused.certified
     assert "unstable" in refused.controller.reason
 
@@ -338,9 +377,12 @@ def test_certify_agrees_with_the_deployed_rate(design: Design) -> None:
     feedback, observer = design.certificate.parts()
     lower = feedback.alpha - feedback.beta
     upper = feedback.alpha + feedback.beta
-    proof = st.certify(feedback.a, feedback.b, observer.c, K=feedback.k, L=observer.l,
-                       slopes=(lower, upper))  # fmt: skip
-    rates = (proof.controller.rate, proof.observer.rate)
+    slopes = (lower, upper)
+    proof = st.certify(
+        feedback.a, feedback.b, observer.c, K=feedback.k, L=observer.l, slopes=slopes
+    )
+    rate = proof.controller.rate
+    rates = (rate, proof.observer.rate)
     sides = ("state_feedback", "observer")
     stored = [design.certificate.certified_rate(side) for side in sides]
     np.testing.assert_allclose(rates, stored, rtol=0.05)
@@ -370,9 +412,12 @@ def test_compare_ranks_models_on_one_record(log: pd.DataFrame) -> None:
     y = log["air, temperature"]
     good = st.fit(u, y, STEP_S, *QUICK)
     poor = st.fit(u, y, STEP_S, "model=linear", "model.order=1", "training.max_epochs=1")
-    comparison = st.compare({"poor": poor, "good": good}, u, y)
-    assert list(comparison.table.index) == ["good", "poor"]
-    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(good.score(u, y))
+    models = {"poor": poor, "good": good}
+    comparison = st.compare(models, u, y)
+    index = list(comparison.table.index)
+    assert index == ["good", "poor"]
+    expected = good.score(u, y)
+    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(expected)
     assert isinstance(comparison.plot(), Figure)
     with pytest.raises(BadRequest, match="nothing to compare"):
         st.compare([], u, y)

@@ -50,9 +50,12 @@ def chosen() -> Design:
 
 def test_the_choice_is_certified_and_predicted_to_keep_the_plant(chosen):
     assert chosen.certified
-    assert chosen.state_feedback.method == chosen.observer.method == "auto"
-    assert predicted(chosen, motor_record()).predicts_stability()
-    assert chosen.state_feedback.rate < chosen.state_feedback.rate_limit
+    method = chosen.state_feedback.method
+    assert method == chosen.observer.method == "auto"
+    prediction = predicted(chosen, motor_record())
+    assert prediction.predicts_stability()
+    rate = chosen.state_feedback.rate
+    assert rate < chosen.state_feedback.rate_limit
 
 
 FEW = {
@@ -68,8 +71,11 @@ def with_neurons() -> tuple[StructuredSSM, Balls, Trajectory]:
     stand = model()
     rng = np.random.default_rng(0)
     u = 0.5 + 2.0 * np.repeat(rng.uniform(-1, 1, size=(80, 1)), 5, axis=0)
-    y = stand.simulate(u) + 4.0 * rng.standard_normal(u.shape)
-    return stand, certified_balls(stand), Trajectory(u=u, y=y, step_s=0.01)
+    response = stand.simulate(u)
+    white_noise = rng.standard_normal(u.shape)
+    y = response + 4.0 * white_noise
+    trajectory = Trajectory(u=u, y=y, step_s=0.01)
+    return stand, certified_balls(stand), trajectory
 
 
 @pytest.mark.parametrize(
@@ -82,7 +88,8 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
     candidates = auto.candidates(given, balls)
     shown = measure_mismatch(given, (record,))
     pairs = np.array([(i, j) for i in range(len(candidates.ks)) for j in range(len(candidates.ls))])
-    areas = relative_areas(given, candidates.gains(pairs), (record,))
+    gains = candidates.gains(pairs)
+    areas = relative_areas(given, gains, (record,))
     found = [predict(given, candidates.gains(pair), balls, shown) for pair in pairs]
     keeps = np.array([prediction.predicts_stability() for prediction in found])
     assert 0 < keeps.sum() < len(keeps)
@@ -93,10 +100,13 @@ def test_no_candidate_that_is_predicted_to_keep_the_plant_has_a_better_expected_
         ]
     )
     own = auto.design(given, balls, (record,), shown).pair
-    one = replace(own, k=own.k[None], l=own.l[None], l_z=None if own.l_z is None else own.l_z[None])
+    k = own.k[None]
+    l_z = None if own.l_z is None else own.l_z[None]
+    one = replace(own, k=k, l=own.l[None], l_z=l_z)
     margin = predict(given, own, balls, shown).resolved_margin
     area = expected_area(relative_areas(given, one, (record,))[0], 1 / margin, shown.spread)
-    assert area == pytest.approx(expected[keeps].min(), rel=0.01)
+    smallest = expected[keeps].min()
+    assert area == pytest.approx(smallest, rel=0.01)
 
 
 def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope():
@@ -108,35 +118,41 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
     assert frozen
     design = candidates.specification(np.array([frozen[0], 0])).design(stand, balls)
     assert design.certified
-    np.testing.assert_array_equal(design.state_feedback.k, candidates.ks[frozen[0]])
+    actual = design.state_feedback.k
+    expected = candidates.ks[frozen[0]]
+    np.testing.assert_array_equal(actual, expected)
     problem = candidates.feedback[frozen[0]].problem(stand.system, balls.input).at(0.999)
+    structured_lmi = StructuredLmi.of_gains(problem)
     with pytest.raises(NoSolution):
-        StructuredLmi.of_gains(problem).proved(candidates.ks[frozen[0]])
+        structured_lmi.proved(candidates.ks[frozen[0]])
 
 
 def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
     """At the edge half of the samples of g fail on the plant; far from it the expected area is the
     area."""
-    assert expected_area(0.3, 1.0, 0.2) == pytest.approx((0.3 + LOSS) / 2)
+    expected = (0.3 + LOSS) / 2
+    assert expected_area(0.3, 1.0, 0.2) == pytest.approx(expected)
     assert expected_area(0.3, 0.1, 0.2) == pytest.approx(0.3)
     assert expected_area(0.3, 0.7, 0.6) > expected_area(0.4, 0.3, 0.6)
     assert expected_area(0.3, 0.7, 0.1) < expected_area(0.4, 0.3, 0.1)
 
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
-    result = Loop(horizon_s=1.5, measurement_noise_variance=0.02).run(
-        motor(), motor_model(), chosen, seed=0
-    )
+    loop = Loop(horizon_s=1.5, measurement_noise_variance=0.02)
+    result = loop.run(motor(), motor_model(), chosen, seed=0)
     columns = behaviour(result) | certificate_columns(result, chosen)
     assert columns["stable_count"] == 10
-    assert columns["settling_time_mean_s"] < 0.6 * columns["settling_time_open_loop_s"]
+    upper_limit = 0.6 * columns["settling_time_open_loop_s"]
+    assert columns["settling_time_mean_s"] < upper_limit
     assert columns["certified_bound_violations"] == 0
 
 
 def test_more_mismatch_makes_it_slower(chosen):
     rng = np.random.default_rng(0)
     record = motor_record()
-    worse = replace(record, y=record.y + 2.0 * rng.standard_normal(record.y.shape))
+    white_noise = rng.standard_normal(record.y.shape)
+    y = record.y + 2.0 * white_noise
+    worse = replace(record, y=y)
     careful = SMALL.design(motor_model(), BALLS, (worse,))
     areas = [
         relative_areas(
@@ -149,18 +165,22 @@ def test_more_mismatch_makes_it_slower(chosen):
 
 def test_without_any_margin_the_largest_is_taken_and_said():
     record = motor_record()
-    useless = replace(record, y=record.y + 1e4)
+    y = record.y + 1e4
+    useless = replace(record, y=y)
     design = SMALL.design(motor_model(), BALLS, (useless,))
     assert design.certified
-    assert not predicted(design, useless).predicts_stability()
+    prediction = predicted(design, useless)
+    assert not prediction.predicts_stability()
     assert "largest margin" in design.state_feedback.solver_status
 
 
 def test_a_caution_without_any_mismatch_takes_the_largest_margin():
     """Infinite times zero is no number."""
     record = motor_record()
-    exact = replace(record, y=motor_model().simulate(record.u))
-    design = SMALL.with_largest_margin().design(motor_model(), BALLS, (exact,))
+    y = motor_model().simulate(record.u)
+    exact = replace(record, y=y)
+    small = SMALL.with_largest_margin()
+    design = small.design(motor_model(), BALLS, (exact,))
     assert design.certified
     assert "no judgement" in design.state_feedback.solver_status
 
@@ -178,7 +198,8 @@ def test_the_search_goes_on_where_the_first_found_are_refused_as_designs(monkeyp
     design = SMALL.design(motor_model(), BALLS, (motor_record(),))
     assert len(judged) == refused + 1
     assert "best expected response" in design.state_feedback.solver_status
-    assert predicted(design, motor_record()).predicts_stability()
+    prediction = predicted(design, motor_record())
+    assert prediction.predicts_stability()
 
 
 def test_a_given_rate_is_kept():
@@ -190,17 +211,23 @@ def test_a_given_rate_is_kept():
 
 def test_one_rate_stands_for_both_sides_that_are_left_to_auto():
     both = replace(SMALL, rate=0.02).design(motor_model(), BALLS, (motor_record(),))
-    assert (both.state_feedback.rate, both.observer.rate) == (0.02, 0.02)
+    assert both.state_feedback.rate == 0.02
+    assert both.observer.rate == 0.02
     one = replace(SMALL, rate=0.02, rate_observer=0.15)
     design = one.design(motor_model(), BALLS, (motor_record(),))
-    assert (design.state_feedback.rate, design.observer.rate) == (0.02, 0.15)
+    assert design.state_feedback.rate == 0.02
+    assert design.observer.rate == 0.15
 
 
 @pytest.mark.parametrize("group", ["auto", "auto_integral"])
 def test_rate_is_a_key_of_the_configuration(group):
     with initialize_config_dir(str(Path(__file__).parents[2] / "conf"), version_base="1.3"):
-        asked = compose("study", [f"synthesis={group}", "synthesis.rate=auto", "study=s"]).synthesis
-        given = compose("study", [f"synthesis={group}", "synthesis.rate=0.1", "study=s"]).synthesis
+        number = [f"synthesis={group}", "synthesis.rate=auto", "study=s"]
+        dict_config = compose("study", number)
+        asked = dict_config.synthesis
+        number = [f"synthesis={group}", "synthesis.rate=0.1", "study=s"]
+        dict_config = compose("study", number)
+        given = dict_config.synthesis
     assert instantiate(asked).rate == "auto"
     assert instantiate(given).rate == 0.1
 
@@ -220,7 +247,9 @@ def test_slopes_that_hold_zero_are_infeasible():
 
 
 def test_a_record_without_excitation_is_refused():
-    still = Trajectory(u=np.zeros((50, 1)), y=np.zeros((50, 1)), step_s=0.01)
+    u = np.zeros((50, 1))
+    y = np.zeros((50, 1))
+    still = Trajectory(u=u, y=y, step_s=0.01)
     with pytest.raises(BadRequest, match="validation"):
         SMALL.design(motor_model(), BALLS, (still,))
 
@@ -254,7 +283,8 @@ def test_the_default_grids_are_those_of_the_documentation():
     assert OWN_SHARE == 0.5
     assert max(auto.stretch_shares) == 0.9
     for weights in (auto.input_weights, auto.output_noises):
-        assert (min(weights), max(weights)) == (1e-3, 100.0)
+        assert min(weights) == 1e-3
+        assert max(weights) == 100.0
         steps = np.diff(np.log10(weights))
         assert steps.min() > 0
         assert steps.max() <= 1 + 1e-9
@@ -267,17 +297,25 @@ def test_the_default_grids_are_those_of_the_documentation():
 
 
 def test_each_candidate_is_the_gain_of_its_specification():
-    auto = replace(SMALL, integral_weights=(1e-3, 1e-2))
+    integral_weights = (1e-3, 1e-2)
+    auto = replace(SMALL, integral_weights=integral_weights)
     candidates = auto.candidates(motor_model(), BALLS)
-    assert {made.integral_weight for made in candidates.feedback} == {1e-3, 1e-2}
+    integral_weights = {made.integral_weight for made in candidates.feedback}
+    assert integral_weights == {1e-3, 1e-2}
     last = np.array([len(candidates.ks) - 1, len(candidates.ls) - 1])
     for pair in (np.array([0, 0]), last // 2, last):
         asked = candidates.specification(pair)
         design = asked.design(motor_model(), BALLS)
-        np.testing.assert_allclose(design.state_feedback.k, candidates.ks[pair[0]], rtol=1e-9)
-        np.testing.assert_allclose(design.observer.l, candidates.ls[pair[1]], rtol=1e-9)
-        assert asked.integral_weight == candidates.feedback[pair[0]].integral_weight
-        assert (asked.state_weight, asked.state_noise) == (1e-6, 1e-4)
+        actual = design.state_feedback.k
+        expected = candidates.ks[pair[0]]
+        np.testing.assert_allclose(actual, expected, rtol=1e-9)
+        actual = design.observer.l
+        expected = candidates.ls[pair[1]]
+        np.testing.assert_allclose(actual, expected, rtol=1e-9)
+        expected = candidates.feedback[pair[0]].integral_weight
+        assert asked.integral_weight == expected
+        assert asked.state_weight == 1e-6
+        assert asked.state_noise == 1e-4
 
 
 def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
@@ -286,45 +324,55 @@ def test_the_grid_of_rates_runs_from_the_models_own_to_the_frontier():
     model = motor_model()
     candidates = SMALL.candidates(model, BALLS)
     own = 1 - model.linear.spectral_radius**2
-    limit = controller_frontier(model.linear, INPUT_BALL).rate_limit
-    rates = sorted({specification.rate_controller for specification in candidates.feedback})
-    np.testing.assert_allclose(
-        rates, [own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)]
-    )
-    observed = sorted({specification.rate_observer for specification in candidates.observing})
-    np.testing.assert_allclose(observed, sorted([own / 2, 0.05, 0.3]))
-    assert {specification.input_weight for specification in candidates.feedback} == set(
-        SMALL.input_weights
-    )
-    assert {specification.output_noise for specification in candidates.observing} == set(
-        SMALL.output_noises
-    )
+    frontier = controller_frontier(model.linear, INPUT_BALL)
+    limit = frontier.rate_limit
+    rate_controllers = {specification.rate_controller for specification in candidates.feedback}
+    rates = sorted(rate_controllers)
+    expected = [own / 2, own + 0.1 * (limit - own), own + 0.6 * (limit - own)]
+    np.testing.assert_allclose(rates, expected)
+    rate_observers = {specification.rate_observer for specification in candidates.observing}
+    observed = sorted(rate_observers)
+    expected = sorted([own / 2, 0.05, 0.3])
+    np.testing.assert_allclose(observed, expected)
+    input_weights = {specification.input_weight for specification in candidates.feedback}
+    assert input_weights == set(SMALL.input_weights)
+    output_noises = {specification.output_noise for specification in candidates.observing}
+    assert output_noises == set(SMALL.output_noises)
 
 
 def test_an_unstable_model_has_no_cautious_rate():
     model = motor_model()
-    unstable = model.with_linear(replace(model.linear, a=model.linear.a * 1.05))
+    a = model.linear.a * 1.05
+    linear = replace(model.linear, a=a)
+    unstable = model.with_linear(linear)
     candidates = SMALL.candidates(unstable, BALLS)
-    limit = controller_frontier(unstable.linear, INPUT_BALL).rate_limit
-    rates = sorted({specification.rate_controller for specification in candidates.feedback})
-    np.testing.assert_allclose(rates, [0.1 * limit, 0.6 * limit])
+    frontier = controller_frontier(unstable.linear, INPUT_BALL)
+    limit = frontier.rate_limit
+    rate_controllers = {specification.rate_controller for specification in candidates.feedback}
+    rates = sorted(rate_controllers)
+    expected = [0.1 * limit, 0.6 * limit]
+    np.testing.assert_allclose(rates, expected)
 
 
 def test_a_larger_margin_is_kept_or_said_to_be_out_of_reach(chosen):
-    reached = predicted(chosen, motor_record()).resolved_margin
+    prediction = predicted(chosen, motor_record())
+    reached = prediction.resolved_margin
     careful = replace(SMALL, margin=1.5 * reached).design(motor_model(), BALLS, (motor_record(),))
-    assert predicted(careful, motor_record()).resolved_margin > 1.5 * reached
-    assert careful.state_feedback.solver_status.startswith(
-        "best expected response of those predicted to be stable; tau"
-    )
+    prediction = predicted(careful, motor_record())
+    resolved_margin = prediction.resolved_margin
+    assert resolved_margin > 1.5 * reached
+    solver_status = careful.state_feedback.solver_status
+    assert solver_status.startswith("best expected response of those predicted to be stable; tau")
     none = replace(SMALL, margin=1e9).design(motor_model(), BALLS, (motor_record(),))
-    assert none.observer.solver_status.startswith(
+    solver_status = none.observer.solver_status
+    assert solver_status.startswith(
         "no stable controller with margin above 1e+09; largest margin taken"
     )
-    assert (
-        predicted(none, motor_record()).resolved_margin
-        >= predicted(careful, motor_record()).resolved_margin
-    )
+    prediction = predicted(none, motor_record())
+    resolved_margin = prediction.resolved_margin
+    prediction = predicted(careful, motor_record())
+    lower_limit = prediction.resolved_margin
+    assert resolved_margin >= lower_limit
 
 
 def test_with_integral_action_an_impossible_request_says_why():
@@ -332,11 +380,11 @@ def test_with_integral_action_an_impossible_request_says_why():
     design = asked.design(motor_model(), BALLS, (motor_record(),))
     assert design.state_feedback.proved
     assert design.state_feedback.rate == 0.9
-    limit = controller_frontier(with_modes(motor_model()), INPUT_BALL).rate_limit
-    assert (
-        design.state_feedback.rate_limit
-        == limit
-        < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
-    )
+    system = with_modes(motor_model())
+    frontier = controller_frontier(system, INPUT_BALL)
+    limit = frontier.rate_limit
+    rate_limit = design.state_feedback.rate_limit
+    assert rate_limit == limit < controller_frontier(motor_model().linear, INPUT_BALL).rate_limit
     assert design.observer.certified  # the easiest request is made of the side that was left open
-    assert design.state_feedback.solver_status.startswith("nothing on the grid is feasible")
+    solver_status = design.state_feedback.solver_status
+    assert solver_status.startswith("nothing on the grid is feasible")

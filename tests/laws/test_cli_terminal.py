@@ -41,10 +41,14 @@ def test_the_help_marks_the_defaults(capsys: pytest.CaptureFixture[str]) -> None
 def test_a_run_is_named_by_the_begin_or_the_end_of_its_name(tmp_path: Path) -> None:
     for name in ("order4-seed0-aaa", "order4-seed1-bbb", "order8-seed0-ccc"):
         (tmp_path / name).mkdir()
-        write_record(tmp_path / name, {"status": "ok"})
-    assert run_folder(tmp_path / "order8").name == "order8-seed0-ccc"
-    assert run_folder(tmp_path / "order4-seed1").name == "order4-seed1-bbb"
-    assert run_folder(tmp_path / "aaa").name == "order4-seed0-aaa"
+        record = {"status": "ok"}
+        write_record(tmp_path / name, record)
+    folder = run_folder(tmp_path / "order8")
+    assert folder.name == "order8-seed0-ccc"
+    folder = run_folder(tmp_path / "order4-seed1")
+    assert folder.name == "order4-seed1-bbb"
+    folder = run_folder(tmp_path / "aaa")
+    assert folder.name == "order4-seed0-aaa"
     with pytest.raises(BadRequest, match="2 runs are there"):
         run_folder(tmp_path / "order4")
     with pytest.raises(BadRequest, match="no record"):
@@ -69,23 +73,30 @@ def test_an_export_asks_before_it_overwrites(
 def test_what_is_not_confirmed_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = random_run(tmp_path / "study" / "run", kind="linear", channels=1, seed=0)
-    write_record(run, {"status": "ok"})
+    folder = tmp_path / "study" / "run"
+    run = random_run(folder, kind="linear", channels=1, seed=0)
+    record = {"status": "ok"}
+    write_record(run, record)
     monkeypatch.setattr("ssm_study.study.verify.verify", lambda _: type("V", (), {"demand": print}))
     monkeypatch.setattr(commands, "may_overwrite", lambda _: False)
-    assert main(["export", str(run), "--to", str(tmp_path / "to")]) == DONE
+    to_path = str(tmp_path / "to")
+    assert main(["export", str(run), "--to", to_path]) == DONE
     assert "nothing written" in capsys.readouterr().out
     assert not (tmp_path / "to").exists()
-    assert main(["export", str(run), "--to", str(tmp_path / "to"), "--yes"]) == DONE
-    assert (tmp_path / "to" / "controller.h").is_file()
+    to_path = str(tmp_path / "to")
+    assert main(["export", str(run), "--to", to_path, "--yes"]) == DONE
+    controller_path = tmp_path / "to" / "controller.h"
+    assert (controller_path).is_file()
 
 
 def test_the_page_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[str] = []
     monkeypatch.setattr(webbrowser, "open", shown.append)
     open_page(tmp_path / "report.html")
-    assert shown == [(tmp_path / "report.html").as_uri()]
-    assert translate(["seed=1", "--open"]) == ["seed=1"]
+    expected = [(tmp_path / "report.html").as_uri()]
+    assert shown == expected
+    arguments = ["seed=1", "--open"]
+    assert translate(arguments) == ["seed=1"]
 
 
 def test_progress_is_a_line_a_stage_on_a_terminal_alone(
@@ -96,11 +107,13 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
     print_progress("reading the request")
     for announces in (True, False):
         root = tmp_path / f"{announces}"
-        stages = RunStages(root / ".store", Run(path=root), announces)
+        run = Run(path=root)
+        stages = RunStages(root / ".store", run, announces)
         for _ in range(2):  # what is there already is not announced
             stages.keyed("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
         assert terminal.getvalue().count("model ...") == 1
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    string_io = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", string_io)
     print_progress("reading the request")
     assert sys.stderr.getvalue() == ""  # type: ignore[attr-defined]
 
@@ -119,7 +132,8 @@ def test_a_page_is_a_link_on_a_terminal_and_a_path_in_a_pipe(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = tmp_path / "report.html"
-    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    string_io = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", string_io)
     assert page_link(page) == str(page)
     monkeypatch.setattr(sys, "stdout", Terminal())
     assert page.as_uri() in page_link(page)
@@ -127,7 +141,8 @@ def test_a_page_is_a_link_on_a_terminal_and_a_path_in_a_pipe(
 
 
 def test_figures_are_counted_unless_they_are_asked_for(tmp_path: Path) -> None:
-    paths = [tmp_path / "figures" / f"nyquist.{kind}" for kind in ("png", "pdf")]
+    kinds = ("png", "pdf")
+    paths = [tmp_path / "figures" / f"nyquist.{kind}" for kind in kinds]
     line = figures_line(paths, left_out=2)
     assert line == f"1 figures in {tmp_path / 'figures'}, 2 not drawn; -v lists them"
     assert figures_line([], left_out=3) == "no figure drawn; -v says why"
@@ -139,7 +154,8 @@ def test_a_run_without_a_setting_says_what_it_does(
     monkeypatch.setattr("ssm_study.cli.run.check_request", refuse_anything)
     for words, is_told in (([], True), (["seed=3"], False)):
         assert main(["run", *words]) == WRONG_REQUEST
-        assert ("this is the paper's motor" in capsys.readouterr().err) is is_told
+        err = capsys.readouterr().err
+        assert ("this is the paper's motor" in err) is is_told
 
 
 def refuse_anything(*_: object) -> None:
@@ -147,11 +163,14 @@ def refuse_anything(*_: object) -> None:
 
 
 def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
-    run = write_recordings(random_run(tmp_path / "study" / "a", kind="mlp", channels=1, seed=1))
+    folder = tmp_path / "study" / "a"
+    run = write_recordings(random_run(folder, kind="mlp", channels=1, seed=1))
     loop = RunFolder(path=run).closed_loop
     study = SimpleNamespace(of_best=lambda *_, **__: (loop,))
     widths = {}
     for width in ("page", "column"):
         with style.paper(width):
-            widths[width] = closed_loop_responses.draw(study).get_size_inches()[0]
-    assert widths == {"page": style.PAGE_IN, "column": style.COLUMN_IN}
+            size_inches = closed_loop_responses.draw(study).get_size_inches()
+            widths[width] = size_inches[0]
+    expected = {"page": style.PAGE_IN, "column": style.COLUMN_IN}
+    assert widths == expected

@@ -60,8 +60,10 @@ def guides() -> dict[str, dict[str, str]]:
     """The files of each guide's example: path to content."""
     found: dict[str, dict[str, str]] = {}
     for name, text in GUIDE.findall((ROOT / "CONTRIBUTING.md").read_text()):
-        shown = text + "".join((ROOT / page).read_text() for page in PAGE.findall(text))
-        found[name] = {path: dedent(content) for _, path, content in FILE.findall(shown)}
+        pages = PAGE.findall(text)
+        shown = text + "".join((ROOT / page).read_text() for page in pages)
+        file = FILE.findall(shown)
+        found[name] = {path: dedent(content) for _, path, content in file}
     return found
 
 
@@ -88,25 +90,29 @@ def copy(tmp_path_factory: pytest.TempPathFactory, smoke_study: Path) -> Path:
 @pytest.fixture(scope="module")
 def judged(copy: Path) -> list[str]:
     """The checks that passed in the copy: one line each."""
-    (copy / "tests" / "laws" / "test_here.py").write_text(HERE)
+    test_here_path = copy / "tests" / "laws" / "test_here.py"
+    test_here_path.write_text(HERE)
     paths = sorted({path for laws in LAWS.values() for path in laws.split()})
     # Without the check of shapes: it is put on every function of the package when that is imported.
     words = ["-o", "addopts=--timeout=300 --strict-markers", "-n", "0", "-p", "no:randomly"]
-    words += ["-q", "-rp", "-k", " or ".join([*LAWS, FOUND])]
+    text = " or ".join([*LAWS, FOUND])
+    words += ["-q", "-rp", "-k", text]
     environment = {
         "PATH": "/usr/bin:/bin",
         "PYTHONPATH": f"{copy}:{copy / 'tests'}",
         "HOME": str(copy),
     }
+    env = environment | {"HYPOTHESIS_PROFILE": "few"}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words, *paths, "tests/laws/test_here.py"],
         cwd=copy,
-        env=environment | {"HYPOTHESIS_PROFILE": "few"},
+        env=env,
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
-    return [line for line in done.stdout.splitlines() if line.startswith("PASSED")]
+    lines = done.stdout.splitlines()
+    return [line for line in lines if line.startswith("PASSED")]
 
 
 def test_every_guide_shows_the_files_it_promises() -> None:

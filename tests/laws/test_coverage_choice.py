@@ -36,8 +36,10 @@ def test_the_first_covered_design_is_taken() -> None:
     fast, slow = (coverage_by_frequency(one, SSM_MODEL, BALLS, known) for one in (FAST, SLOW))
     assert slow > 1.2 * fast
     between = (slow * fast) ** 0.5
-    assert chosen(known, between) == (SLOW, COVERED)
-    assert chosen(known, 0.5 * fast) == (FAST, COVERED)
+    expected = (SLOW, COVERED)
+    assert chosen(known, between) == expected
+    expected = (FAST, COVERED)
+    assert chosen(known, 0.5 * fast) == expected
     assert chosen(known, 10 * slow)[1] in (NOT_COVERED, LESS_COVERED)
 
 
@@ -50,9 +52,13 @@ def test_the_certificate_has_the_coverage_that_the_frequencies_promise() -> None
 
 
 def test_without_a_premise_the_choice_is_the_predicted_one() -> None:
-    assert chosen(None) == (FAST, PREDICTED)
-    assert chosen(premise(van_der_pol)) == (FAST, PREDICTED)
-    assert chosen(None, designs=(None, SLOW)) == (SLOW, PREDICTED)
+    expected = (FAST, PREDICTED)
+    assert chosen(None) == expected
+    expected = (FAST, PREDICTED)
+    assert chosen(premise(van_der_pol)) == expected
+    designs = (None, SLOW)
+    expected = (SLOW, PREDICTED)
+    assert chosen(None, designs=designs) == expected
     assert chosen(None, designs=())[0] is None
 
 
@@ -64,6 +70,8 @@ def test_a_coverage_below_zero_is_no_request() -> None:
 def test_where_less_is_covered_than_asked_for_a_covered_design_is_taken() -> None:
     known = premise(scaled_model(0.05))
     assert coverage_by_frequency(SLOW, SSM_MODEL, BALLS, known) > 1.1
-    assert chosen(known, 1e4, designs=(SLOW,)) == (SLOW, LESS_COVERED)
+    expected = (SLOW, LESS_COVERED)
+    assert chosen(known, 1e4, designs=(SLOW,)) == expected
     far_off = premise(scaled_model(5.0))
-    assert chosen(far_off, 1e4) == (FAST, NOT_COVERED)
+    expected = (FAST, NOT_COVERED)
+    assert chosen(far_off, 1e4) == expected

@@ -34,12 +34,14 @@ TARGET_SHARE = 1.05  # of the coverage of the first gains
 
 @pytest.fixture(scope="module")
 def search() -> GainSearch:
+    mismatch = measure_mismatch(SSM_MODEL, RECORDS)
+    validation = RECORDS[:1]
     return GainSearch(
         model=SSM_MODEL,
         balls=BALLS,
         premise=PREMISE,
-        mismatch=measure_mismatch(SSM_MODEL, RECORDS),
-        validation=RECORDS[:1],
+        mismatch=mismatch,
+        validation=validation,
         limits=None,
         margin=1.0,
     )
@@ -69,8 +71,12 @@ def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_o
 def test_the_search_gives_the_same_gains_again(search) -> None:
     first, again = (search.search(FAST, 1e4, 1, AREA_TOO_LARGE) for _ in range(2))
     assert first.coverage == again.coverage
-    np.testing.assert_array_equal(first.gains.k, again.gains.k)
-    assert not np.array_equal(first.gains.k, FAST.pair.k)
+    actual = first.gains.k
+    expected = again.gains.k
+    np.testing.assert_array_equal(actual, expected)
+    gains_k = first.gains.k
+    pair_k = FAST.pair.k
+    assert not np.array_equal(gains_k, pair_k)
 
 
 def test_where_nothing_covers_the_search_has_no_design(search) -> None:
@@ -103,12 +109,15 @@ def test_the_choice_searches_only_where_the_grid_nearly_covers(
         asked.append((first, most, target))
         return found
 
-    chosen = prefer_covered(iter([FAST]), lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
+    pairs = iter([FAST])
+    chosen = prefer_covered(pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, cover, note)
     if searches:
         assert chosen == (found, SEARCHED)
-        assert asked == [(FAST, FAST, 1.0)]
+        expected = [(FAST, FAST, 1.0)]
+        assert asked == expected
     else:
-        assert chosen == (FAST, COVERED if coverage > LOST else NOT_COVERED)
+        expected = (FAST, COVERED if coverage > LOST else NOT_COVERED)
+        assert chosen == expected
         assert not asked
 
 
@@ -116,7 +125,8 @@ def test_a_search_without_a_design_leaves_the_first(monkeypatch) -> None:
     monkeypatch.setattr(
         "ssm_study.synthesis.measured_discs_choice.coverage_by_frequency", lambda *_: 0.9 * LOST
     )
+    pairs = iter([FAST])
     chosen = prefer_covered(
-        iter([FAST]), lambda one: one, SSM_MODEL, BALLS, PREMISE, None, lambda *_: None
+        pairs, lambda one: one, SSM_MODEL, BALLS, PREMISE, None, lambda *_: None
     )
     assert chosen == (FAST, NOT_COVERED)

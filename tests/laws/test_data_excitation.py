@@ -25,23 +25,31 @@ EVERY = pytest.mark.parametrize("name", choices("excitation"))
 
 @EVERY
 def test_signals_stay_within_the_amplitude_and_use_it(name: str) -> None:
-    u = from_yaml("excitation", name).signal(REQUEST, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", name).signal(REQUEST, rng)
     assert u.shape == (600, 2)
-    assert (np.abs(u) <= np.array(REQUEST.amplitude) * (1 + 1e-12)).all()
-    assert (np.abs(u).max(axis=0) > 0.7 * np.array(REQUEST.amplitude)).all()
+    upper_limit = np.array(REQUEST.amplitude) * (1 + 1e-12)
+    assert (np.abs(u) <= upper_limit).all()
+    lower_limit = 0.7 * np.array(REQUEST.amplitude)
+    assert (np.abs(u).max(axis=0) > lower_limit).all()
 
 
 @EVERY
 def test_equal_generators_give_equal_signals_and_others_do_not(name: str) -> None:
     excitation = from_yaml("excitation", name)
-    first = excitation.signal(REQUEST, np.random.default_rng(3))
-    np.testing.assert_array_equal(first, excitation.signal(REQUEST, np.random.default_rng(3)))
-    assert not np.array_equal(first, excitation.signal(REQUEST, np.random.default_rng(4)))
+    rng = np.random.default_rng(3)
+    first = excitation.signal(REQUEST, rng)
+    rng = np.random.default_rng(3)
+    expected = excitation.signal(REQUEST, rng)
+    np.testing.assert_array_equal(first, expected)
+    rng = np.random.default_rng(4)
+    assert not np.array_equal(first, excitation.signal(REQUEST, rng))
 
 
 @EVERY
 def test_channels_differ(name: str) -> None:
-    u = from_yaml("excitation", name).signal(REQUEST, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", name).signal(REQUEST, rng)
     assert np.abs(np.corrcoef(u.T)[0, 1]) < 0.9
 
 
@@ -49,15 +57,17 @@ def test_channels_differ(name: str) -> None:
 def test_every_excitation_identifies_order_eight(name: str) -> None:
     """With a clock of twice the sampling time; band-limited signals reach less at slower clocks,
     and should."""
-    u = from_yaml("excitation", name).signal(
-        replace(REQUEST, clock_s=0.02), np.random.default_rng(0)
-    )
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", name).signal(replace(REQUEST, clock_s=0.02), rng)
     assert persistency_order(u) >= 17
 
 
 def test_levels_are_held_for_the_clock() -> None:
-    u = from_yaml("excitation", "prbs").signal(REQUEST, np.random.default_rng(0))
-    changes = np.flatnonzero(np.diff(u[:, 0])) + 1
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", "prbs").signal(REQUEST, rng)
+    differences = np.diff(u[:, 0])
+    indices = np.flatnonzero(differences)
+    changes = indices + 1
     assert (changes % 5 == 0).all()
 
 
@@ -65,9 +75,12 @@ def test_a_prbs_is_a_maximum_length_sequence() -> None:
     """Its circular autocorrelation is -1/(2^n - 1) at every shift but zero."""
     length = 2**7 - 1
     request = SignalRequest(samples=length, step_s=1.0, amplitude=(1.0,), clock_s=1.0)
-    u = PRBS(register_bits=7).signal(request, np.random.default_rng(0))[:, 0]
+    prbs = PRBS(register_bits=7)
+    rng = np.random.default_rng(0)
+    u = prbs.signal(request, rng)[:, 0]
     correlation = np.fft.ifft(np.abs(np.fft.fft(u)) ** 2).real / length
-    np.testing.assert_allclose(correlation[1:], -1 / length, atol=1e-12)
+    actual = correlation[1:]
+    np.testing.assert_allclose(actual, -1 / length, atol=1e-12)
 
 
 def test_coverage_tells_two_levels_from_many() -> None:
@@ -93,74 +106,107 @@ ONE = SignalRequest(samples=1000, step_s=0.01, amplitude=(2.0,), clock_s=0.05)
 
 
 def test_a_multisine_has_equal_power_in_its_band_and_none_outside() -> None:
-    u = Multisine(band_low_hz=1.0, band_high_hz=5.0).signal(ONE, np.random.default_rng(0))
+    multisine = Multisine(band_low_hz=1.0, band_high_hz=5.0)
+    rng = np.random.default_rng(0)
+    u = multisine.signal(ONE, rng)
     frequencies = np.fft.rfftfreq(len(u), ONE.step_s)
-    amplitude = 2 * np.abs(np.fft.rfft(u[:, 0])) / len(u)
+    spectrum = np.fft.rfft(u[:, 0])
+    amplitude = 2 * np.abs(spectrum) / len(u)
     inside = (frequencies > 0.99) & (frequencies < 5.01)
     assert inside.sum() == 41
-    np.testing.assert_allclose(amplitude[inside], amplitude[inside].mean(), rtol=1e-9)
-    np.testing.assert_allclose(amplitude[~inside], 0.0, atol=1e-12)
+    expected = amplitude[inside].mean()
+    np.testing.assert_allclose(amplitude[inside], expected, rtol=1e-9)
+    actual = amplitude[~inside]
+    np.testing.assert_allclose(actual, 0.0, atol=1e-12)
 
 
 def crest_factor(u: np.ndarray) -> float:
     """`max |u| / rms(u)`: 1 for two levels, sqrt(2) for a sine."""
-    return float(np.abs(u).max() / np.sqrt(np.mean(u**2)))
+    largest = np.abs(u).max()
+    mean = np.mean(u**2)
+    return float(largest / np.sqrt(mean))
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_clipping_lowers_the_crest_factor(seed: int) -> None:
-    random = Multisine(crest_iterations=0).signal(ONE, np.random.default_rng(seed))[:, 0]
-    clipped = Multisine().signal(ONE, np.random.default_rng(seed))[:, 0]
+    multisine = Multisine(crest_iterations=0)
+    rng = np.random.default_rng(seed)
+    random = multisine.signal(ONE, rng)[:, 0]
+    rng = np.random.default_rng(seed)
+    clipped = Multisine().signal(ONE, rng)[:, 0]
     assert crest_factor(clipped) < 0.75 * crest_factor(random)
     assert crest_factor(clipped) < 2.0
 
 
 def test_a_chirp_sweeps_its_band() -> None:
-    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(
-        ONE, np.random.default_rng(0)
-    )
-    crossings = np.flatnonzero(np.diff(np.sign(u[:, 0])))
-    halves = np.diff(crossings) * ONE.step_s
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", "chirp", "low_hz=1.0", "high_hz=4.0").signal(ONE, rng)
+    differences = np.diff(np.sign(u[:, 0]))
+    crossings = np.flatnonzero(differences)
+    differences = np.diff(crossings)
+    halves = differences * ONE.step_s
     assert 0.5 / halves[0] == pytest.approx(1.0, rel=0.2)
     assert 0.5 / halves[-1] == pytest.approx(4.0, rel=0.2)
 
 
 def test_a_staircase_holds_uniform_levels() -> None:
-    u = from_yaml("excitation", "staircase").signal(ONE, np.random.default_rng(0))[:, 0]
-    np.testing.assert_allclose(np.unique(u), np.linspace(-2.0, 2.0, 11), atol=1e-12)
-    assert (np.diff(np.flatnonzero(np.diff(u))) == 15).all()
+    rng = np.random.default_rng(0)
+    u = from_yaml("excitation", "staircase").signal(ONE, rng)[:, 0]
+    actual = np.unique(u)
+    expected = np.linspace(-2.0, 2.0, 11)
+    np.testing.assert_allclose(actual, expected, atol=1e-12)
+    differences = np.diff(u)
+    indices = np.flatnonzero(differences)
+    differences = np.diff(indices)
+    assert (differences == 15).all()
 
 
 def test_a_file_is_taken_as_it_is(tmp_path: Path) -> None:
-    values = np.random.default_rng(0).uniform(-3, 3, 1500)
-    pd.DataFrame({"volt": values}).to_csv(tmp_path / "u.csv", index=False)
-    u = OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
-        ONE, np.random.default_rng(0)
-    )[:, 0]
-    start = int(np.argmax(values == u[0]))
-    np.testing.assert_array_equal(u, values[start : start + 1000])
+    rng = np.random.default_rng(0)
+    values = rng.uniform(-3, 3, 1500)
+    table = pd.DataFrame({"volt": values})
+    table.to_csv(tmp_path / "u.csv", index=False)
+    path = str(tmp_path / "u.csv")
+    own_signal = OwnSignal(path=path, column="volt")
+    rng = np.random.default_rng(0)
+    u = own_signal.signal(ONE, rng)[:, 0]
+    position_of_largest = np.argmax(values == u[0])
+    start = int(position_of_largest)
+    expected = values[start : start + 1000]
+    np.testing.assert_array_equal(u, expected)
     plant = from_yaml("plant", "dc_motor")
     asked = from_yaml("data", "simulated", "samples=1000", "trajectories=2")
-    own = OwnSignal(path=str(tmp_path / "u.csv"), column="volt")
+    path = str(tmp_path / "u.csv")
+    own = OwnSignal(path=path, column="volt")
     for record in asked.build(plant, own, 0).training:  # from rest on, as the file has it
         applied = record.u[:, 0] - plant.equilibrium().u[0]
-        start = int(np.abs(values - applied[0]).argmin())
-        np.testing.assert_allclose(applied, values[start : start + 1000], atol=1e-12)
-    scaled = OwnSignal(path=str(tmp_path / "u.csv"), column="volt", amplitude=1.0)
-    assert np.abs(scaled.signal(ONE, np.random.default_rng(0))).max() <= 1.0
+        difference = np.abs(values - applied[0])
+        position_of_smallest = difference.argmin()
+        start = int(position_of_smallest)
+        expected = values[start : start + 1000]
+        np.testing.assert_allclose(applied, expected, atol=1e-12)
+    path = str(tmp_path / "u.csv")
+    scaled = OwnSignal(path=path, column="volt", amplitude=1.0)
+    rng = np.random.default_rng(0)
+    largest = np.abs(scaled.signal(ONE, rng)).max()
+    assert largest <= 1.0
     long = SignalRequest(samples=2000, step_s=0.01, amplitude=(1.0,), clock_s=0.1)
+    path = str(tmp_path / "u.csv")
+    own_signal = OwnSignal(path=path, column="volt")
+    rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="has 1500 rows and records of 2000 samples"):
-        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
-            long, np.random.default_rng(0)
-        )
+        own_signal.signal(long, rng)
+    path = str(tmp_path / "u.csv")
+    own_signal = OwnSignal(path=path, column="volt")
+    rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="the plant has 2 inputs"):
-        OwnSignal(path=str(tmp_path / "u.csv"), column="volt").signal(
-            REQUEST, np.random.default_rng(0)
-        )
+        own_signal.signal(REQUEST, rng)
 
 
 def test_a_band_without_lines_is_refused() -> None:
+    multisine = Multisine(band_low_hz=1.0, band_high_hz=1.05)
+    rng = np.random.default_rng(0)
     with pytest.raises(BadRequest, match="holds 1 lines"):
-        Multisine(band_low_hz=1.0, band_high_hz=1.05).signal(ONE, np.random.default_rng(0))
+        multisine.signal(ONE, rng)
     with pytest.raises(BadRequest, match="not below band_high_hz"):
         Multisine(band_low_hz=2.0, band_high_hz=1.0)

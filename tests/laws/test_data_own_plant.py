@@ -48,7 +48,8 @@ def test_the_signal(
         lower=lower, upper=upper, rest=rest, step_s=step_s, settle_s=settle_s, seed=seed
     )
     u = record.signal()
-    assert lower <= u.min() < u.max() <= upper
+    smallest = u.min()
+    assert lower <= smallest < u.max() <= upper
     assert (u[-2 * samples :] == rest).all()
     assert (u[: 2 * samples] == rest).all()
     period = (len(u) - 2 * samples * (len(AMPLITUDES) + 1)) // (PERIODS * len(AMPLITUDES))
@@ -59,8 +60,11 @@ def test_the_signal(
         again = u[start + period : start + 2 * period]
         assert np.array_equal(first, again)
         assert len(np.unique(first)) > 30
-        reaches.append(np.abs(first - rest).max())
-    assert reaches == sorted(reaches, reverse=True)
+        difference = np.abs(first - rest)
+        largest_difference = difference.max()
+        reaches.append(largest_difference)
+    expected = sorted(reaches, reverse=True)
+    assert reaches == expected
 
 
 def log_of(folder: Path, *more: float) -> DataSet:
@@ -68,18 +72,16 @@ def log_of(folder: Path, *more: float) -> DataSet:
     rest."""
     own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0)
     u = np.concatenate([own.signal(), np.repeat(more, 10), np.full(60 * bool(more), 1.0)])
-    y = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1) + 0.05 * np.random.default_rng(
-        0
-    ).standard_normal(len(u))
-    pd.DataFrame({"u": u, "y": y}).to_csv(folder / "log.csv", index=False)
-    read = {
-        "path": str(folder / "log.csv"),
-        "input": "u",
-        "output": "y",
-        "step_s": 0.1,
-        "start_up_samples": 20,
-    }
-    return RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0]).build(0)
+    filtered_signal = scipy.signal.lfilter([0, 0.2], [1, -0.8], u - 1)
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal(len(u))
+    y = filtered_signal + 0.05 * white_noise
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(folder / "log.csv", index=False)
+    path = str(folder / "log.csv")
+    read = {"path": path, "input": "u", "output": "y", "step_s": 0.1, "start_up_samples": 20}
+    recorded_data = RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0])
+    return recorded_data.build(0)
 
 
 def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
@@ -88,23 +90,30 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     """A model with three quarters of the gain misses a third of its own output, whatever the
     noise."""
     data = log_of(tmp_path)
-    linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
-    unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
-    shown = measure_mismatch(
-        SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.mismatch_records
-    )
+    a = np.array([[0.8]])
+    b = np.array([[0.15]])
+    c = np.eye(1)
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    scale = Scale.unit(1, 1)
+    input_equilibrium = np.ones(1)
+    unit = replace(scale, input_equilibrium=input_equilibrium)
+    model = SSM.of(linear, 0.1, unit)
+    shown = measure_mismatch(model, data.validation, data.start_up_samples, data.mismatch_records)
     assert len(shown.views) == len(AMPLITUDES)
     amplitudes = [view.amplitude for view in shown.views]
-    np.testing.assert_allclose(np.divide(amplitudes, amplitudes[-1]), sorted(AMPLITUDES), rtol=0.25)
+    actual = np.divide(amplitudes, amplitudes[-1])
+    np.testing.assert_allclose(actual, sorted(AMPLITUDES), rtol=0.25)
     for view in shown.views:
-        np.testing.assert_allclose(np.abs(view.linear[1:5]), 1 / 3, rtol=0.15)
+        actual = np.abs(view.linear[1:5])
+        np.testing.assert_allclose(actual, 1 / 3, rtol=0.15)
     assert shown.rests
 
 
 def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
-    kept = [
-        trial for trial in log_of(tmp_path, 0.5, 2.0, 1.5).mismatch_records if not is_return(trial)
-    ]
+    data_set = log_of(tmp_path, 0.5, 2.0, 1.5)
+    trials = data_set.mismatch_records
+    kept = [trial for trial in trials if not is_return(trial)]
     assert kept == []
 
 
@@ -121,37 +130,40 @@ def test_the_command_writes_it(tmp_path: Path, capsys: pytest.CaptureFixture[str
         "--settle-s",
         "60",
     ]
-    assert main(["excite", "--to", str(tmp_path / "input.csv"), *words]) == 0
+    input_path = str(tmp_path / "input.csv")
+    assert main(["excite", "--to", input_path, *words]) == 0
     table = pd.read_csv(tmp_path / "input.csv")
-    assert list(table) == ["time_s", "input"]
-    assert np.allclose(np.diff(table["time_s"]), 0.5)
+    expected = ["time_s", "input"]
+    assert list(table) == expected
+    differences = np.diff(table["time_s"])
+    assert np.allclose(differences, 0.5)
     assert "rest 40" in capsys.readouterr().out
 
 
 def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) -> None:
     """Its own range with rest, its sampling time, and holds that its model's response asks for."""
     file = tmp_path / "input.csv"
-    known = RunFiles(path=smoke_run, record={}).excitation
+    run_files = RunFiles(path=smoke_run, record={})
+    known = run_files.excitation
     assert main(["excite", "--to", str(file), "--after", str(smoke_run)]) == 0
     table = pd.read_csv(file)
-    assert (
-        known["lower"]
-        <= table["input"].min()
-        < known["rest"]
-        < table["input"].max()
-        <= known["upper"]
-    )
-    assert np.allclose(np.diff(table["time_s"]), known["step_s"])
+    smallest = table["input"].min()
+    assert known["lower"] <= smallest < known["rest"] < table["input"].max() <= known["upper"]
+    differences = np.diff(table["time_s"])
+    assert np.allclose(differences, known["step_s"])
     settlings = 2 + len(AMPLITUDES) * (PERIODS * PERIOD_IN_SETTLINGS + 2)
-    assert len(table) == settlings * round(known["settle_s"] / known["step_s"])
+    expected = settlings * round(known["settle_s"] / known["step_s"])
+    assert len(table) == expected
     assert main(["excite", "--to", str(file), "--after", str(smoke_run), "--upper", "1"]) == 0
-    assert pd.read_csv(file)["input"].max() <= 1
+    largest = pd.read_csv(file)["input"].max()
+    assert largest <= 1
 
 
 def test_without_a_log_each_number_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["excite", "--to", str(tmp_path / "input.csv"), "--lower", "0", "--rest", "1"]) == 2
+    input_path = str(tmp_path / "input.csv")
+    assert main(["excite", "--to", input_path, "--lower", "0", "--rest", "1"]) == 2
     assert (
         "--upper = not given: no record is known; give it, or --after RUN"
         in capsys.readouterr().err

@@ -65,22 +65,27 @@ def clone(shared_folder: Path, smoke_study: Path) -> Path:
 
 def log() -> pd.DataFrame:
     """A record with the columns that the pages name."""
-    power = np.repeat(np.random.default_rng(0).uniform(-3, 3, 60), 8)
+    rng = np.random.default_rng(0)
+    power = np.repeat(rng.uniform(-3, 3, 60), 8)
     return heated(power, gain=0.0, start=0.0)
 
 
 def trial() -> pd.DataFrame:
     """The same plant under a gain so high that the loop swings for ever."""
-    return heated(np.zeros(480), gain=5.0, start=1.0)
+    power = np.zeros(480)
+    return heated(power, gain=5.0, start=1.0)
 
 
 def heated(power: np.ndarray, gain: float, start: float) -> pd.DataFrame:
     """A lag whose input saturates softly; `gain` feeds its measured output back."""
     temperature = np.zeros(len(power))
-    noise = 0.02 * np.random.default_rng(0).standard_normal(len(power))
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal(len(power))
+    noise = 0.02 * white_noise
     temperature[0] = start
     for k in range(len(power)):
-        power[k] = np.clip(power[k] - gain * (temperature[k] + noise[k]), -3, 3)
+        difference = power[k] - gain * (temperature[k] + noise[k])
+        power[k] = np.clip(difference, -3, 3)
         if k + 1 < len(power):
             temperature[k + 1] = 0.93 * temperature[k] + 0.4 * (power[k] + 0.5 * np.tanh(power[k]))
     noisy = temperature + noise
@@ -93,7 +98,8 @@ def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(
         time, "perf_counter", time.perf_counter
     )  # one benchmark puts its own clock there
-    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = list(sys.path)
+    monkeypatch.setattr(sys, "path", path)
     monkeypatch.setenv(extensions.FOLDER, "")
     extensions.packages.cache_clear()
     yield
@@ -134,7 +140,8 @@ def test_it_runs(
     monkeypatch.chdir(clone)
     written = files_to_write(ROOT / "docs" / COMMANDS[command]) if "my_" in command else {}
     for path, text in written.items():
-        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        parent = (tmp_path / path).parent
+        parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_text(text)
     for folder, package in ROOMS.items():
         monkeypatch.setattr(package, "__path__", [*package.__path__, str(tmp_path / folder)])
@@ -150,9 +157,11 @@ def test_the_tutorial_makes_the_log_that_it_names(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    exec(files_to_write(ROOT / "docs" / "tutorial.md")["make_log.py"], {})
+    page = ROOT / "docs" / "tutorial.md"
+    exec(files_to_write(page)["make_log.py"], {})
     written = pd.read_csv("log.csv")
-    assert list(written.columns) == ["power", "temperature"]
+    columns = list(written.columns)
+    assert columns == ["power", "temperature"]
     assert len(written) == 2400
 
 
@@ -184,7 +193,8 @@ def test_the_tutorials_tables_hold(
     3.259 comes out."""
     assert set(commands) <= set(COMMANDS)
     monkeypatch.chdir(clone)
-    named = dict(word.split("=") for word in commands[0].split() if "=" in word)
+    words = commands[0].split()
+    named = dict(word.split("=") for word in words if "=" in word)
     study = named.get("study", named["experiment"])
     with FileLock(clone.parent / f"{lock_of(commands[0])}.lock"):
         for command in commands:
@@ -279,18 +289,19 @@ def reading(arguments: list[str], clone: Path) -> list[str]:
         return [arguments[0], "--help"]  # a page speaks of the command, not of a study
     arguments = [word.replace("STUDY", "results/paper") for word in arguments]
     study = arguments[1].split("/")[1]
-    if not (clone / "results" / study / "runs.parquet").exists():
+    runs_path = clone / "results" / study / "runs.parquet"
+    if not (runs_path).exists():
         found = maker(study)
         assert found is not None, f"no page says how to make the study {study}"
         executed(found, clone)
-    records = sorted((clone / "results" / study).glob("*/record.json"))
+    paths = (clone / "results" / study).glob("*/record.json")
+    records = sorted(paths)
     runs = [
         path.parent.name for path in records if json.loads(path.read_text()).get("status") == "ok"
     ]
     run = (runs or [records[0].parent.name])[0]
-    if (
-        ACTIONS[arguments[0]].subject == "run" and arguments[1].count("/") == 1
-    ):  # other pages' commands add runs to it
+    subject = ACTIONS[arguments[0]].subject
+    if subject == "run" and arguments[1].count("/") == 1:  # other pages' commands add runs to it
         arguments[1] += "/RUN"
     return [word.replace("/RUN", f"/{run}") for word in arguments]
 
@@ -309,10 +320,12 @@ def benchmark(arguments: list[str], clone: Path) -> None:
             table = pd.read_csv(
                 clone / "dc_motor.csv"
             )  # as if it were the other plant's: pooling is what runs here
-            table.assign(plant=word.removesuffix(".csv")).to_csv(clone / word, index=False)
+            plant = word.removesuffix(".csv")
+            table.assign(plant=plant).to_csv(clone / word, index=False)
     for name in [name for name, module in sys.modules.items() if is_benchmark(module)]:
         del sys.modules[name]
-    sys.path.insert(0, str(clone / "benchmarks"))
+    benchmarks_path = str(clone / "benchmarks")
+    sys.path.insert(0, benchmarks_path)
     sys.argv = small_benchmark(arguments)
     try:
         runpy.run_path(arguments[0], run_name="__main__")
@@ -322,7 +335,9 @@ def benchmark(arguments: list[str], clone: Path) -> None:
 
 
 def is_benchmark(module: object) -> bool:
-    return (Path(getattr(module, "__file__", None) or "/").parent.name) == "benchmarks"
+    parent = Path(getattr(module, "__file__", None) or "/").parent
+    name = parent.name
+    return (name) == "benchmarks"
 
 
 @pytest.mark.parametrize(
@@ -337,9 +352,16 @@ def test_a_misspelt_request_does_not_pass(wrong: str) -> None:
 def test_the_rule_shortens_and_changes_nothing_else() -> None:
     asked = ["-m", "experiment=paper", "study=seeds", "seed=0,1,2"]
     short = small(asked)
-    assert short[:3] == ["experiment=paper", "study=seeds", "seed=0"]
-    parts = {word.split("=")[0].split(".")[0].removeprefix("+") for word in short[3:]}
-    assert parts <= {"data", "training", "synthesis", "loop", "hydra", "progress"}
-    assert small(["-m", "experiment=smoke", "seed=1,2"]) == ["-m", "experiment=smoke", "seed=1,2"]
-    many = small(["-m", "experiment=smoke", "seed=1,2", "model.order=2,3,4"])
-    assert many == ["-m", "experiment=smoke", "seed=1", "model.order=2"]
+    expected = ["experiment=paper", "study=seeds", "seed=0"]
+    assert short[:3] == expected
+    words = short[3:]
+    parts = {word.split("=")[0].split(".")[0].removeprefix("+") for word in words}
+    upper_limit = {"data", "training", "synthesis", "loop", "hydra", "progress"}
+    assert parts <= upper_limit
+    arguments = ["-m", "experiment=smoke", "seed=1,2"]
+    expected = ["-m", "experiment=smoke", "seed=1,2"]
+    assert small(arguments) == expected
+    arguments = ["-m", "experiment=smoke", "seed=1,2", "model.order=2,3,4"]
+    many = small(arguments)
+    expected = ["-m", "experiment=smoke", "seed=1", "model.order=2"]
+    assert many == expected

@@ -34,7 +34,8 @@ def kernel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     first = nbclient.NotebookClient(nbformat.v4.new_notebook(), kernel_name="python3")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SSM_STUDY_EXPERIMENT", "smoke")
-        patch.setenv("SSM_STUDY_RESULTS", str(tmp_path_factory.mktemp("notebooks") / "results"))
+        results_path = str(tmp_path_factory.mktemp("notebooks") / "results")
+        patch.setenv("SSM_STUDY_RESULTS", results_path)
         with first.setup_kernel(cwd=str(ROOT)):
             yield first.km
 
@@ -48,9 +49,11 @@ def test_it_runs(path: Path, kernel: Any) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
     nbclient = pytest.importorskip("nbclient", reason="the extra `notebooks` is not installed")
     script = "# %%\n%reset -f\n" + path.read_text()
-    assert (WHOLE in script) == (path.stem == "your_own_data")
+    expected = path.stem == "your_own_data"
+    assert (WHOLE in script) == expected
     notebook = jupytext.reads(script.replace(WHOLE, ", ".join(SHORT) + ")"), fmt="py:percent")
-    nbclient.NotebookClient(notebook, timeout=300, km=kernel).execute()
+    notebook_client = nbclient.NotebookClient(notebook, timeout=300, km=kernel)
+    notebook_client.execute()
     assert pictures(notebook) >= 1, text(notebook)
     assert "Traceback" not in text(notebook), text(notebook)
     assert "$" not in shown_as_markdown(notebook), (
@@ -61,8 +64,10 @@ def test_it_runs(path: Path, kernel: Any) -> None:
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
-    page = (ROOT / "docs" / "notebooks" / f"{path.stem}.md").read_text()
-    code = [cell.source for cell in jupytext.read(path).cells if cell.cell_type == "code"]
+    notebooks_path = ROOT / "docs" / "notebooks"
+    page = (notebooks_path / f"{path.stem}.md").read_text()
+    cells = jupytext.read(path).cells
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
     assert re.findall(r"```python\n(.*?)\n```", page, re.S) == code, (
         "run python benchmarks/notebooks_rendered.py"
     )
@@ -75,9 +80,9 @@ def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
 def test_the_jupyter_file_is_the_same_notebook(path: Path) -> None:
     """`python benchmarks/notebooks_rendered.py --ipynb` writes it."""
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
+    places = (path, path.with_suffix(".ipynb"))
     ours, written = (
-        [(cell.cell_type, cell.source) for cell in jupytext.read(place).cells]
-        for place in (path, path.with_suffix(".ipynb"))
+        [(cell.cell_type, cell.source) for cell in jupytext.read(place).cells] for place in places
     )
     assert ours == written
 

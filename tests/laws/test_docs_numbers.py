@@ -8,16 +8,20 @@ from docs_numbers import assert_outcome_holds, outcome_on_page, printed_outcome
 
 
 def test_the_tutorials_first_outcome_holds(smoke_run: Path) -> None:
-    record = json.loads((smoke_run / "record.json").read_text())
+    text = (smoke_run / "record.json").read_text()
+    record = json.loads(text)
     on_page = outcome_on_page("tutorial.md", "Run                          smoke/")
     assert_outcome_holds(on_page, printed_outcome(record))
 
 
 def test_another_number_or_word_is_noticed(smoke_run: Path) -> None:
-    record = json.loads((smoke_run / "record.json").read_text())
+    text = (smoke_run / "record.json").read_text()
+    record = json.loads(text)
     printed = printed_outcome(record)
-    other = printed_outcome(record | {"resolved_margin": 1.5 * record["resolved_margin"]})
+    resolved_margin = 1.5 * record["resolved_margin"]
+    other = printed_outcome(record | {"resolved_margin": resolved_margin})
     with pytest.raises(AssertionError, match="on the page"):
         assert_outcome_holds(other, printed)
+    on_page = printed.replace("settled", "rested")
     with pytest.raises(AssertionError, match="other words"):
-        assert_outcome_holds(printed.replace("settled", "rested"), printed)
+        assert_outcome_holds(on_page, printed)

@@ -31,18 +31,20 @@ def named_files(text: str) -> set[str]:
         for found in pair
         if found
     }
-    return {name for name in FILE.findall(text) if name not in to_write}
+    names = FILE.findall(text)
+    return {name for name in names if name not in to_write}
 
 
 def named_modules(text: str) -> set[str]:
-    own = tuple(
-        found.removesuffix(".py").replace("/", ".") for found, _ in TO_WRITE.findall(text) if found
-    )
-    return {path for path in MODULE.findall(text) if not f"ssm_study{path}".startswith(own or "\0")}
+    to_write = TO_WRITE.findall(text)
+    own = tuple(found.removesuffix(".py").replace("/", ".") for found, _ in to_write if found)
+    paths = MODULE.findall(text)
+    return {path for path in paths if not f"ssm_study{path}".startswith(own or "\0")}
 
 
 def exists(file: str) -> bool:
-    return any(True for base in (ROOT, ROOT / "ssm_study", ROOT / "conf") for _ in base.glob(file))
+    bases = (ROOT, ROOT / "ssm_study", ROOT / "conf")
+    return any(True for base in bases for _ in base.glob(file))
 
 
 def defined(dotted: str) -> bool:
@@ -67,14 +69,18 @@ def defined(dotted: str) -> bool:
 @pytest.mark.parametrize("page", [*PAGES, *SETTINGS], ids=lambda path: str(path.relative_to(ROOT)))
 def test_what_a_page_names_is_there(page: Path) -> None:
     text = page.read_text()
-    assert [name for name in sorted(named_files(text)) if not exists(name)] == []
-    assert [f"ssm_study{name}" for name in sorted(named_modules(text)) if not defined(name)] == []
+    names = sorted(named_files(text))
+    assert [name for name in names if not exists(name)] == []
+    names = sorted(named_modules(text))
+    assert [f"ssm_study{name}" for name in names if not defined(name)] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_the_tests_that_a_page_cites_are_there(page: Path) -> None:
-    suite = {path.name: path.read_text() for path in ROOT.glob("tests/**/test_*.py")}
-    for file, test in TEST.findall(page.read_text()):
+    paths = ROOT.glob("tests/**/test_*.py")
+    suite = {path.name: path.read_text() for path in paths}
+    text = page.read_text()
+    for file, test in TEST.findall(text):
         sources = [suite.get(file, "")] if file else suite.values()
         assert any(f"def {test}(" in source for source in sources), f"{file}::{test}"
 
@@ -97,10 +103,13 @@ def test_seeded_faults_are_planted_in_modules_that_are_there(
             assert (ROOT / "ssm_study" / module).exists(), module
         for named in re.findall(r"tests/\S+", group.tests):
             file, _, test = named.partition("::")
-            assert f"def {test}" in (ROOT / file).read_text(), named
+            text = (ROOT / file).read_text()
+            assert f"def {test}" in text, named
 
 
 def test_every_benchmark_stands_in_their_index() -> None:
-    index = (ROOT / "benchmarks" / "README.md").read_text()
-    scripts = {path.name for path in (ROOT / "benchmarks").glob("*.[ps][yh]")}
+    readme_path = ROOT / "benchmarks" / "README.md"
+    index = readme_path.read_text()
+    paths = (ROOT / "benchmarks").glob("*.[ps][yh]")
+    scripts = {path.name for path in paths}
     assert {name for name in scripts if f"`{name}`" not in index} == set()

@@ -28,23 +28,26 @@ def site(shared_folder: Path) -> Path:
 
 
 def test_every_module_is_in_the_reference(site: Path) -> None:
-    text = "".join(page.read_text() for page in (site / "reference").rglob("index.html"))
-    modules = [
-        path for path in (ROOT / "ssm_study").glob("*/**/*.py") if path.name != "__init__.py"
-    ]
+    pages = (site / "reference").rglob("index.html")
+    text = "".join(page.read_text() for page in pages)
+    paths = (ROOT / "ssm_study").glob("*/**/*.py")
+    modules = [path for path in paths if path.name != "__init__.py"]
     for module in modules:
-        name = ".".join(module.relative_to(ROOT).with_suffix("").parts)
+        parts = module.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts)
         assert name in text, f"{name} is not in the reference"
 
 
 def test_no_page_loads_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
-        for tag in re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", page.read_text()):
+        text = page.read_text()
+        for tag in re.findall(r"<(?:script|link|img|iframe)\b[^>]*>", text):
             assert not re.search(r'(?:src|href)="(?:https?:)?//', tag), f"{page.name}: {tag}"
 
 
 def test_formulas_are_drawn_without_script(site: Path) -> None:
-    page = (site / "howto_export" / "index.html").read_text()
+    index_path = site / "howto_export" / "index.html"
+    page = index_path.read_text()
     assert "<math" in page
     assert "arithmatex" not in page, "a formula was left as LaTeX"
 
@@ -52,7 +55,8 @@ def test_formulas_are_drawn_without_script(site: Path) -> None:
 def test_every_image_and_link_of_the_site_leads_somewhere(site: Path) -> None:
     dead = []
     for page in site.rglob("*.html"):
-        for target in re.findall(r'(?:href|src)="([^"]+)"', page.read_text()):
+        text = page.read_text()
+        for target in re.findall(r'(?:href|src)="([^"]+)"', text):
             if re.match(r"[a-z]+:|#|//", target):
                 continue
             place = site / target.lstrip("/") if target.startswith("/") else page.parent / target
@@ -66,9 +70,11 @@ def test_formulas_tables_and_names_are_legible_on_a_phone(site: Path, tmp_path: 
     """No page is wider than the phone, and the name of a column is not broken into two lines."""
     with chromium(tmp_path, phone=True) as driver:
         for page in ("howto_export", "engine", "notebooks/reading_a_sweep"):
-            driver.get((site / page / "index.html").as_uri())
+            index_path = site / page / "index.html"
+            driver.get(index_path.as_uri())
             assert driver.execute_script("return document.documentElement.scrollWidth") <= 390, page
-        driver.get((site / "engine" / "index.html").as_uri())
+        index_path = site / "engine" / "index.html"
+        driver.get(index_path.as_uri())
         names = "[...document.querySelectorAll('td:first-child code')]"
         assert driver.execute_script(f"return {names}.length") > 50
         assert (
@@ -80,6 +86,8 @@ def test_formulas_tables_and_names_are_legible_on_a_phone(site: Path, tmp_path: 
 
 
 def test_every_page_says_at_its_top_who_needs_it() -> None:
-    for page in sorted((ROOT / "docs").glob("*.md")):
+    paths = (ROOT / "docs").glob("*.md")
+    for page in sorted(paths):
         if page.name != "index.md":
-            assert page.read_text().split("\n")[2].startswith("*For "), page.name
+            text = page.read_text()
+            assert text.split("\n")[2].startswith("*For "), page.name

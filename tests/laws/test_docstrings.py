@@ -36,9 +36,10 @@ def public(module: ast.Module) -> list[Public]:
 
 
 def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
+    modules = MODULES.items()
     return [
         (path, node)
-        for path, module in MODULES.items()
+        for path, module in modules
         for node in public(module)
         if isinstance(node, kind)
     ]
@@ -46,9 +47,10 @@ def named(kind: type[ast.AST]) -> list[tuple[str, Public]]:
 
 def test_a_module_says_what_it_answers() -> None:
     """In sentences: a first paragraph that ends as one."""
+    modules = MODULES.items()
     first = {
         path: (ast.get_docstring(module) or "").split("\n\n")[0].rstrip()
-        for path, module in MODULES.items()
+        for path, module in modules
     }
     assert not [
         path for path, said in first.items() if not said.endswith((".", ":", "?", ";", "`"))
@@ -68,9 +70,10 @@ def test_every_public_name_is_told() -> None:
 
 
 def test_every_theorem_and_bound_names_its_source() -> None:
+    modules = MODULES.items()
     without = [
         path
-        for path, module in MODULES.items()
+        for path, module in modules
         if path.startswith(ROOMS_OF_THEOREMS) and public(module) and not SOURCE.search(told(module))
     ]
     assert not without
@@ -105,15 +108,11 @@ def test_arrays_of_public_functions_have_shapes() -> None:
 
 
 def signature(function: ast.FunctionDef) -> list[str]:
-    given = [
-        a.annotation
-        for a in [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
-    ]
-    return [
-        ast.unparse(annotation)
-        for annotation in [*given, function.returns]
-        if annotation is not None
-    ]
+    posonlyargs = function.args.posonlyargs
+    kwonlyargs = function.args.kwonlyargs
+    given = [a.annotation for a in [*posonlyargs, *function.args.args, *kwonlyargs]]
+    annotations = [*given, function.returns]
+    return [ast.unparse(annotation) for annotation in annotations if annotation is not None]
 
 
 def test_numbers_of_a_plant_name_their_unit() -> None:

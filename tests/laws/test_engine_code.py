@@ -50,8 +50,10 @@ def versions(folder: Path) -> dict[str, str]:
     found = {}
     for stage in STAGES:
         targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
-        found[stage.name] = sources.version(symbol_of(stage.compute), *targets)
-        found[f"{stage.name} measured"] = sources.version(symbol_of(stage.measure))
+        symbol = symbol_of(stage.compute)
+        found[stage.name] = sources.version(symbol, *targets)
+        symbol = symbol_of(stage.measure)
+        found[f"{stage.name} measured"] = sources.version(symbol)
     return found
 
 
@@ -107,7 +109,8 @@ def test_a_metric_is_measured_again_and_nothing_else(scratch: Path) -> None:
 
 def test_a_plant_is_stale_where_it_is_named(scratch: Path) -> None:
     edit = (r"^class DCMotor\(", "class DCMotor(object, ")
-    assert stale(scratch, "plants/dc_motor.py", *edit) == {"dataset", "loop"}
+    expected = {"dataset", "loop"}
+    assert stale(scratch, "plants/dc_motor.py", *edit) == expected
     assert (
         stale(
             scratch,
@@ -144,7 +147,9 @@ def test_what_a_cache_knows_of_a_file_ends_with_its_content(
     )
 
     def read() -> set[str]:
-        return set(code._scan_module(file, "one").parts)
+        module = code._scan_module(file, "one")
+        parts = module.parts
+        return set(parts)
 
     file.write_text("first = 1\n")
     assert read() == read() == {"first"}
@@ -206,11 +211,13 @@ def test_every_symbol_that_is_reached_counts_and_no_other(
     (tmp_path / "room").mkdir()
     for name, text in TOY.items():
         (tmp_path / name).write_text(text)
-    before = Code({"toy": tmp_path}).version(("toy.a", "root"))
+    folders = {"toy": tmp_path}
+    before = Code(folders).version(("toy.a", "root"))
     file, old, new = edit
     assert old in TOY[file]
     (tmp_path / file).write_text(TOY[file].replace(old, new, 1))
-    assert (Code({"toy": tmp_path}).version(("toy.a", "root")) != before) is counts
+    folders = {"toy": tmp_path}
+    assert (Code(folders).version(("toy.a", "root")) != before) is counts
 
 
 def test_a_library_counts_by_its_version_where_it_is_used(
@@ -221,11 +228,13 @@ def test_a_library_counts_by_its_version_where_it_is_used(
         (tmp_path / name).write_text(text)
 
     def seen(root: str) -> str:
-        return Code({"toy": tmp_path}).version(("toy.b", root))
+        folders = {"toy": tmp_path}
+        return Code(folders).version(("toy.b", root))
 
     before = seen("used"), seen("unused")
     monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")
-    assert (seen("used") == before[0], seen("unused") == before[1]) == (True, False)
+    assert seen("used") == before[0] is True
+    assert seen("unused") == before[1] is False
 
 
 def test_a_name_that_is_nowhere_is_refused() -> None:

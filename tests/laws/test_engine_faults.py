@@ -127,7 +127,9 @@ def test_an_atomic_write_is_old_or_new(
     def judge(_: int) -> None:
         content = path.read_bytes()
         assert content in (b'{\n "status": "running"\n}\n', b'{\n "status": "ok"\n}\n')
-        assert [entry.name for entry in tmp_path.iterdir()] == ["record.json"]
+        entries = tmp_path.iterdir()
+        names = [entry.name for entry in entries]
+        assert names == ["record.json"]
 
     def prepare(_: int) -> None:
         write_json_atomically(path, old)
@@ -135,7 +137,8 @@ def test_an_atomic_write_is_old_or_new(
     failed = fail_at_every_operation(
         monkeypatch, code, prepare, lambda _: write_json_atomically(path, new), judge
     )
-    assert failed == {"open", "write", "fsync", "replace"}
+    expected = {"open", "write", "fsync", "replace"}
+    assert failed == expected
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
@@ -144,22 +147,30 @@ def test_a_stage_is_whole_or_absent(
 ) -> None:
     def compute(folder: Path) -> None:
         (folder / "inner").mkdir()
-        (folder / "inner" / "a.json").write_text("12345")
+        a_path = folder / "inner" / "a.json"
+        a_path.write_text("12345")
         (folder / "b.bin").write_bytes(bytes(1000))
 
     def act(nth: int) -> None:
-        Store(tmp_path / f"{nth}").keyed("model", digest(1), {}, compute)
+        store = Store(tmp_path / f"{nth}")
+        store.keyed("model", digest(1), {}, compute)
 
     def judge(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
-        for folder in (tmp_path / f"{nth}" / "model").glob("[!.]*"):
+        model_path = tmp_path / f"{nth}" / "model"
+        for folder in (model_path).glob("[!.]*"):
             assert intact_manifest(folder) is not None
         stage = store.keyed("model", digest(1), {}, compute)
-        assert (stage.path / "inner" / "a.json").read_text() == "12345"
-        assert [path.name for path in stage.path.parent.iterdir()] == [stage.path.name]
+        a_path = stage.path / "inner" / "a.json"
+        text = a_path.read_text()
+        assert text == "12345"
+        paths = stage.path.parent.iterdir()
+        names = [path.name for path in paths]
+        assert names == [stage.path.name]
 
     failed = fail_at_every_operation(monkeypatch, code, lambda _: None, act, judge)
-    assert failed >= {"open", "write", "fsync", "mkdir", "rename"}
+    lower_limit = {"open", "write", "fsync", "mkdir", "rename"}
+    assert failed >= lower_limit
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO])
@@ -167,7 +178,8 @@ def test_a_run_is_never_half_finished(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
 ) -> None:
     def work(run: Run) -> dict[str, float]:
-        (run.path / "model.json").write_text('{"a": 1}')
+        model_path = run.path / "model.json"
+        model_path.write_text('{"a": 1}')
         return {"fit_test_percent": 90.0}
 
     def act(nth: int) -> None:
@@ -179,12 +191,15 @@ def test_a_run_is_never_half_finished(
         assert record is None or record["status"] in ("ok", "failed", "lost")
         if record is not None and record["status"] == "ok":
             assert intact_manifest(folder) is not None
-        assert execute(folder, {"seed": nth}, work).status == "ok"  # the same command finishes it
+        status = execute(folder, {"seed": nth}, work).status
+        assert status == "ok"  # the same command finishes it
         assert intact_manifest(folder) is not None
-        assert not list(folder.glob("*.tmp"))
+        paths = folder.glob("*.tmp")
+        assert not list(paths)
 
     fail_at_every_operation(monkeypatch, code, lambda _: None, act, judge)
-    assert set(gather(tmp_path / "study")["status"]) == {"ok"}
+    status = gather(tmp_path / "study")["status"]
+    assert set(status) == {"ok"}
 
 
 def test_a_failed_gathering_keeps_the_old_table(
@@ -192,12 +207,16 @@ def test_a_failed_gathering_keeps_the_old_table(
 ) -> None:
     import pandas as pd
 
-    execute(tmp_path / "study" / "a", {}, lambda _: {})
+    a_path = tmp_path / "study" / "a"
+    execute(a_path, {}, lambda _: {})
     gather(tmp_path / "study")
-    execute(tmp_path / "study" / "b", {}, lambda _: {})
+    b_path = tmp_path / "study" / "b"
+    execute(b_path, {}, lambda _: {})
 
     def judge(_: int) -> None:
-        assert pd.read_parquet(tmp_path / "study" / PARQUET)["run"].to_list() in (["a"], ["a", "b"])
+        table = pd.read_parquet(tmp_path / "study" / PARQUET)
+        run = table["run"]
+        assert run.to_list() in (["a"], ["a", "b"])
 
     def act(_: int) -> None:
         gather(tmp_path / "study")
@@ -222,10 +241,13 @@ def no_file_longer_than(size: int) -> Iterator[None]:
 @pytest.mark.parametrize("size", [0, 1, 100, 700])
 def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size: int) -> None:
     def work(run: Run) -> dict[str, float]:
-        stage = Store(tmp_path / "store").keyed(
+        store = Store(tmp_path / "store")
+        stage = store.keyed(
             "model", digest(1), {}, lambda folder: (folder / "m").write_bytes(bytes(1200)) and None
         )
-        (run.path / "model.json").write_bytes((stage.path / "m").read_bytes())
+        model_path = run.path / "model.json"
+        m_path = stage.path / "m"
+        model_path.write_bytes(m_path.read_bytes())
         return {"fit_test_percent": 90.0}
 
     folder = tmp_path / "study" / "run"
@@ -235,8 +257,10 @@ def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size:
         except OSError:
             outcome = "raised"
     assert outcome in ("failed", "raised")
-    assert not list((tmp_path / "store" / "model").glob("[!.]*"))
-    assert execute(folder, {}, work).status == "ok"
+    paths = (tmp_path / "store" / "model").glob("[!.]*")
+    assert not list(paths)
+    status = execute(folder, {}, work).status
+    assert status == "ok"
     assert len((folder / "model.json").read_bytes()) == 1200
 
 
@@ -263,16 +287,17 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
             {},
             lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None,
         )
-        (run.path / "model.json").write_bytes((stage.path / "m").read_bytes()[:1000])
+        model_path = run.path / "model.json"
+        m_path = stage.path / "m"
+        model_path.write_bytes(m_path.read_bytes()[:1000])
         return {"fit_test_percent": float(number)}
 
     def command() -> list[str]:
         outcomes = []
         for number in range(6):
             try:
-                outcomes.append(
-                    execute(small_disk / "study" / f"{number}", {"seed": number}, work).status
-                )
+                status = execute(small_disk / "study" / f"{number}", {"seed": number}, work).status
+                outcomes.append(status)
             except OSError as error:
                 if error.errno != errno.ENOSPC:
                     raise
@@ -283,9 +308,10 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
     ballast.write_bytes(bytes(440_000))
     assert set(command()) - {"ok"}, "the disk was not full"
     for record in (small_disk / "study").glob(f"*/{RECORD}"):
-        assert unsealed(record.read_bytes()) is not None
+        content = record.read_bytes()
+        assert unsealed(content) is not None
     ballast.unlink()
     assert command() == ["ok"] * 6
-    assert gather(small_disk / "study")["fit_test_percent"].to_list() == [
-        float(n) for n in range(6)
-    ]
+    fit_test_percent = gather(small_disk / "study")["fit_test_percent"]
+    expected = [float(n) for n in range(6)]
+    assert fit_test_percent.to_list() == expected

@@ -35,12 +35,9 @@ def start(
         if into
         else command
     )
+    env = environment(folder, more)
     return subprocess.Popen(
-        command,
-        env=environment(folder, more),
-        text=True,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
+        command, env=env, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
 
 
@@ -51,10 +48,9 @@ def sweep(folder: Path, *words: str, **more: str) -> tuple[int, str]:
 
 
 def records(folder: Path) -> list[dict[str, Any]]:
-    found = [
-        read_record(path.parent)
-        for path in sorted((folder / "results" / "study").glob("*/record.json"))
-    ]
+    study_path = folder / "results" / "study"
+    paths = sorted(study_path.glob("*/record.json"))
+    found = [read_record(path.parent) for path in paths]
     return [record for record in found if record is not None]
 
 
@@ -117,19 +113,28 @@ def test_the_failure_matrix(tmp_path: Path) -> None:
         for record in records(tmp_path)
         if record["status"] == "failed"
     }
-    assert set(by_label) == {label for label, _, _ in BAD.values()}
+    bad = BAD.values()
+    expected = {label for label, _, _ in bad}
+    assert set(by_label) == expected
     for label, message, transient in BAD.values():
         record = by_label[label]
         assert message in record["error_message"]
         assert record["failure_transient"] is transient
-        assert (
-            (tmp_path / "results" / "study" / record["run"] / "traceback.txt").read_text().strip()
-        )
-    counts = gather(tmp_path / "results" / "study")["status"].value_counts().to_dict()
-    assert counts == {"failed": len(BAD), "ok": 5, "infeasible": 1}
-    segfault = tmp_path / "results" / "study" / by_label["SIGSEGV"]["run"] / "traceback.txt"
+        study_path = tmp_path / "results" / "study"
+        traceback_path = study_path / record["run"] / "traceback.txt"
+        text = traceback_path.read_text()
+        assert text.strip()
+    study = tmp_path / "results" / "study"
+    status = gather(study)["status"]
+    counts = status.value_counts().to_dict()
+    expected = {"failed": len(BAD), "ok": 5, "infeasible": 1}
+    assert counts == expected
+    study_path = tmp_path / "results" / "study"
+    run = by_label["SIGSEGV"]["run"]
+    segfault = study_path / run / "traceback.txt"
     assert "in _segfault" in segfault.read_text()
-    hang = tmp_path / "results" / "study" / by_label["Timeout"]["run"] / "traceback.txt"
+    run = by_label["Timeout"]["run"]
+    hang = study_path / run / "traceback.txt"
     assert "in _hang" in hang.read_text()
     nothing_lives_on(tmp_path)
 
@@ -141,9 +146,10 @@ MEMORY = {"/sys/fs/cgroup/memory": "memory.limit_in_bytes", "/sys/fs/cgroup": "m
 def small_memory() -> Iterator[Path]:
     """A control group of 700 MB: enough for the sweep, not for a job that devours all it can
     get."""
+    memory = MEMORY.items()
     found = [
         (Path(root) / f"ssm-study-{os.getpid()}", limit)
-        for root, limit in MEMORY.items()
+        for root, limit in memory
         if Path(root).is_dir()
     ]
     for group, limit in found:
@@ -169,9 +175,11 @@ def test_when_memory_runs_out_a_job_is_killed_and_neither_the_sweep_nor_another_
         status: [r for r in records(tmp_path) if r["status"] == status]
         for status in ("ok", "failed")
     }
-    assert {status: len(runs) for status, runs in by_status.items()} == {"ok": 2, "failed": 2}
+    expected = {"ok": 2, "failed": 2}
+    assert {status: len(runs) for status, runs in by_status.items()} == expected
     for record in by_status["failed"]:
-        assert (record["error_type"], record["failure_transient"]) == ("SIGKILL", True)
+        assert record["error_type"] == "SIGKILL"
+        assert record["failure_transient"] is True
         assert "memory runs out" in record["error_message"]
     nothing_lives_on(tmp_path)
 
@@ -192,18 +200,24 @@ def test_a_sweep_that_is_stopped_leaves_no_process_and_is_finished_by_the_same_c
     )
     before = {record["status"] for record in records(tmp_path)}
     assert {"lost"} <= before <= {"lost", "ok"}
-    (tmp_path / "results" / "go").touch()
+    go_path = tmp_path / "results" / "go"
+    go_path.touch()
     assert sweep(tmp_path, "do=wait,work")[0] == 0
-    assert [record["status"] for record in records(tmp_path)] == ["ok", "ok"]
+    status = [record["status"] for record in records(tmp_path)]
+    assert status == ["ok", "ok"]
     nothing_lives_on(tmp_path)
 
 
 def test_a_sweep_computes_each_stage_once_and_repeats_nothing(tmp_path: Path) -> None:
     for _ in range(2):
         assert sweep(tmp_path, "seed=0,1", "rate=range(4)")[0] == 0
-    ledger = (tmp_path / "results" / "ledger").read_text().split("\n")[:-1]
-    assert len(ledger) == len(set(ledger)) == 2 + 8
-    assert {record["attempt"] for record in records(tmp_path)} == {1}
+    ledger_path = tmp_path / "results" / "ledger"
+    text = ledger_path.read_text()
+    ledger = text.split("\n")[:-1]
+    expected = len(set(ledger))
+    assert len(ledger) == expected == 2 + 8
+    attempts = {record["attempt"] for record in records(tmp_path)}
+    assert attempts == {1}
 
 
 def test_two_sweeps_at_once_do_everything_once(tmp_path: Path) -> None:
@@ -211,10 +225,14 @@ def test_two_sweeps_at_once_do_everything_once(tmp_path: Path) -> None:
     for process in both:
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 0, errors
-    ledger = (tmp_path / "results" / "ledger").read_text().split("\n")[:-1]
-    assert len(ledger) == len(set(ledger)) == 2 + 6
+    ledger_path = tmp_path / "results" / "ledger"
+    text = ledger_path.read_text()
+    ledger = text.split("\n")[:-1]
+    expected = len(set(ledger))
+    assert len(ledger) == expected == 2 + 6
     table = gather(tmp_path / "results" / "study")
-    assert table["status"].to_list() == ["ok"] * 6
+    expected = ["ok"] * 6
+    assert table["status"].to_list() == expected
     assert set(table["attempt"]) == {1}
 
 
@@ -227,7 +245,8 @@ def test_threads_times_jobs_stay_within_the_cores(tmp_path: Path) -> None:
     assert "oversubscribed" in output
     assert records(tmp_path) == []
     status, output = sweep(tmp_path, "do=threads", WARM="torch")
-    assert (status, [record["threads_seen"] for record in records(tmp_path)]) == (0, [1]), output
+    expected = (0, [1])
+    assert (status, [record["threads_seen"] for record in records(tmp_path)]) == expected, output
 
 
 def test_a_wrong_job_stops_the_sweep_before_any_starts(tmp_path: Path) -> None:
@@ -241,8 +260,10 @@ def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path:
     (tmp_path / "halfway.py").write_text("raise RuntimeError('half edited')\n")
     status, output = sweep(tmp_path, "seed=0,1", WARM="halfway")
     assert status != 0
-    assert "halfway.py:1: importing it for the jobs failed" in output.splitlines()[-1]
-    assert "RuntimeError: half edited" in output.splitlines()[-1]
+    lines = output.splitlines()
+    assert "halfway.py:1: importing it for the jobs failed" in lines[-1]
+    lines = output.splitlines()
+    assert "RuntimeError: half edited" in lines[-1]
     assert "EOFError" not in output
     nothing_lives_on(tmp_path)
 
@@ -250,29 +271,29 @@ def test_a_module_that_cannot_be_imported_for_the_jobs_is_one_sentence(tmp_path:
 def test_failed_runs_wait_for_retry_and_are_then_the_only_ones(tmp_path: Path) -> None:
     assert sweep(tmp_path, "do=raise,work")[0] == 0
     assert sweep(tmp_path, "do=raise,work", "seed=0,1", "retry_failed=true")[0] == 0
-    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == [
-        ("failed", 2),
-        ("ok", 1),
-    ]
+    expected = [("failed", 2), ("ok", 1)]
+    assert sorted((record["status"], record["attempt"]) for record in records(tmp_path)) == expected
 
 
 def test_run_names_do_not_depend_on_the_launcher(tmp_path: Path) -> None:
     assert sweep(tmp_path, "seed=0,1")[0] == 0
     names = {record["run"] for record in records(tmp_path)}
     assert sweep(tmp_path, "seed=0,1", "study=basic", "hydra/launcher=basic")[0] == 0
-    assert {
-        path.parent.name for path in (tmp_path / "results" / "basic").glob("*/record.json")
-    } == names
+    basic_path = tmp_path / "results" / "basic"
+    paths = basic_path.glob("*/record.json")
+    assert {path.parent.name for path in paths} == names
 
 
 def test_a_plan_starts_nothing(tmp_path: Path) -> None:
     status, output = sweep(tmp_path, "seed=0,1", "rate=range(3)", "dry_run=true")
-    assert (status, records(tmp_path)) == (0, [])
-    assert not list((tmp_path / "results").rglob("multirun.yaml"))
+    assert status == 0
+    assert records(tmp_path) == []
+    paths = (tmp_path / "results").rglob("multirun.yaml")
+    assert not list(paths)
     assert "6 runs: 0 finished, 6 to do" in output
-    assert [
-        line.split()[:4] for line in output.splitlines() if line.startswith(("data", "model"))
-    ] == [["data", "2", "0", "2"], ["model", "6", "0", "6"]]
+    lines = output.splitlines()
+    expected = [["data", "2", "0", "2"], ["model", "6", "0", "6"]]
+    assert [line.split()[:4] for line in lines if line.startswith(("data", "model"))] == expected
 
 
 def test_shared_compositions_are_hydras_own() -> None:
@@ -301,7 +322,8 @@ def test_shared_compositions_are_hydras_own() -> None:
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
         sweep_config = loader.load_configuration("study", overrides=[], run_mode=RunMode.MULTIRUN)
-        HydraConfig.instance().set_config(sweep_config)
+        hydra_config = HydraConfig.instance()
+        hydra_config.set_config(sweep_config)
         composer = Composer(loader, sweep_config, refuse=lambda _: None)
         for overrides in jobs * 2:
             settings = composer.settings(overrides, 0)
@@ -309,12 +331,12 @@ def test_shared_compositions_are_hydras_own() -> None:
             set_hydra_config(theirs)
             with open_dict(theirs):
                 theirs.hydra.job.id = theirs.hydra.job.num = 0
-            ours = OmegaConf.to_container(composer.compose(overrides, 0), resolve=False)
-            assert ours == OmegaConf.to_container(theirs, resolve=False)
-            assert (list(settings), settings) == (
-                list(plain_settings(theirs)),
-                plain_settings(theirs),
-            )
-        assert len(composer.composed) == len(jobs) - 1, (
-            "jobs of the same choices and names share one"
-        )
+            dict_config = composer.compose(overrides, 0)
+            ours = OmegaConf.to_container(dict_config, resolve=False)
+            expected = OmegaConf.to_container(theirs, resolve=False)
+            assert ours == expected
+            expected = list(plain_settings(theirs))
+            assert list(settings) == expected
+            assert settings == plain_settings(theirs)
+        expected = len(jobs) - 1
+        assert len(composer.composed) == expected, "jobs of the same choices and names share one"

@@ -42,18 +42,24 @@ def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_pat
     folder.mkdir(parents=True)
     with (folder / LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        write_record(folder, {"status": "running"})
+        record = {"status": "running"}
+        write_record(folder, record)
         noted: list[Any] = []
         other = Thread(target=lambda: noted.append(note_death(folder, DEATH, "")))
         other.start()
         time.sleep(0.3)
-        write_record(folder, {"status": "ok", "fit_test_percent": 90.0})
+        record = {"status": "ok", "fit_test_percent": 90.0}
+        write_record(folder, record)
     other.join()
-    assert (read_record(folder) or {})["status"] == "ok"
+    status = (read_record(folder) or {})["status"]
+    assert status == "ok"
     assert noted[0].status == "ok"
     # The negative control: nobody has finished that one.
-    note_death(tmp_path / "study" / "never", DEATH, "text")
-    assert (read_record(tmp_path / "study" / "never") or {})["status"] == "failed"
+    never_path = tmp_path / "study" / "never"
+    note_death(never_path, DEATH, "text")
+    record = read_record(tmp_path / "study" / "never")
+    status = (record or {})["status"]
+    assert status == "failed"
 
 
 def test_a_run_that_a_killed_sweep_left_is_lost_and_not_failed(tmp_path: Path) -> None:
@@ -62,8 +68,10 @@ def test_a_run_that_a_killed_sweep_left_is_lost_and_not_failed(tmp_path: Path) -
     folder = tmp_path / "study" / "run"
     folder.mkdir(parents=True)
     for pid, status in ((4711, "lost"), (4712, "failed")):  # of the process that began the run
-        write_record(folder, {"status": "running", "pid": pid})
-        assert note_death(folder, DEATH, "", pid=4712).status == status
+        record = {"status": "running", "pid": pid}
+        write_record(folder, record)
+        outcome = note_death(folder, DEATH, "", pid=4712)
+        assert outcome.status == status
         assert (read_record(folder) or {})["status"] == status
     assert execute(folder, {}, lambda _: {}, retry_failed=True).status == "ok"
 
@@ -81,7 +89,8 @@ def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.Monk
 
 
 def test_a_server_that_is_killed_is_started_again() -> None:
-    server = Server([lambda: time.sleep(60), lambda: None], preload=lambda: None, threads=1)
+    tasks = [lambda: time.sleep(60), lambda: None]
+    server = Server(tasks, preload=lambda: None, threads=1)
     first = server.fork(0)
     os.kill(server.pid, signal.SIGKILL)
     first.join(10.0)
@@ -92,7 +101,8 @@ def test_a_server_that_is_killed_is_started_again() -> None:
     os.kill(server.pid, signal.SIGKILL)
     os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
     # The broken pipe is a death, not an error of the sweep.
-    assert server.fork(1).exitcode == SERVER_DIED
+    exitcode = server.fork(1).exitcode
+    assert exitcode == SERVER_DIED
     server.close()
 
 
@@ -112,9 +122,9 @@ def finish(process: "subprocess.Popen[str]") -> str:
 
 
 def statuses(folder: Path) -> list[str]:
-    found = [
-        read_record(path.parent) for path in (folder / "results" / "study").glob(f"*/{RECORD}")
-    ]
+    study_path = folder / "results" / "study"
+    paths = study_path.glob(f"*/{RECORD}")
+    found = [read_record(path.parent) for path in paths]
     return sorted(str((record or {})["status"]) for record in found)
 
 
@@ -124,33 +134,42 @@ def test_jobs_of_a_killed_server_are_done_by_the_same_command(tmp_path: Path) ->
     while not statuses(tmp_path):
         assert time.monotonic() < deadline
         time.sleep(0.02)
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    text = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
+    children = text.split()
     os.kill(int(children[0]), signal.SIGKILL)
     finish(process)
-    assert statuses(tmp_path) == ["failed", "ok"]
-    (tmp_path / "results" / "go").touch()
+    expected = ["failed", "ok"]
+    assert statuses(tmp_path) == expected
+    go_path = tmp_path / "results" / "go"
+    go_path.touch()
     finish(start(tmp_path, "do=wait,work"))
-    assert statuses(tmp_path) == ["ok", "ok"]
+    expected = ["ok", "ok"]
+    assert statuses(tmp_path) == expected
 
 
 def test_three_sweeps_into_one_study_end_with_the_undisturbed_table(tmp_path: Path) -> None:
     for process in [start(tmp_path, "seed=range(6)", WORK_S="0.05") for _ in range(3)]:
         finish(process)
-    assert statuses(tmp_path) == ["ok"] * 6
+    expected = ["ok"] * 6
+    assert statuses(tmp_path) == expected
     alone = tmp_path / "alone"
     alone.mkdir()
     finish(start(alone, "seed=range(6)"))
     columns = ["run", "status", "attempt", "fit_test_percent", "number"]
-    tables = [gather(folder / "results" / "study")[columns] for folder in (tmp_path, alone)]
+    folders = (tmp_path, alone)
+    tables = [gather(folder / "results" / "study")[columns] for folder in folders]
     assert tables[0].equals(tables[1])
 
 
 def test_a_sweep_can_stop_at_its_first_failure(tmp_path: Path) -> None:
     words = ("do=raise", "seed=range(5)", "hydra.launcher.n_jobs=1")
-    finish(start(tmp_path, *words, "hydra.launcher.fail_fast=true"))
+    process = start(tmp_path, *words, "hydra.launcher.fail_fast=true")
+    finish(process)
     assert statuses(tmp_path) == ["failed"]
-    finish(start(tmp_path, *words))
-    assert statuses(tmp_path) == ["failed"] * 5
+    process = start(tmp_path, *words)
+    finish(process)
+    expected = ["failed"] * 5
+    assert statuses(tmp_path) == expected
 
 
 class Unwritable(Exception):
@@ -183,14 +202,15 @@ CAUSES = {
 def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) -> None:
     error, transient = CAUSES[cause]
     if isinstance(error, FileNotFoundError):
-        error = FileNotFoundError(
-            2, "No such file", str(error.filename).replace("RESULTS", str(tmp_path))
-        )
-    facts = error_facts(error, tmp_path / "study" / "run")
+        filename = str(error.filename)
+        error = FileNotFoundError(2, "No such file", filename.replace("RESULTS", str(tmp_path)))
+    folder = tmp_path / "study" / "run"
+    facts = error_facts(error, folder)
     assert facts["failure_transient"] is transient
     wrapped = ValueError("in between")
     wrapped.__cause__ = error
-    assert error_facts(wrapped, tmp_path / "study" / "run")["failure_transient"] is transient
+    failure_transient = error_facts(wrapped, folder)["failure_transient"]
+    assert failure_transient is transient
 
 
 @pytest.mark.parametrize("stage", ["first", "second"])
@@ -210,22 +230,25 @@ def test_a_store_that_is_removed_under_a_run_is_no_fault_of_the_run(
     def work(run: Run) -> dict[str, Any]:
         stages = RunStages(store, run)
         for name in ("first", "second"):
-            stages.run_stage(
-                Stage(name=name, compute=compute, files=("number.json",)), {"name": name}
-            )
+            stage = Stage(name=name, compute=compute, files=("number.json",))
+            settings = {"name": name}
+            stages.run_stage(stage, settings)
         return {}
 
     folder = tmp_path / "study" / "run"
-    assert execute(folder, {}, work).status == "failed"
-    assert (read_record(folder) or {})["failure_transient"] is True
-    assert execute(folder, {}, work).status == "ok"
-    assert (folder / "number.json").read_text() == "1"
+    status = execute(folder, {}, work).status
+    assert status == "failed"
+    failure_transient = (read_record(folder) or {})["failure_transient"]
+    assert failure_transient is True
+    status = execute(folder, {}, work).status
+    assert status == "ok"
+    text = (folder / "number.json").read_text()
+    assert text == "1"
 
 
 def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
-    message = error_facts(OSError(errno.ENOSPC, "No space left on device"), tmp_path)[
-        "error_message"
-    ]
+    error = OSError(errno.ENOSPC, "No space left on device")
+    message = error_facts(error, tmp_path)["error_message"]
     assert str(tmp_path) in message
 
 
@@ -233,14 +256,20 @@ def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path
     study = tmp_path / "study"
     execute(study / "good", {"seed": 1}, lambda _: {})
     execute(study / "huge", {"seed": 1}, lambda _: {})
-    huge = json_bytes(sealed({"record_version": 1, "status": "ok", "seed": 10**30}))
+    body = {"record_version": 1, "status": "ok", "seed": 10**30}
+    huge = json_bytes(sealed(body))
     (study / "huge" / RECORD).write_bytes(huge)
-    assert parse_record(huge) == {"status": "corrupt"}
-    assert gather(study).set_index("run")["status"].to_dict() == {"good": "ok", "huge": "corrupt"}
+    expected = {"status": "corrupt"}
+    assert parse_record(huge) == expected
+    status = gather(study).set_index("run")["status"]
+    expected = {"good": "ok", "huge": "corrupt"}
+    assert status.to_dict() == expected
     outcome = execute(study / "noted", {"seed": 1}, lambda _: {"count": 10**30})
     assert outcome.status == "failed"
+    count = -(1 << 63)
+    record = {"count": count}
     with pytest.raises(BadRequest, match="count"):
-        write_record(study / "good", {"count": -(1 << 63)})
+        write_record(study / "good", record)
 
 
 def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_path: Path) -> None:
@@ -249,7 +278,8 @@ def test_a_run_shares_its_files_with_the_store_and_stays_whole_without_it(tmp_pa
     source.write_bytes(b"x" * 100_000)
     target.write_bytes(b"old")
     link_or_copy(source, target)
-    shared = os.statvfs(tmp_path).f_fsid >= 0 and source.stat().st_ino == target.stat().st_ino
+    f_fsid = os.statvfs(tmp_path).f_fsid
+    shared = f_fsid >= 0 and source.stat().st_ino == target.stat().st_ino
     assert shared or target.stat().st_nlink == 1  # a clone has its own number
     source.unlink()
     assert target.read_bytes() == b"x" * 100_000
@@ -274,10 +304,15 @@ def test_a_file_system_with_clones_keeps_the_bytes_once(tmp_path: Path) -> None:
         before = os.statvfs(disk).f_bfree
         link_or_copy(disk / "a", disk / "b")
         os.sync()
-        assert (before - os.statvfs(disk).f_bfree) * os.statvfs(disk).f_frsize < 1 << 20
-        assert [(disk / name).stat().st_nlink for name in "ab"] == [1, 1]  # cloned, not linked
+        f_bfree = os.statvfs(disk).f_bfree
+        difference = before - f_bfree
+        f_frsize = os.statvfs(disk).f_frsize
+        assert (difference) * f_frsize < 1 << 20
+        st_nlinks = [(disk / name).stat().st_nlink for name in "ab"]
+        assert st_nlinks == [1, 1]  # cloned, not linked
         (disk / "b").write_bytes(b"another")
-        assert (disk / "a").stat().st_size == 8 << 20
+        st_size = (disk / "a").stat().st_size
+        assert st_size == 8 << 20
     finally:
         subprocess.run(["umount", "-l", disk], check=True)
 
@@ -292,7 +327,10 @@ def test_where_files_cannot_be_shared_they_are_copied(
     monkeypatch.setattr(fcntl, "ioctl", refuse)
     (tmp_path / "a").write_text("text")
     link_or_copy(tmp_path / "a", tmp_path / "b")
-    assert ((tmp_path / "b").read_text(), (tmp_path / "a").stat().st_nlink) == ("text", 1)
+    text = (tmp_path / "b").read_text()
+    assert text == "text"
+    st_nlink = (tmp_path / "a").stat().st_nlink
+    assert st_nlink == 1
 
 
 NO_FLOCK = """
@@ -317,8 +355,10 @@ def without_flock(tmp_path: Path) -> str:
 def test_a_file_system_without_locks_costs_no_run(tmp_path: Path, without_flock: str) -> None:
     """Half of the runs failed for good: each job removed the folder of its living neighbour."""
 
-    finish(start(tmp_path, "seed=0", "rate=range(8)", LD_PRELOAD=without_flock, WORK_S="0.3"))
-    assert statuses(tmp_path) == ["ok"] * 8
+    process = start(tmp_path, "seed=0", "rate=range(8)", LD_PRELOAD=without_flock, WORK_S="0.3")
+    finish(process)
+    expected = ["ok"] * 8
+    assert statuses(tmp_path) == expected
     again = tmp_path / "two"
     again.mkdir()
     sweeps = [
@@ -327,6 +367,10 @@ def test_a_file_system_without_locks_costs_no_run(tmp_path: Path, without_flock:
     ]
     for sweep in sweeps:
         finish(sweep)
-    assert statuses(again) == ["ok"] * 8
-    ledger = (again / "results" / "ledger").read_text().split("\n")[:-1]
-    assert len(ledger) == len(set(ledger)) == 2 + 8
+    expected = ["ok"] * 8
+    assert statuses(again) == expected
+    ledger_path = again / "results" / "ledger"
+    text = ledger_path.read_text()
+    ledger = text.split("\n")[:-1]
+    expected = len(set(ledger))
+    assert len(ledger) == expected == 2 + 8

@@ -22,7 +22,8 @@ print(activation_and_slope(0, 0.0))
 def test_without_a_place_for_compiled_code_there_is_a_warning_and_a_result() -> None:
     """No writable home and a read-only installation, as in containers, ended every run."""
     ended = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
-    assert (ended.returncode, ended.stdout) == (0, "(0.0, 1.0)\n"), ended.stderr
+    expected = (0, "(0.0, 1.0)\n")
+    assert (ended.returncode, ended.stdout) == expected, ended.stderr
     assert ended.stderr.count("NUMBA_CACHE_DIR") == 1
 
 
@@ -55,6 +56,5 @@ def test_where_files_cannot_be_locked_the_import_says_on_what_it_runs() -> None:
     program = "import sys; sys.modules['fcntl'] = None; import ssm_study.durable"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert ended.returncode == 1
-    assert ended.stderr.splitlines()[-1] == (
-        "ImportError: ssm-study runs on Linux and macOS, on Windows in WSL"
-    )
+    lines = ended.stderr.splitlines()
+    assert lines[-1] == ("ImportError: ssm-study runs on Linux and macOS, on Windows in WSL")

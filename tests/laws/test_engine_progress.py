@@ -32,9 +32,12 @@ def test_a_watch_reads_the_run_folders(tmp_path: Path, capsys: pytest.CaptureFix
     folders = [tmp_path / name for name in "abcd"]
     for folder in folders[:2]:
         folder.mkdir()
-    write_record(folders[0], {"status": "ok"})
-    write_record(folders[1], {"status": "running"})
+    record = {"status": "ok"}
+    write_record(folders[0], record)
+    record = {"status": "running"}
+    write_record(folders[1], record)
     with Watch([*folders, folders[0]], every_s=0.01) as watch:
-        write_record(folders[1], {"status": "failed"})
+        record = {"status": "failed"}
+        write_record(folders[1], record)
     assert not watch.is_alive()
     assert "2/4 runs: 1 ok, 0 infeasible, 1 failed; 1 there before" in capsys.readouterr().err

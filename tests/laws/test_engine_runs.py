@@ -23,9 +23,11 @@ from ssm_study.study.stages.model import with_null_gaps
 
 
 def good(run: Run) -> dict[str, object]:
-    (run.path / "model.json").write_text("{}")
+    model_path = run.path / "model.json"
+    model_path.write_text("{}")
+    fit_test_percent = np.float64(91.5)
     return {
-        "fit_test_percent": np.float64(91.5),
+        "fit_test_percent": fit_test_percent,
         "mismatch_gain": float("inf"),
         "rmse_test": float("nan"),
     }
@@ -36,45 +38,40 @@ def unreachable(_: Run) -> None:
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    paths = folder.rglob("*")
+    return {str(p.relative_to(folder)): p.read_bytes() for p in paths if p.is_file()}
 
 
 def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
-    outcome = execute(
-        folder,
-        {"seed": 3},
-        good,
-        configuration={"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"},
-    )
-    assert (outcome.status, outcome.did) == ("ok", "ran")
+    configuration = {"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"}
+    outcome = execute(folder, {"seed": 3}, good, configuration=configuration)
+    assert outcome.status == "ok"
+    assert outcome.did == "ran"
     before = snapshot(folder)
     assert before[".hydra/config.yaml"] == b"seed: 3\n"
     for retry in (False, True):
-        assert execute(folder, {"seed": 4}, unreachable, retry_failed=retry).did == "found"
+        did = execute(folder, {"seed": 4}, unreachable, retry_failed=retry).did
+        assert did == "found"
     assert snapshot(folder) == before
     assert intact_manifest(folder) is not None
 
 
 def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
     about = provenance(("torch", "no-such-library"), Path(__file__))
-    execute(tmp_path / "study" / "run", {"seed": 3}, good, provenance=about)
-    text = (tmp_path / "study" / "run" / RECORD).read_text()
+    run_path = tmp_path / "study" / "run"
+    execute(run_path, {"seed": 3}, good, provenance=about)
+    text = (run_path / RECORD).read_text()
     record = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
-    assert all(
-        value is None or isinstance(value, (bool, int, float, str)) for value in record.values()
-    )
-    assert (record["study"], record["run"], record["status"], record["seed"]) == (
-        "study",
-        "run",
-        "ok",
-        3,
-    )
-    assert (record["rmse_test"], record["mismatch_gain"], record["fit_test_percent"]) == (
-        None,
-        "inf",
-        91.5,
-    )
+    signals = record.values()
+    assert all(value is None or isinstance(value, (bool, int, float, str)) for value in signals)
+    assert record["study"] == "study"
+    assert record["run"] == "run"
+    assert record["status"] == "ok"
+    assert record["seed"] == 3
+    assert record["rmse_test"] is None
+    assert record["mismatch_gain"] == "inf"
+    assert record["fit_test_percent"] == 91.5
     assert record["version_torch"]
     assert "version_no_such_library" not in record
     assert record["machine_cores"] >= 1
@@ -88,28 +85,34 @@ def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: 
         run.note(fit_test_percent=50.0)
         raise RuntimeError("the solver\ngave up")
 
-    assert execute(folder, {"seed": 1}, bad).status == "failed"
+    status = execute(folder, {"seed": 1}, bad).status
+    assert status == "failed"
     record = read_record(folder)
     assert record is not None
-    assert (record["status"], record["error_message"], record["error_type"]) == (
-        "failed",
-        "the solver gave up",
-        "RuntimeError",
-    )
+    assert record["status"] == "failed"
+    assert record["error_message"] == "the solver gave up"
+    assert record["error_type"] == "RuntimeError"
     assert record["fit_test_percent"] == 50.0
-    assert "in bad" in (folder / "traceback.txt").read_text()
-    assert execute(folder, {}, unreachable).did == "left"
-    assert execute(folder, {"seed": 1}, good, retry_failed=True).status == "ok"
+    text = (folder / "traceback.txt").read_text()
+    assert "in bad" in text
+    did = execute(folder, {}, unreachable).did
+    assert did == "left"
+    status = execute(folder, {"seed": 1}, good, retry_failed=True).status
+    assert status == "ok"
     again = read_record(folder)
     assert again is not None
     assert again["attempt"] == 2
     assert not (folder / "traceback.txt").exists()
-    assert "gave up" in (folder / "attempts" / "1" / "traceback.txt").read_text()
+    traceback_path = folder / "attempts" / "1" / "traceback.txt"
+    text = traceback_path.read_text()
+    assert "gave up" in text
 
 
 def test_retrying_failures_starts_nothing_new(tmp_path: Path) -> None:
-    outcome = execute(tmp_path / "study" / "run", {}, unreachable, retry_failed=True)
-    assert (outcome.status, outcome.did) == ("absent", "left")
+    run_path = tmp_path / "study" / "run"
+    outcome = execute(run_path, {}, unreachable, retry_failed=True)
+    assert outcome.status == "absent"
+    assert outcome.did == "left"
 
 
 @pytest.mark.parametrize(
@@ -127,15 +130,18 @@ def test_what_the_machine_did_is_tried_again_by_the_same_command(
     def bad(_: Run) -> None:
         raise error
 
-    execute(tmp_path / "s" / "r", {}, bad)
-    assert execute(tmp_path / "s" / "r", {}, good).did == ("ran" if transient else "left")
+    r_path = tmp_path / "s" / "r"
+    execute(r_path, {}, bad)
+    did = execute(r_path, {}, good).did
+    assert did == ("ran" if transient else "left")
 
 
 def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
 
     def stopped(run: Run) -> None:
-        (run.path / "half.json").write_text("{")
+        half_path = run.path / "half.json"
+        half_path.write_text("{")
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -143,7 +149,8 @@ def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
     record = read_record(folder)
     assert record is not None
     assert record["status"] == "lost"
-    assert execute(folder, {"seed": 1}, good).status == "ok"
+    status = execute(folder, {"seed": 1}, good).status
+    assert status == "ok"
     assert not (folder / "half.json").exists()
 
 
@@ -166,31 +173,39 @@ def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
     try:
         assert living.stdout is not None
         assert living.stdout.readline() == "working\n"
-        assert (read_record(folder) or {})["status"] == "running"
-        assert execute(folder, {}, unreachable).did == "elsewhere"
+        status = (read_record(folder) or {})["status"]
+        assert status == "running"
+        did = execute(folder, {}, unreachable).did
+        assert did == "elsewhere"
     finally:
         living.kill()
         living.communicate(timeout=30)
-    assert (read_record(folder) or {})["status"] == "lost"
+    status = (read_record(folder) or {})["status"]
+    assert status == "lost"
 
 
 def test_infeasible_is_a_result(tmp_path: Path) -> None:
-    assert (
-        execute(tmp_path / "s" / "r", {}, lambda _: {"status": "infeasible"}).status == "infeasible"
-    )
-    assert execute(tmp_path / "s" / "r", {}, unreachable).did == "found"
+    r_path = tmp_path / "s" / "r"
+    status = execute(r_path, {}, lambda _: {"status": "infeasible"}).status
+    assert status == "infeasible"
+    did = execute(r_path, {}, unreachable).did
+    assert did == "found"
 
 
 def test_no_flipped_bit_in_a_record_is_silent(tmp_path: Path) -> None:
-    write_record(tmp_path, {"status": "ok", "fit_test_percent": 91.25, "run": "a", "note": "ü"})
+    record = {"status": "ok", "fit_test_percent": 91.25, "run": "a", "note": "ü"}
+    write_record(tmp_path, record)
     content = (tmp_path / RECORD).read_bytes()
     assert parse_record(content)["fit_test_percent"] == 91.25
     for bit in range(8 * len(content)):
         flipped = bytearray(content)
         flipped[bit // 8] ^= 1 << (bit % 8)
-        assert parse_record(bytes(flipped)) == {"status": "corrupt"}
+        record = parse_record(bytes(flipped))
+        assert record == {"status": "corrupt"}
     for length in range(len(content)):
-        assert parse_record(content[:length])["status"] == "corrupt"
+        record = parse_record(content[:length])
+        status = record["status"]
+        assert status == "corrupt"
 
 
 @pytest.mark.parametrize("name", [RECORD, "model.json", "manifest.json"])
@@ -198,10 +213,14 @@ def test_a_damaged_run_is_done_again_by_the_same_command(tmp_path: Path, name: s
     folder = tmp_path / "study" / "run"
     execute(folder, {"seed": 1}, good)
     (folder / name).write_text('{"status": "ok"}')
-    assert (run_status(folder) or {})["status"] == "corrupt"
-    assert execute(folder, {"seed": 1}, good).did == "ran"
-    assert (folder / "attempts" / "1" / name).read_text() == '{"status": "ok"}'
-    assert execute(folder, {"seed": 1}, unreachable).did == "found"
+    status = (run_status(folder) or {})["status"]
+    assert status == "corrupt"
+    did = execute(folder, {"seed": 1}, good).did
+    assert did == "ran"
+    text = (folder / "attempts" / "1" / name).read_text()
+    assert text == '{"status": "ok"}'
+    did = execute(folder, {"seed": 1}, unreachable).did
+    assert did == "found"
 
 
 CONFIG = {
@@ -218,15 +237,17 @@ SHOWN = ("order:model.order", "width:model.hidden_width", "seed:seed", "none:no.
 
 def test_a_run_is_named_by_what_it_computes_alone() -> None:
     def named(**changed: object) -> str:
-        return naming.run_name(OmegaConf.create(CONFIG | changed), *SHOWN)
+        config = OmegaConf.create(CONFIG | changed)
+        return naming.run_name(config, *SHOWN)
 
     name = named()
     assert name.startswith("order8-width32-seed0-")
     assert named(study="b", results_dir="/y", retry_failed=True, dry_run=True) == name
     assert named(copy=8.0) == name
     assert named(seed=1) != name
+    hydra = {"x": 1}
     resolved = OmegaConf.create(
-        CONFIG | {"run": f"${{run_name:{','.join(SHOWN)}}}", "hydra": {"x": 1}}
+        CONFIG | {"run": f"${{run_name:{','.join(SHOWN)}}}", "hydra": hydra}
     )
     assert resolved.run == name
 
@@ -250,12 +271,11 @@ def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
         "é",
         "two\nlines",
     ]
-    values = {
-        "texts": words,
-        "numbers": [1e5, 1e-9, -3, True, None],
-        "inner": {"a": {}, "b": [], "1e3": 2},
-    }
-    assert OmegaConf.to_container(OmegaConf.create(naming.yaml_text(values))) == values
+    numbers = [1e5, 1e-9, -3, True, None]
+    inner = {"a": {}, "b": [], "1e3": 2}
+    values = {"texts": words, "numbers": numbers, "inner": inner}
+    omega_conf = OmegaConf.to_container(OmegaConf.create(naming.yaml_text(values)))
+    assert omega_conf == values
 
 
 @pytest.mark.parametrize(
@@ -271,13 +291,16 @@ def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
     ],
 )
 def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name: str) -> None:
+    settings = {"results_dir": str(tmp_path), "study": study, "run": name}
     with pytest.raises(BadRequest, match=r"no name|plain folder name"):
-        folder_of({"results_dir": str(tmp_path), "study": study, "run": name})
+        folder_of(settings)
 
 
 def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:
+    matrix = [[1, 2]]
+    record = {"status": "ok", "matrix": matrix}
     with pytest.raises(BadRequest, match="flat record"):
-        write_record(tmp_path, {"status": "ok", "matrix": [[1, 2]]})
+        write_record(tmp_path, record)
 
 
 def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
@@ -286,7 +309,9 @@ def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
         {"epoch": 1.0, "fit_training_percent": 80.0},
     ]
     write_json(tmp_path / "curve.json", with_null_gaps(curve))
-    kept = json.loads((tmp_path / "curve.json").read_text())
-    assert [row["fit_training_percent"] for row in kept] == [None, 80.0]
+    text = (tmp_path / "curve.json").read_text()
+    kept = json.loads(text)
+    fit_training_percents = [row["fit_training_percent"] for row in kept]
+    assert fit_training_percents == [None, 80.0]
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "curve.json", curve)

@@ -63,10 +63,12 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Where the jobs find `begun`.
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    parent = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", parent, prepend=os.pathsep)
     # Of 15 s for a file that a dead job never leaves.
     monkeypatch.setattr(submitit.Job, "_results_timeout_s", 1)
-    jobs = {how: submitted(tmp_path, how) for how in ("returns", "killed", "waits")}
+    hows = ("returns", "killed", "waits")
+    jobs = {how: submitted(tmp_path, how) for how in hows}
     deadline = time.monotonic() + 60
     while read_record(tmp_path / "study" / "waits") is None:
         assert time.monotonic() < deadline, "the job never began"
@@ -75,23 +77,34 @@ def test_what_the_scheduler_ends_is_a_failed_run_that_the_same_command_does_agai
         assert time.monotonic() < deadline, "the job was not cancelled"
         jobs["waits"].cancel(check=False)
         for _ in range(50):
-            time.sleep(0.0 if jobs["waits"].done() else 0.1)
+            seconds = 0.0 if jobs["waits"].done() else 0.1
+            time.sleep(seconds)
     for how, running in jobs.items():
-        job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / how)
+        folder = tmp_path / "study" / how
+        job = Job(overrides=[], settings=Settings(), folder=folder)
         # Submitit's local scheduler has no accounts to ask.
         outcome = wait_for_outcome(job, running, patience_s=600.0)
-        assert outcome.status == ("ok" if how == "returns" else "failed")
+        expected = "ok" if how == "returns" else "failed"
+        assert outcome.status == expected
     rows = gather(tmp_path / "study").set_index("run")
-    assert rows["status"].to_dict() == {"returns": "ok", "killed": "failed", "waits": "failed"}
+    expected = {"returns": "ok", "killed": "failed", "waits": "failed"}
+    assert rows["status"].to_dict() == expected
     assert rows.loc[["killed", "waits"], "failure_transient"].all(), rows["error_message"].to_dict()
     assert rows.loc[["killed", "waits"], "error_message"].str.startswith("Slurm ended job").all()
-    assert (tmp_path / "study" / "killed" / "traceback.txt").read_text().strip()
-    assert begun(tmp_path / "study" / "killed", "returns").return_value.status == "ok"
+    traceback_path = tmp_path / "study" / "killed" / "traceback.txt"
+    text = traceback_path.read_text()
+    assert text.strip()
+    folder = tmp_path / "study" / "killed"
+    job_return = begun(folder, "returns")
+    return_value = job_return.return_value
+    status = return_value.status
+    assert status == "ok"
 
 
 def refusing(folder: Path) -> JobReturn:
     """Return of a node's job that raises before the run has a record."""
-    returned = JobReturn(overrides=[str(folder)], status=JobStatus.FAILED)
+    overrides = [str(folder)]
+    returned = JobReturn(overrides=overrides, status=JobStatus.FAILED)
     returned.return_value = ValueError("no such thing on this node")
     return returned
 
@@ -99,18 +112,22 @@ def refusing(folder: Path) -> JobReturn:
 def test_what_a_job_raises_on_its_node_is_a_failed_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    parent = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", parent, prepend=os.pathsep)
     local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
     local.update_parameters(timeout_min=10)
-    job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
-    assert (
-        wait_for_outcome(job, local.submit(refusing, job.folder), patience_s=600.0).status
-        == "failed"
-    )
+    folder = tmp_path / "study" / "run"
+    job = Job(overrides=[], settings=Settings(), folder=folder)
+    outcome = wait_for_outcome(job, local.submit(refusing, job.folder), patience_s=600.0)
+    status = outcome.status
+    assert status == "failed"
     record = read_record(job.folder)
     assert record is not None
-    assert (record["error_type"], record["failure_transient"]) == ("ValueError", False)
-    assert "no such thing" in (job.folder / "traceback.txt").read_text()
+    assert record["error_type"] == "ValueError"
+    assert record["failure_transient"] is False
+    traceback_path = job.folder / "traceback.txt"
+    text = traceback_path.read_text()
+    assert "no such thing" in text
 
 
 def count(folder: Path, *, calls: str) -> None:
@@ -128,14 +145,18 @@ class Requeued(SlurmLauncher):  # type: ignore[misc]
 
     def __call__(self, folder: Path) -> JobReturn:  # type: ignore[override]
         def work(run: Run) -> dict[str, float]:
-            RunStages(folder / "store", run).run_stage(COUNTED, {"calls": str(folder / "calls")})
+            run_stages = RunStages(folder / "store", run)
+            calls = str(folder / "calls")
+            settings = {"calls": calls}
+            run_stages.run_stage(COUNTED, settings)
             (begun := folder / "begun").open("a").write("begun\n")
             while begun.read_text().count("begun") == 1:
                 time.sleep(0.05)
             return {"fit_test_percent": 50.0}
 
         returned = JobReturn(status=JobStatus.COMPLETED)
-        returned.return_value = execute(folder / "study" / "run", {"seed": 1}, work)
+        run_path = folder / "study" / "run"
+        returned.return_value = execute(run_path, {"seed": 1}, work)
         return returned
 
 
@@ -143,7 +164,8 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The signal that Slurm sends before the limit ends the attempt, not the run."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+    parent = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", parent, prepend=os.pathsep)
     local = submitit.AutoExecutor(cluster="local", folder=tmp_path / "logs")
     local.update_parameters(timeout_min=10)
     local._executor.max_num_timeout = 1
@@ -154,13 +176,20 @@ def test_a_job_past_its_time_limit_is_queued_again_and_finds_its_stages(
     while not (begun.exists() and begun.read_text()):
         assert time.monotonic() < deadline, "the job never began"
         time.sleep(0.05)
-    job = Job(overrides=[], settings=Settings(), folder=tmp_path / "study" / "run")
-    os.kill((read_record(job.folder) or {})["pid"], signal.SIGUSR2)
-    assert wait_for_outcome(job, running, patience_s=600.0).status == "ok"
+    folder = tmp_path / "study" / "run"
+    job = Job(overrides=[], settings=Settings(), folder=folder)
+    pid = (read_record(job.folder) or {})["pid"]
+    os.kill(pid, signal.SIGUSR2)
+    outcome = wait_for_outcome(job, running, patience_s=600.0)
+    status = outcome.status
+    assert status == "ok"
     record = read_record(job.folder)
     assert record is not None
-    assert (record["status"], record["attempt"], record["stage_counted_reused"]) == ("ok", 2, True)
-    assert (tmp_path / "calls").read_text().count("computed") == 1
+    assert record["status"] == "ok"
+    assert record["attempt"] == 2
+    assert record["stage_counted_reused"] is True
+    text = (tmp_path / "calls").read_text()
+    assert text.count("computed") == 1
 
 
 class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
@@ -171,7 +200,8 @@ class Unheard(submitit.Job):  # type: ignore[misc, name-defined]
 
     def __init__(self) -> None:
         self._cancel_at_deletion = False
-        self.watcher = submitit.slurm.slurm.SlurmInfoWatcher()
+        slurm = submitit.slurm.slurm
+        self.watcher = slurm.SlurmInfoWatcher()
 
     def done(self, force_check: bool = False) -> bool:
         del force_check
@@ -186,15 +216,14 @@ def test_a_job_that_slurm_has_forgotten_is_a_row(
     )
     (tmp_path / "sacct").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
-    job = Job(overrides=["seed=3"], settings=Settings(), folder=tmp_path / "study" / "never")
+    folder = tmp_path / "study" / "never"
+    job = Job(overrides=["seed=3"], settings=Settings(), folder=folder)
     wait_for_outcome(job, Unheard(), patience_s=0.0)
     record = read_record(job.folder)
     assert record is not None
-    assert (record["status"], record["error_type"], record["failure_transient"]) == (
-        "failed",
-        "Forgotten",
-        True,
-    )
+    assert record["status"] == "failed"
+    assert record["error_type"] == "Forgotten"
+    assert record["failure_transient"] is True
 
 
 def test_the_settings_go_where_submitit_wants_them(
@@ -203,8 +232,9 @@ def test_the_settings_go_where_submitit_wants_them(
     (tmp_path / "srun").touch(mode=0o755)
     (tmp_path / "sbatch").touch(mode=0o755)
     monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    submitit_folder = str(tmp_path / "%j")
     params = {
-        "submitit_folder": str(tmp_path / "%j"),
+        "submitit_folder": submitit_folder,
         "max_num_timeout": 0,
         "cpus_per_task": 2,
         "partition": "debug",
@@ -212,10 +242,12 @@ def test_the_settings_go_where_submitit_wants_them(
     made = submitit_executor(
         params | {"array_parallelism": 3, "timeout_min": 9, "setup": ["export A=1"]}
     )
-    assert made._executor.parameters == {
+    parameters = made._executor.parameters
+    expected = {
         "cpus_per_task": 2,
         "partition": "debug",
         "array_parallelism": 3,
         "time": 9,
         "setup": ["export A=1"],
     }
+    assert parameters == expected

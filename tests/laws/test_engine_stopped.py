@@ -41,12 +41,14 @@ def test_a_signal_within_a_training_leaves_a_run_that_is_resumed(
     """Lightning makes an exception of SIGTERM and status 1 of Ctrl-C: both were failures for
     good."""
     words = ["run", *ENDLESS, f"results_dir={tmp_path}"]
-    training = start_program(COMMAND.replace("WORDS", repr(words)), tmp_path / "program")
+    text = COMMAND.replace("WORDS", repr(words))
+    training = start_program(text, tmp_path / "program")
     wait_for_file(tmp_path / ".store", "last.ckpt")
     training.send_signal(number)
     ended = training.wait(timeout_s=60)
     assert ended.returncode == -number, ended.stderr
-    record = read_record(wait_for_file(tmp_path / "smoke", RECORD).parent)
+    folder = wait_for_file(tmp_path / "smoke", RECORD).parent
+    record = read_record(folder)
     assert record is not None
     assert record["status"] == "lost"
     assert "error_type" not in record
@@ -75,7 +77,8 @@ def test_a_program_that_fits_ends_by_the_signal_it_got(tmp_path: Path) -> None:
     """It ended with status 0, and a batch system took it for done."""
     program = PROGRAM.replace("RESULTS", repr(str(tmp_path)))
     ended = start_program(program, tmp_path / "program").wait(timeout_s=180)
-    assert (ended.returncode, ended.stdout) == (-signal.SIGTERM, ""), ended.stderr
+    expected = (-signal.SIGTERM, "")
+    assert (ended.returncode, ended.stdout) == expected, ended.stderr
 
 
 KEEPING = """
@@ -108,7 +111,8 @@ def test_ctrl_c_returns_the_model_so_far_only_where_it_is_asked_for(
 ) -> None:
     """In a notebook the next cell goes on, and Ctrl-C works there as before: Lightning left it
     ignored."""
-    program = KEEPING.replace("RESULTS", repr(str(tmp_path))).replace("KEEP", repr(keep))
+    keeping = KEEPING.replace("RESULTS", repr(str(tmp_path)))
+    program = keeping.replace("KEEP", repr(keep))
     ended = start_program(program, tmp_path / "program").wait(timeout_s=180)
     assert ended.returncode == 0, ended.stderr
     first, second = ended.stdout.splitlines()

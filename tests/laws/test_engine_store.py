@@ -24,7 +24,8 @@ CONTENT = {"model.json": b'{"a": 1}', "inner/weights.bin": bytes(range(256)) * 4
 
 def write_content(folder: Path) -> None:
     for name, content in CONTENT.items():
-        (folder / name).parent.mkdir(exist_ok=True)
+        parent = (folder / name).parent
+        parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
 
 
@@ -37,9 +38,10 @@ def refuse_to_compute(folder: Path) -> None:
 
 
 def content_of(folder: Path) -> dict[str, bytes]:
+    paths = folder.rglob("*")
     return {
         p.relative_to(folder).as_posix(): p.read_bytes()
-        for p in folder.rglob("*")
+        for p in paths
         if p.is_file() and p.name != MANIFEST
     }
 
@@ -48,16 +50,18 @@ def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
     store = Store(tmp_path)
     first = store.keyed("model", KEY, {}, write_content)
     again = store.keyed("model", KEY, {}, refuse_to_compute)
-    assert (first.reused, again.reused) == (False, True)
+    assert first.reused is False
+    assert again.reused is True
     assert again.path == first.path
     assert again.seconds == first.seconds
     assert content_of(again.path) == CONTENT
 
 
 def test_equal_meanings_have_equal_keys() -> None:
-    assert digest({"b": 2, "a": {"c": [1, 2.5], "d": 2}}) == digest(
-        {"a": {"d": 2.0, "c": (1, 2.5)}, "b": 2.0}
-    )
+    c = [1, 2.5]
+    a = {"c": c, "d": 2}
+    c = (1, 2.5)
+    assert digest({"b": 2, "a": a}) == digest({"a": {"d": 2.0, "c": c}, "b": 2.0})
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
@@ -86,12 +90,14 @@ def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) 
 def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     store = Store(tmp_path)
     stage = store.keyed("model", KEY, {}, write_content)
-    harm(stage.path / name, damage)
+    path = stage.path / name
+    harm(path, damage)
     assert intact_manifest(stage.path) is None
     again = store.keyed("model", KEY, {}, write_content)
     assert not again.reused
     assert content_of(again.path) == CONTENT
-    assert len(list((tmp_path / ".corrupt").iterdir())) == 1
+    paths = list((tmp_path / ".corrupt").iterdir())
+    assert len(paths) == 1
 
 
 def harm(path: Path, damage: str) -> None:
@@ -101,7 +107,8 @@ def harm(path: Path, damage: str) -> None:
         return
     if damage == "flip":
         content[len(content) // 2] ^= 1
-    path.write_bytes({"flip": content, "truncate": content[:-1], "extend": content + b" "}[damage])
+    truncate = content[:-1]
+    path.write_bytes({"flip": content, "truncate": truncate, "extend": content + b" "}[damage])
 
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
@@ -110,7 +117,8 @@ def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
     silent = []
     for name in [*CONTENT, MANIFEST]:
         original = (stage.path / name).read_bytes()
-        for bit in rng.choice(8 * len(original), size=min(150, 8 * len(original)), replace=False):
+        smallest = min(150, 8 * len(original))
+        for bit in rng.choice(8 * len(original), size=smallest, replace=False):
             flipped = bytearray(original)
             flipped[bit // 8] ^= 1 << (bit % 8)
             (stage.path / name).write_bytes(flipped)
@@ -128,8 +136,10 @@ def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
 
     with pytest.raises(RuntimeError, match="gave up"):
         Store(tmp_path).keyed("model", KEY, {}, halfway)
-    assert list((tmp_path / "model").iterdir()) == []
-    assert not Store(tmp_path).keyed("model", KEY, {}, write_content).reused
+    paths = list((tmp_path / "model").iterdir())
+    assert paths == []
+    stage_result = Store(tmp_path).keyed("model", KEY, {}, write_content)
+    assert not stage_result.reused
 
 
 SLOWLY = """
@@ -148,10 +158,15 @@ assert (Store(root).keyed("model", KEY, {}, compute).path / "model.json").read_t
 
 
 def test_four_processes_compute_a_stage_once(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", SLOWLY, str(tmp_path / "store"), str(tmp_path / "ledger")]
+    store_path = str(tmp_path / "store")
+    ledger_path = str(tmp_path / "ledger")
+    command = [sys.executable, "-c", SLOWLY, store_path, ledger_path]
     workers = [subprocess.Popen(command) for _ in range(4)]
-    assert [worker.wait(timeout=120) for worker in workers] == [0] * 4
-    assert len((tmp_path / "ledger").read_text().splitlines()) == 1
+    expected = [0] * 4
+    assert [worker.wait(timeout=120) for worker in workers] == expected
+    text = (tmp_path / "ledger").read_text()
+    lines = text.splitlines()
+    assert len(lines) == 1
 
 
 UNREACHED = """
@@ -185,13 +200,15 @@ def test_two_nodes_that_do_not_see_each_others_locks_share_their_stages(tmp_path
         ledger.write_text("")
         command = [sys.executable, "-c", UNREACHED, str(store), str(ledger)]
         workers = [subprocess.Popen([*command, node, asked]) for node, asked in keys.items()]
-        assert [worker.wait(timeout=120) for worker in workers] == [0] * len(workers)
+        expected = [0] * len(workers)
+        assert [worker.wait(timeout=120) for worker in workers] == expected
         return ledger.read_text().splitlines()
 
     assert 6 <= len(nodes(a="012345", b="543210")) <= 8
     assert nodes(c="012345") == []
     assert 3 <= len(nodes(a="abc", b="abc")) <= 6
-    folders = list((store / "model").iterdir())
+    paths = (store / "model").iterdir()
+    folders = list(paths)
     assert len(folders) == 9
     assert all(intact_manifest(folder) is not None for folder in folders)
     assert not (store / ".corrupt").exists()
@@ -221,7 +238,9 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
 
     stage = Store(tmp_path).keyed("model", KEY, {}, overtaken)
     assert content_of(stage.path) == CONTENT
-    assert [path.name for path in (tmp_path / "model").iterdir()] == [stage.path.name]
+    paths = (tmp_path / "model").iterdir()
+    names = [path.name for path in paths]
+    assert names == [stage.path.name]
 
 
 def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None:
@@ -242,8 +261,10 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
         (leftover / name).write_text(name)
 
     def going_on(folder: Path) -> None:
-        assert sorted(content_of(folder)) == ["last.ckpt", "start_1/last.ckpt"]
-        (folder / "model.json").write_text((folder / "last.ckpt").read_text())
+        expected = ["last.ckpt", "start_1/last.ckpt"]
+        assert sorted(content_of(folder)) == expected
+        text = (folder / "last.ckpt").read_text()
+        (folder / "model.json").write_text(text)
 
     def stopped(folder: Path) -> None:
         (folder / "last.ckpt").write_text("more")
@@ -251,7 +272,9 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
 
     with pytest.raises(KeyboardInterrupt):
         store.keyed("model", KEY, {}, stopped)
-    assert content_of(store.keyed("model", KEY, {}, going_on).path)["model.json"] == b"more"
+    stage_result = store.keyed("model", KEY, {}, going_on)
+    path = stage_result.path
+    assert content_of(path)["model.json"] == b"more"
     assert not leftover.exists()
 
 
@@ -283,32 +306,32 @@ def test_a_plan_computes_nothing_and_knows_every_key(tmp_path: Path) -> None:
     store = Store(tmp_path)
 
     def line(stages: Store | PlannedStages, rate: float) -> str:
-        data = stages.run_stage(Stage(name="data", compute=write_kept), {})
-        model = stages.run_stage(Stage(name="model", compute=write_kept), {"order": 8}, None, data)
-        return stages.run_stage(
-            Stage(name="synthesis", compute=write_kept), {"rate": rate}, None, model
-        ).result.key
+        stage = Stage(name="data", compute=write_kept)
+        data = stages.run_stage(stage, {})
+        stage = Stage(name="model", compute=write_kept)
+        settings = {"order": 8}
+        model = stages.run_stage(stage, settings, None, data)
+        settings = {"rate": rate}
+        stage = stages.run_stage(Stage(name="synthesis", compute=write_kept), settings, None, model)
+        result = stage.result
+        return result.key
 
     def planned() -> list[list[str]]:
         """Rows of the plan by stage: needed, there, to compute, seconds of each."""
-        return [
-            said.split()
-            for said in plan_lines(store, [lambda s, r=r: line(s, r) for r in range(20)], 20, 0)[
-                3:6
-            ]
-        ]
+        walks = [lambda s, r=r: line(s, r) for r in range(20)]
+        saids = plan_lines(store, walks, 20, 0)[3:6]
+        return [said.split() for said in saids]
 
     rows = ["data", *"101"], ["model", *"101"], ["synthesis", "20", "0", "20"]
-    assert planned() == [[*row, "unknown"] for row in rows]
+    expected = [[*row, "unknown"] for row in rows]
+    assert planned() == expected
     assert not tmp_path.joinpath("model").exists()
     real = [line(store, rate) for rate in range(5)]
-    assert real == [line(PlannedStages(store), rate) for rate in range(5)]
+    expected = [line(PlannedStages(store), rate) for rate in range(5)]
+    assert real == expected
     after = planned()
-    assert {name: missing for name, _, _, missing, *_ in after} == {
-        "data": "0",
-        "model": "0",
-        "synthesis": "15",
-    }
+    expected = {"data": "0", "model": "0", "synthesis": "15"}
+    assert {name: missing for name, _, _, missing, *_ in after} == expected
     assert all(row[-1] == "s" for row in after)
 
 

@@ -50,44 +50,55 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_sweep_is_run_resumed_and_gathered(folder: Path) -> None:
-    assert dice(folder, "seed=0,1", "sides=6").returncode == 0
+    returncode = dice(folder, "seed=0,1", "sides=6").returncode
+    assert returncode == 0
     planned = dice(folder, "seed=0,1,2", "sides=6", "dry_run=true")
     assert "3 runs: 2 finished, 1 to do" in planned.stdout, planned.stderr
-    assert dice(folder, "seed=0,1,2", "sides=6").returncode == 0
+    returncode = dice(folder, "seed=0,1,2", "sides=6").returncode
+    assert returncode == 0
     table = gather(folder / "results" / "study")
-    assert table["status"].to_list() == ["ok"] * 3
-    assert table["attempt"].to_list() == [1] * 3
+    expected = ["ok"] * 3
+    assert table["status"].to_list() == expected
+    expected = [1] * 3
+    assert table["attempt"].to_list() == expected
     assert table["mean"].between(1, 6).all()
 
 
 def test_a_failure_is_a_row_and_a_wrong_request_starts_nothing(folder: Path) -> None:
     refused = dice(folder, "sides=6,-1")
     assert "sides (of the run sides=-1) = -1: a die has sides" in refused.stderr
-    assert not (folder / "results" / "study").exists()
-    (folder / "dice.py").write_text(
-        WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)")
-    )
-    assert dice(folder, "seed=0,1", "sides=6").returncode == 0
-    records = [
-        read_record(path.parent)
-        for path in sorted((folder / "results" / "study").glob("*/record.json"))
-    ]
-    assert sorted((r or {})["status"] for r in records) == ["failed", "ok"]
+    study_path = folder / "results" / "study"
+    assert not (study_path).exists()
+    watched = WATCHED.replace("random.Random(seed + i)", "random.Random(1 // seed)")
+    (folder / "dice.py").write_text(watched)
+    returncode = dice(folder, "seed=0,1", "sides=6").returncode
+    assert returncode == 0
+    paths = sorted(study_path.glob("*/record.json"))
+    records = [read_record(path.parent) for path in paths]
+    expected = ["failed", "ok"]
+    assert sorted((r or {})["status"] for r in records) == expected
     (folder / "dice.py").write_text(WATCHED)
-    assert dice(folder, "seed=0,1", "sides=6", "retry_failed=true").returncode == 0
-    assert gather(folder / "results" / "study")["status"].to_list() == ["ok", "ok"]
+    returncode = dice(folder, "seed=0,1", "sides=6", "retry_failed=true").returncode
+    assert returncode == 0
+    study = folder / "results" / "study"
+    status = gather(study)["status"]
+    expected = ["ok", "ok"]
+    assert status.to_list() == expected
 
 
 def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path: Path) -> None:
     """Read by every job for itself they were three quarters of what the engine costs a run."""
     settings = Settings(seed=1, do="work", rate=1, study="s", run="r", results_dir=str(tmp_path))
     task = Badly()
-    job = Job(overrides=[], settings=settings, folder=tmp_path / "s" / "r")
+    r_path = tmp_path / "s" / "r"
+    job = Job(overrides=[], settings=settings, folder=r_path)
     code.code_version.cache_clear()
     preload(task, [job])
     read = code.code_version.cache_info().misses
-    task.stages(settings, Store(tmp_path / ".store"))
-    assert code.code_version.cache_info().misses == read > 0
+    stages = Store(tmp_path / ".store")
+    task.stages(settings, stages)
+    misses = code.code_version.cache_info().misses
+    assert misses == read > 0
 
 
 def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -> None:
@@ -102,14 +113,17 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
         made = Settings(
             seed=seed, do="work", rate=rate, study="s", run=run, results_dir=str(tmp_path)
         )
-        return Job(overrides=[], settings=made, folder=tmp_path / "s" / run)
+        job_folder = tmp_path / "s" / run
+        return Job(overrides=[], settings=made, folder=job_folder)
 
     preload(Asked(), [job("a", 1, 1), job("b", 1, 2)])
     preload(Asked(), [job("a", 1, 1), job("c", 2, 1)])
     first = job("a", 1, 1)
-    Asked().stages(first.settings, Store(tmp_path / ".store"))
+    stages = Store(tmp_path / ".store")
+    Asked().stages(first.settings, stages)
     preload(Asked(), [first, job("c", 2, 1)])
-    assert asked == [{"model"}, {"data", "model"}, set()]
+    expected = [{"model"}, {"data", "model"}, set()]
+    assert asked == expected
 
 
 def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:

@@ -19,8 +19,10 @@ def record(samples: int = 900) -> tuple[np.ndarray, np.ndarray]:
     u = np.repeat(rng.uniform(-3, 3, samples // 6), 6)
     y = np.zeros(samples)
     for k in range(2, samples):
-        y[k] = 1.5 * y[k - 1] - 0.8 * y[k - 2] + 0.3 * u[k - 1]
-    return u, y + 0.01 * rng.standard_normal(samples)
+        difference = 1.5 * y[k - 1] - 0.8 * y[k - 2]
+        y[k] = difference + 0.3 * u[k - 1]
+    white_noise = rng.standard_normal(samples)
+    return u, y + 0.01 * white_noise
 
 
 def arx(**parameters) -> st.Estimator:
@@ -29,9 +31,11 @@ def arx(**parameters) -> st.Estimator:
 
 def test_a_clone_has_the_same_parameters_and_no_model() -> None:
     u, y = record()
-    fitted = arx(settings={"lags": 2}).fit(u, y)
+    settings = {"lags": 2}
+    fitted = arx(settings=settings).fit(u, y)
     copy = clone(fitted)
-    assert copy.get_params() == fitted.get_params()
+    params = copy.get_params()
+    assert params == fitted.get_params()
     assert not hasattr(copy, "model_")
     assert get_tags(copy).estimator_type == "regressor"
 
@@ -41,17 +45,23 @@ def test_a_search_over_time_finds_the_lags_that_the_plant_has() -> None:
     lags = [{"lags": n} for n in (1, 3)]
     search = GridSearchCV(arx(), {"settings": lags}, cv=TimeSeriesSplit(2), error_score="raise")
     search.fit(u, y)
-    assert search.best_params_ == {"settings": lags[1]}
+    expected = {"settings": lags[1]}
+    assert search.best_params_ == expected
     scores = search.cv_results_["mean_test_score"]
     assert scores[1] > 95 > scores[0]
-    assert search.predict(u).shape == (len(u), 1)
-    assert search.best_estimator_.model_.facts["fit_test_percent"] > 95
+    expected = (len(u), 1)
+    assert search.predict(u).shape == expected
+    facts = search.best_estimator_.model_.facts
+    fit_test_percent = facts["fit_test_percent"]
+    assert fit_test_percent > 95
 
 
 def test_a_stretch_that_begins_in_motion_is_scored_from_its_own_state() -> None:
     u, y = record()
-    fitted = arx(settings={"lags": 3}).fit(u, y)
-    start = 500 + int(np.argmax(np.abs(y[500:600])))  # far from rest
+    settings = {"lags": 3}
+    fitted = arx(settings=settings).fit(u, y)
+    position_of_largest = int(np.argmax(np.abs(y[500:600])))
+    start = 500 + position_of_largest  # far from rest
     from_rest = fitted.model_.score(u[start : start + 60], y[start : start + 60])
     assert fitted.score(u[start : start + 60], y[start : start + 60]) > from_rest + 1
 

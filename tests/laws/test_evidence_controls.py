@@ -29,7 +29,9 @@ def answer(
         y[k] = out
         out = slow * out + (1 - slow) * lag
         lag = fast * lag + (1 - fast) * level
-    return y + noise * np.random.default_rng(seed).standard_normal(len(u))
+    rng = np.random.default_rng(seed)
+    white_noise = rng.standard_normal(len(u))
+    return y + noise * white_noise
 
 
 def unstable(u: np.ndarray) -> np.ndarray:
@@ -47,7 +49,8 @@ def oscillating(u: np.ndarray) -> np.ndarray:
     for k, level in enumerate(u):
         out[k] = y
         for _ in range(10):
-            y, v = y + 0.02 * v, v + 0.02 * ((1 - y**2) * v - y + 0.1 * level)
+            difference = (1 - y**2) * v - y
+            y, v = y + 0.02 * v, v + 0.02 * (difference + 0.1 * level)
     return out
 
 
@@ -105,15 +108,20 @@ def run(folder: Path, u: np.ndarray, y: np.ndarray, *more: str) -> tuple[int, di
         *GRID,
     ]
     status = main(["run", *given, *quick, f"results_dir={folder / 'r'}", *more])
-    (record,) = (folder / "r" / "s").glob("*/record.json")
-    return status, json.loads(record.read_text())
+    s_path = folder / "r" / "s"
+    (record,) = s_path.glob("*/record.json")
+    text = record.read_text()
+    content = json.loads(text)
+    return status, content
 
 
 @pytest.mark.parametrize("name", LOGS)
 def test_a_log_that_cannot_bear_it_gets_no_unqualified_word(name, tmp_path, capsys):
     u, y, level, said = LOGS[name]
-    status, record = run(tmp_path, u, y, "--strict", *OWN.get(name, []))
-    text = " ".join(capsys.readouterr().out.split())
+    own = OWN.get(name, [])
+    status, record = run(tmp_path, u, y, "--strict", *own)
+    out = capsys.readouterr().out
+    text = " ".join(out.split())
     assert record["evidence"] in ((level,) if level else ("doubt", "cannot judge"))
     assert said in text
     assert "plant" not in text.lower()
@@ -127,11 +135,15 @@ def test_a_log_that_cannot_bear_it_gets_no_unqualified_word(name, tmp_path, caps
 def test_a_test_record_that_is_the_training_record_says_nothing_new(tmp_path, capsys):
     _, record = run(tmp_path, U, answer(U), f"data.test_path={tmp_path / 'log.csv'}")
     assert record["evidence"] == "doubt"
-    assert "is part of the training records" in " ".join(capsys.readouterr().out.split())
+    out = capsys.readouterr().out
+    text = " ".join(out.split())
+    assert "is part of the training records" in text
 
 
 def test_a_good_log_is_sound(tmp_path, capsys):
     status, record = run(tmp_path, U, answer(U), "--strict", "training.max_epochs=40")
-    assert (status, record["evidence"]) == (0, "sound")
-    assert "doubt" not in capsys.readouterr().out
+    assert status == 0
+    assert record["evidence"] == "sound"
+    out = capsys.readouterr().out
+    assert "doubt" not in out
     assert record["predicted_stable"] is not None

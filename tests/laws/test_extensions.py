@@ -39,7 +39,8 @@ UNDRAWN += "summary.RUN_FIGURES = (); sys.exit(main(sys.argv[1:]))"
 def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Whatever a test trusts is forgotten after it."""
     monkeypatch.setenv(extensions.FOLDER, "")
-    monkeypatch.setattr(sys, "path", list(sys.path))
+    path = list(sys.path)
+    monkeypatch.setattr(sys, "path", path)
     extensions.packages.cache_clear()
     yield
     monkeypatch.undo()
@@ -50,14 +51,15 @@ def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The example where pip puts it; setuptools builds in a copy, for it leaves files beside the
     sources."""
-    if importlib.util.find_spec("setuptools") is None or importlib.util.find_spec("pip") is None:
+    spec = importlib.util.find_spec("setuptools")
+    if spec is None or importlib.util.find_spec("pip") is None:
         pytest.skip("pip and setuptools are needed to install the example")
     place = tmp_path_factory.mktemp("site")
     copy = tmp_path_factory.mktemp("source")
-    for file in (
-        path for path in EXAMPLE.rglob("*") if path.suffix in (".py", ".yaml", ".toml", ".md")
-    ):
-        (copy / file.relative_to(EXAMPLE)).parent.mkdir(parents=True, exist_ok=True)
+    paths = EXAMPLE.rglob("*")
+    for file in (path for path in paths if path.suffix in (".py", ".yaml", ".toml", ".md")):
+        parent = (copy / file.relative_to(EXAMPLE)).parent
+        parent.mkdir(parents=True, exist_ok=True)
         (copy / file.relative_to(EXAMPLE)).write_bytes(file.read_bytes())
     pip = [
         sys.executable,
@@ -86,9 +88,8 @@ def python(*arguments: object, **environment: str) -> subprocess.CompletedProces
 def fingerprint() -> str:
     whole = hashlib.sha256()
     for folder in ("ssm_study", "conf", "hydra_plugins"):
-        for path in sorted(
-            p for p in (ROOT / folder).rglob("*") if p.suffix in (".py", ".yaml", ".txt")
-        ):
+        paths = (ROOT / folder).rglob("*")
+        for path in sorted(p for p in paths if p.suffix in (".py", ".yaml", ".txt")):
             whole.update(str(path).encode() + path.read_bytes())
     return whole.hexdigest()
 
@@ -103,8 +104,10 @@ def test_an_installed_package_goes_the_whole_way(
     done = python("-c", UNDRAWN, *asked, PYTHONPATH=str(installed))
     assert done.returncode == 0, done.stderr
     (path,) = tmp_path.glob("tclab/*/record.json")
-    record = json.loads(path.read_text())
-    assert (record["plant"], record["synthesis_method"]) == ("TemperatureLab", "reserved")
+    text = path.read_text()
+    record = json.loads(text)
+    assert record["plant"] == "TemperatureLab"
+    assert record["synthesis_method"] == "reserved"
     assert record["controller_certified"]
     assert fingerprint() == before
 
@@ -137,16 +140,17 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
     monkeypatch.chdir(tmp_path)
     assert main(["new", "own_study"]) == 0
     asked = ["run", "experiment=own_study", *SMALL[:4], "progress=false"]
-    named = OmegaConf.create({"plant": {"_target_": "own_study.plant.OwnPlant"}})
+    plant = {"_target_": "own_study.plant.OwnPlant"}
+    named = OmegaConf.create({"plant": plant})
     with monkeypatch.context() as there:
         there.syspath_prepend(tmp_path)  # importable, and yet not trusted
         with pytest.raises(BadRequest, match="may not be instantiated"):
             refuse_foreign_targets(named)
     assert main([*asked, "--with", "own_study"]) == 0
-    assert (
-        python("-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)).returncode
-        == 0
-    )
+    returncode = python(
+        "-m", "pytest", "-q", tmp_path / "own_study", PYTHONPATH=str(tmp_path)
+    ).returncode
+    assert returncode == 0
     refuse_foreign_targets(named)
 
 
@@ -162,11 +166,13 @@ def test_a_folder_of_ones_own_runs_as_it_was_made(
 def test_no_other_folder_is_trusted(tmp_path: Path, name: str, made: bool, said: str) -> None:
     if made:
         (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").touch()
+        init_path = tmp_path / name / "__init__.py"
+        init_path.touch()
     with pytest.raises(BadRequest, match=said):
         extensions.trust(tmp_path / name)
+    arguments = ["verify", "run", "--with"]
     with pytest.raises(BadRequest, match="names no folder"):
-        extensions.taken_from(["verify", "run", "--with"])
+        extensions.taken_from(arguments)
 
 
 def test_new_refuses(tmp_path: Path) -> None:
@@ -182,7 +188,8 @@ def test_new_refuses(tmp_path: Path) -> None:
 def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path) -> None:
     """A reader, by its suffix; from a package that is not trusted it is unknown."""
     (tmp_path / "logs_of_mine").mkdir()
-    (tmp_path / "logs_of_mine" / "__init__.py").write_text(
+    init_path = tmp_path / "logs_of_mine" / "__init__.py"
+    init_path.write_text(
         "from ssm_study.data.readers.reader import Reader\n"
         "class Mine(Reader, names=('.mine',)):\n"
         "    def read(self, path, names): raise NotImplementedError\n"
@@ -190,6 +197,7 @@ def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path)
     assert ".mine" not in Reader.members(readers)
     extensions.trust(tmp_path / "logs_of_mine")
     try:
-        assert Reader.members(readers)[".mine"].__module__ == "logs_of_mine"
+        reader = Reader.members(readers)
+        assert reader[".mine"].__module__ == "logs_of_mine"
     finally:
         Reader.known.pop(".mine", None)

@@ -52,10 +52,16 @@ def test_an_incomplete_member_cannot_be_made(base: Any) -> None:
 
 
 def test_members_are_those_of_the_room() -> None:
-    assert set(Scaffold.members(scaffolds)) == {"linear", "mlp", "monotone", "residual"}
-    assert set(Simulator.members(baselines)) == {"gru", "lstm", "narx"}
-    assert {"", ".csv", ".txt", ".mat", ".mcap", ".parquet", ".xlsx"} < set(Reader.members(readers))
-    assert {"uncontrolled", "pi", "lqg", "auto"} < set(Peer.members(peers))
+    scaffold = Scaffold.members(scaffolds)
+    expected = {"linear", "mlp", "monotone", "residual"}
+    assert set(scaffold) == expected
+    simulator = Simulator.members(baselines)
+    expected = {"gru", "lstm", "narx"}
+    assert set(simulator) == expected
+    reader = Reader.members(readers)
+    assert {"", ".csv", ".txt", ".mat", ".mcap", ".parquet", ".xlsx"} < set(reader)
+    peer = Peer.members(peers)
+    assert {"uncontrolled", "pi", "lqg", "auto"} < set(peer)
 
 
 def test_families_do_not_share_their_members() -> None:

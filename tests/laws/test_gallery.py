@@ -23,12 +23,14 @@ PICTURE_METHODS = {
 
 @pytest.fixture
 def gallery(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(sys, "path", [str(ROOT / "benchmarks"), *sys.path])
+    benchmarks_path = str(ROOT / "benchmarks")
+    monkeypatch.setattr(sys, "path", [benchmarks_path, *sys.path])
     return importlib.import_module("gallery")
 
 
 def test_every_figure_is_in_the_gallery_once() -> None:
-    ours = {path.stem for path in Path(figures.__path__[0]).glob("[!_]*.py")}
+    paths = Path(figures.__path__[0]).glob("[!_]*.py")
+    ours = {path.stem for path in paths}
     assert set(ENTRIES) == ours
     assert set(PICTURES) <= ours
 
@@ -48,10 +50,12 @@ def test_every_python_line_is_a_method_that_exists(gallery) -> None:
     for line in lines.values():
         subject, method = line.removesuffix("()").split(".")
         assert callable(getattr(classes[subject], method))
-    shown = {line.removesuffix("()") for line in lines.values()}
+    signals = lines.values()
+    shown = {line.removesuffix("()") for line in signals}
+    picture_methods = PICTURE_METHODS.items()
     missing = {
         f"{subject}.{name}"
-        for subject, names in PICTURE_METHODS.items()
+        for subject, names in picture_methods
         for name in names
         if f"{subject}.{name}" not in shown
     }

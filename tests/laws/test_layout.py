@@ -14,7 +14,8 @@ def test_a_class_has_its_name_alone() -> None:
     stands for two things."""
     names = []
     for path in ROOT.rglob("*.py"):
-        for node in ast.parse(path.read_text()).body:
+        text = path.read_text()
+        for node in ast.parse(text).body:
             if isinstance(node, ast.ClassDef):
                 names.append(node.name)
     assert {name for name in names if names.count(name) > 1} == {"Design"}

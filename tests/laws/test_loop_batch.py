@@ -37,9 +37,9 @@ def test_a_batch_is_its_rows(reference):
     for i in range(len(y0)):
         alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
         for name in ("u", "y", "measured", "estimate", "states"):
-            np.testing.assert_allclose(
-                getattr(together, name)[i], getattr(alone, name)[0], rtol=1e-9, atol=1e-12
-            )
+            actual = getattr(together, name)[i]
+            expected = getattr(alone, name)[0]
+            np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_the_loop_is_the_equations_written_out():
@@ -58,10 +58,14 @@ def test_the_loop_is_the_equations_written_out():
         u = 1.7 * float((k @ x_hat)[0])
         assert run.u[0, sample, 0] == pytest.approx(u, rel=1e-9, abs=1e-12)
         assert run.measured[0, sample, 0] == pytest.approx(y, rel=1e-9, abs=1e-12)
-        assert run.y[0, sample, 0] == pytest.approx(x[0, 2], rel=1e-9, abs=1e-12)
+        expected = x[0, 2]
+        assert run.y[0, sample, 0] == pytest.approx(expected, rel=1e-9, abs=1e-12)
         lifted = float(model.scaffold_in(np.array([u / 1.7]))[0])
-        error = float((model.linear.c @ x_hat)[0]) - y / 5.0
-        x_hat = model.linear.a @ x_hat + model.linear.b[:, 0] * lifted + observer_gain[:, 0] * error
+        linear_c = model.linear.c
+        error = float((linear_c @ x_hat)[0]) - y / 5.0
+        linear_a = model.linear.a
+        linear_b = model.linear.b
+        x_hat = linear_a @ x_hat + linear_b[:, 0] * lifted + observer_gain[:, 0] * error
         x = motor().advance(x, np.array([[u]]), np.zeros((1, 1)))
 
 
@@ -76,9 +80,8 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 
 def test_noise_has_the_stated_variance():
-    noise = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100).draw(
-        motor(), seed=0
-    )[1]
+    loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100)
+    noise = loop.draw(motor(), seed=0)[1]
     assert noise.var() == pytest.approx(0.02, rel=0.02)
 
 
@@ -91,33 +94,51 @@ def test_limits_hold_and_the_observer_knows_them():
         input_upper=0.5,
     )
     result = limited.run(motor(), motor_model(), motor_design(), seed=1)
-    assert result.controlled.u.min() == -1.0
-    assert result.controlled.u.max() == 0.5
+    smallest = result.controlled.u.min()
+    assert smallest == -1.0
+    largest = result.controlled.u.max()
+    assert largest == 0.5
     free = LOOP.run(motor(), motor_model(), motor_design(), seed=1)
-    assert np.abs(free.controlled.u).max() > 1.0
+    controlled_u = free.controlled.u
+    largest = np.abs(controlled_u).max()
+    assert largest > 1.0
 
 
 def test_the_disturbance_reaches_the_plant_and_not_the_model():
+    disturbance = StepDisturbance(size=0.02, at_s=0.3)
     pushed = Loop(
-        horizon_s=0.6,
-        measurement_noise_variance=0.0,
-        initial_conditions=3,
-        disturbance=StepDisturbance(size=0.02, at_s=0.3),
+        horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3, disturbance=disturbance
     )
     quiet = Loop(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
-    a, b = (loop.run(motor(), motor_model(), motor_design(), seed=2) for loop in (pushed, quiet))
-    np.testing.assert_array_equal(a.controlled.y[:, :31], b.controlled.y[:, :31])
-    assert (a.controlled.y[:, 40] < b.controlled.y[:, 40] - 0.05).all()
-    np.testing.assert_array_equal(a.on_model.y, b.on_model.y)
+    loops = (pushed, quiet)
+    a, b = (loop.run(motor(), motor_model(), motor_design(), seed=2) for loop in loops)
+    controlled_y = a.controlled.y
+    actual = controlled_y[:, :31]
+    controlled_y = b.controlled.y
+    expected = controlled_y[:, :31]
+    np.testing.assert_array_equal(actual, expected)
+    controlled_y = a.controlled.y
+    upper_limit = b.controlled.y[:, 40] - 0.05
+    assert (controlled_y[:, 40] < upper_limit).all()
+    actual = a.on_model.y
+    expected = b.on_model.y
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_the_model_in_the_plants_place_replays_itself():
     model = random_model(0, inputs=2, outputs=2)
     plant = IdentifiedPlant.of(model)
-    u = model.scale.input_equilibrium + np.random.default_rng(0).standard_normal((3, 40, 2))
-    np.testing.assert_allclose(plant.simulate(u)[1], model.simulate(u), rtol=1e-12, atol=1e-12)
-    y0 = model.scale.output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
-    np.testing.assert_allclose(plant.output(plant.states_at(y0)), y0, rtol=1e-9)
+    input_equilibrium = model.scale.input_equilibrium
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal((3, 40, 2))
+    u = input_equilibrium + white_noise
+    actual = plant.simulate(u)[1]
+    expected = model.simulate(u)
+    np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-12)
+    output_equilibrium = model.scale.output_equilibrium
+    y0 = output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
+    actual = plant.output(plant.states_at(y0))
+    np.testing.assert_allclose(actual, y0, rtol=1e-9)
 
 
 def test_the_units_of_input_and_output_change_nothing():
@@ -126,16 +147,15 @@ def test_the_units_of_input_and_output_change_nothing():
     ends = []
     for unit in (1.0, 1e9, 1e-9):
         scale = motor_model().scale
-        model = replace(
-            motor_model(),
-            scale=replace(
-                scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale
-            ),
-        )
+        input_scale = unit * scale.input_scale
+        output_scale = unit * scale.output_scale
+        changed_scale = replace(scale, input_scale=input_scale, output_scale=output_scale)
+        model = replace(motor_model(), scale=changed_scale)
         plant = IdentifiedPlant.of(model)
         loop = Loop(initial_conditions=3, horizon_s=1.0)
         law = ObserverFeedback.of(model, motor_design())
-        kept = loop.on_plant(plant, law, 0).controlled
+        loop_runs = loop.on_plant(plant, law, 0)
+        kept = loop_runs.controlled
         assert (kept.left_at_sample == STAYED).all()
         ends.append(kept.y / unit)
     for other in ends[1:]:
@@ -144,35 +164,43 @@ def test_the_units_of_input_and_output_change_nothing():
 
 def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     model = random_model(0, order=3)
-    model = replace(model, scale=replace(model.scale, input_equilibrium=np.array([0.7])))
+    input_equilibrium = np.array([0.7])
+    scale = replace(model.scale, input_equilibrium=input_equilibrium)
+    model = replace(model, scale=scale)
     plant = IdentifiedPlant.of(model)
     x0 = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.full((2, 5, 1), 0.01)
-    asked = {
-        "x0": x0,
-        "reference": np.zeros((5, 1)),
-        "noise": noise,
-        "disturbance": np.zeros((2, 5, 1)),
-    }
-    run = close_loop(plant, Uncontrolled.of(plant), **asked, bound=np.full(1, 10.0))
-    assert run.left_at_sample.tolist() == [0, STAYED]
+    reference = np.zeros((5, 1))
+    disturbance = np.zeros((2, 5, 1))
+    asked = {"x0": x0, "reference": reference, "noise": noise, "disturbance": disturbance}
+    uncontrolled = Uncontrolled.of(plant)
+    bound = np.full(1, 10.0)
+    run = close_loop(plant, uncontrolled, **asked, bound=bound)
+    expected = [0, STAYED]
+    assert run.left_at_sample.tolist() == expected
     start = plant.output(x0)
-    assert np.abs(start[0] - plant.equilibrium().y) > 10
+    difference = np.abs(start[0] - plant.equilibrium().y)
+    assert difference > 10
     for found, shown in (
         (run.u, [[0.7]]),
         (run.y, start),
         (run.measured, start + 0.01),
         (run.states, x0),
     ):
-        np.testing.assert_array_equal(found[0], np.tile(shown[0], (5, 1)))
+        expected = np.tile(shown[0], (5, 1))
+        np.testing.assert_array_equal(found[0], expected)
 
 
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour(result) | certificate_columns(result, motor_design())
-    assert all(value is None or np.isfinite(value) for value in columns.values())
+    signals = columns.values()
+    assert all(value is None or np.isfinite(value) for value in signals)
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0
-    assert columns["estimate_decay_rate"] >= motor_design().observer.rate * (1 - 1e-9)
+    rate = motor_design().observer.rate
+    lower_limit = rate * (1 - 1e-9)
+    assert columns["estimate_decay_rate"] >= lower_limit
     assert 0 <= columns["certified_bound_excess_plant"] < 1
-    assert (result.controlled.left_at_sample == STAYED).all()
+    left_at_sample = result.controlled.left_at_sample
+    assert (left_at_sample == STAYED).all()

@@ -14,15 +14,21 @@ from ssm_study.systems import StateSpace
 
 @pytest.fixture
 def model() -> SSM:
-    linear = StateSpace(
-        a=np.array([[0.95, 0.1], [0.0, 0.8]]),
-        b=np.array([[0.0], [0.3]]),
-        c=np.array([[1.0, 0.0]]),
-        d=np.zeros((1, 1)),
+    a = np.array([[0.95, 0.1], [0.0, 0.8]])
+    b = np.array([[0.0], [0.3]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    linear_scaffold_gain = np.array([[0.7]])
+    gain = LinearScaffold(gain=linear_scaffold_gain)
+    input_scale = np.array([2.0])
+    output_scale = np.array([3.0])
+    scales = {"input_scale": input_scale, "output_scale": output_scale}
+    input_equilibrium = np.array([1.0])
+    output_equilibrium = np.array([-4.0])
+    scale = Scale(
+        **scales, input_equilibrium=input_equilibrium, output_equilibrium=output_equilibrium
     )
-    gain = LinearScaffold(gain=np.array([[0.7]]))
-    scales = {"input_scale": np.array([2.0]), "output_scale": np.array([3.0])}
-    scale = Scale(**scales, input_equilibrium=np.array([1.0]), output_equilibrium=np.array([-4.0]))
     return SSM(linear=linear, scaffold_in=gain, scaffold_out=gain, step_s=0.1, scale=scale)
 
 
@@ -30,22 +36,32 @@ def record(model: SSM, x0: np.ndarray, noise: float = 0.0) -> Trajectory:
     rng = np.random.default_rng(0)
     u = 1.0 + np.repeat(rng.uniform(-2, 2, (40, 1)), 5, axis=0)
     y = model.simulate(u, x0)
-    return Trajectory(u=u, y=y + noise * rng.standard_normal(y.shape), step_s=0.1)
+    white_noise = rng.standard_normal(y.shape)
+    return Trajectory(u=u, y=y + noise * white_noise, step_s=0.1)
 
 
 def test_the_state_is_found_from_the_samples_that_are_not_scored(model: SSM) -> None:
     """Without noise what is left of the unknown start after the start-up samples is a few percent
     of it."""
     seen = record(model, np.array([1.5, -0.4]))
-    left = np.abs(free_run(model, seen, 20) - seen.y)[20:].max()
-    assert left < 0.05 * np.abs(model.simulate(seen.u) - seen.y)[20:].max()
-    assert abs(initial_state(model, seen, 20)[0] - 1.5) < 0.1
+    difference = np.abs(free_run(model, seen, 20) - seen.y)
+    left = difference[20:].max()
+    response = model.simulate(seen.u)
+    difference = np.abs(response - seen.y)
+    largest = difference[20:].max()
+    upper_limit = 0.05 * largest
+    assert left < upper_limit
+    difference = abs(initial_state(model, seen, 20)[0] - 1.5)
+    assert difference < 0.1
 
 
 def test_noise_is_not_taken_for_a_state(model: SSM) -> None:
     seen = record(model, np.array([1.5, -0.4]), noise=0.05)
     estimated = fit_percent(seen.y, free_run(model, seen, 20), 20)
-    assert estimated > fit_percent(seen.y, model.simulate(seen.u), 20) + 5
+    response = model.simulate(seen.u)
+    percent = fit_percent(seen.y, response, 20)
+    lower_limit = percent + 5
+    assert estimated > lower_limit
 
 
 def test_without_start_up_samples_every_sample_is_predicted_from_rest(model: SSM) -> None:
@@ -55,23 +71,28 @@ def test_without_start_up_samples_every_sample_is_predicted_from_rest(model: SSM
 
 def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
     """With no input the reachability Gramian is zero: nothing but rest is believed."""
-    still = Trajectory(u=np.ones((50, 1)), y=np.full((50, 1), 5.0), step_s=0.1)
-    assert np.abs(initial_state(model, still, 10)).max() < 1e-12
+    u = np.ones((50, 1))
+    y = np.full((50, 1), 5.0)
+    still = Trajectory(u=u, y=y, step_s=0.1)
+    largest = np.abs(initial_state(model, still, 10)).max()
+    assert largest < 1e-12
 
 
 def test_the_gramian_of_a_record_is_the_sum_over_it() -> None:
     """For a fast system the Lyapunov solution; with a mode on the unit circle still finite, and the
     plain sum."""
     rng = np.random.default_rng(3)
-    fast = np.diag([0.8, -0.5, 0.2]) + 0.02 * rng.standard_normal((3, 3))
+    white_noise = rng.standard_normal((3, 3))
+    fast = np.diag([0.8, -0.5, 0.2]) + 0.02 * white_noise
     b = rng.standard_normal((3, 2))
-    np.testing.assert_allclose(
-        reachability_gramian(fast, b, 4000), solve_discrete_lyapunov(fast, b @ b.T), rtol=1e-9
-    )
+    actual = reachability_gramian(fast, b, 4000)
+    expected = solve_discrete_lyapunov(fast, b @ b.T)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9)
     slow = np.diag([1.0, 0.99, 0.5])
     total = np.zeros((3, 3))
     reached = b
     for _ in range(128):
         total = total + reached @ reached.T
         reached = slow @ reached
-    np.testing.assert_allclose(reachability_gramian(slow, b, 100), total, rtol=1e-9)
+    actual = reachability_gramian(slow, b, 100)
+    np.testing.assert_allclose(actual, total, rtol=1e-9)

@@ -39,7 +39,10 @@ def unit(
     radius: tuple[float, float] = (0.3, 0.99),
 ) -> LRU:
     rng = np.random.default_rng(seed)
-    return LRU(on_ring(order, real_modes, radius, (0.05, 2.0), (m, p), rng), feedthrough=True)
+    frequency = (0.05, 2.0)
+    channels = (m, p)
+    start = on_ring(order, real_modes, radius, frequency, channels, rng)
+    return LRU(start, feedthrough=True)
 
 
 @st.composite
@@ -49,14 +52,8 @@ def cases(draw: st.DrawFn) -> tuple[int, int, int, int, int, int]:
     p = draw(st.integers(1, 3))
     pairs = draw(st.integers(0, 3))
     real = draw(st.integers(0, 3))
-    return (
-        seed,
-        max(2 * pairs + real, 1),
-        real if 2 * pairs + real else 1,
-        m,
-        p,
-        draw(st.integers(2, 300)),
-    )
+    largest = max(2 * pairs + real, 1)
+    return (seed, largest, real if 2 * pairs + real else 1, m, p, draw(st.integers(2, 300)))
 
 
 def drawn(
@@ -80,60 +77,73 @@ def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[int, ...])
         modes = lru.modes()
         start = lru.initial_state(x0)
         expected = by_steps(modes, u, start)
-        torch.testing.assert_close(
-            EVALUATIONS[name](modes, u, start), expected, rtol=1e-9, atol=1e-9
-        )
-        torch.testing.assert_close(
-            EVALUATIONS[name](modes, u), by_steps(modes, u), rtol=1e-9, atol=1e-9
-        )
+        actual = EVALUATIONS[name](modes, u, start)
+        torch.testing.assert_close(actual, expected, rtol=1e-9, atol=1e-9)
+        actual = EVALUATIONS[name](modes, u)
+        torch.testing.assert_close(actual, by_steps(modes, u), rtol=1e-9, atol=1e-9)
 
 
 @given(case=cases())
 def test_the_real_state_space_is_the_same_system(case: tuple[int, ...]) -> None:
     lru, u, x0 = drawn(*case)
     with torch.no_grad():
-        y = by_steps(lru.modes(), u, lru.initial_state(x0)).numpy()
+        modes = lru.modes()
+        y = by_steps(modes, u, lru.initial_state(x0)).numpy()
     system = lru.to_state_space()
-    np.testing.assert_allclose(system.simulate(u.numpy(), x0.numpy())[0], y, rtol=1e-8, atol=1e-8)
+    response = system.simulate(u.numpy(), x0.numpy())
+    actual = response[0]
+    np.testing.assert_allclose(actual, y, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_single_precision_stays_within_its_rounding(name: str) -> None:
-    lru = unit(1, 16, 2, 1, 1, radius=(0.9, 0.999))
-    u = torch.from_numpy(np.random.default_rng(2).normal(size=(2, 5000, 1)))
+    radius = (0.9, 0.999)
+    lru = unit(1, 16, 2, 1, 1, radius=radius)
+    rng = np.random.default_rng(2)
+    u = torch.from_numpy(rng.normal(size=(2, 5000, 1)))
     with torch.no_grad():
-        exact = by_steps(lru.modes(), u)
+        modes = lru.modes()
+        exact = by_steps(modes, u)
         single = EVALUATIONS[name](lru.float().modes(), u.float()).double()
     # the modes themselves are rounded to float32: |d lambda| = 6e-8 over a memory of 1000 samples
-    assert (single - exact).abs().max() <= 1e-4 * exact.abs().max()
+    largest = (single - exact).abs().max()
+    upper_limit = 1e-4 * exact.abs().max()
+    assert largest <= upper_limit
 
 
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_single_precision_adds_little_to_the_rounding_of_slow_modes(name: str) -> None:
     """A memory of 10,000 samples and more: a power of a rounded mode taken in float32 loses its
     phase."""
-    modes = unit(1, 8, 2, 1, 1, radius=(0.9999, 0.99999)).float().modes()
-    u = torch.from_numpy(np.random.default_rng(2).normal(size=(2, 5000, 1))).float()
+    radius = (0.9999, 0.99999)
+    modes = unit(1, 8, 2, 1, 1, radius=radius).float().modes()
+    rng = np.random.default_rng(2)
+    u = torch.from_numpy(rng.normal(size=(2, 5000, 1))).float()
     parts = {
         part: values.to(torch.promote_types(values.dtype, torch.float64))
         for part, values in vars(modes).items()
     }
     with torch.no_grad():
-        exact = by_steps(recurrence.ModalForm(**parts), u.double())
-        assert (
-            EVALUATIONS[name](modes, u).double() - exact
-        ).abs().max() <= 2e-6 * exact.abs().max()
+        modal_form = recurrence.ModalForm(**parts)
+        exact = by_steps(modal_form, u.double())
+        difference = EVALUATIONS[name](modes, u).double() - exact
+        largest = difference.abs().max()
+        upper_limit = 2e-6 * exact.abs().max()
+        assert largest <= upper_limit
 
 
 @pytest.mark.parametrize("name", EVALUATIONS)
 def test_gradients_agree_with_stepping(name: str) -> None:
     lru = unit(3, 7, 3, 2, 2)
-    u = torch.from_numpy(np.random.default_rng(4).normal(size=(2, 130, 2)))
-    target = torch.from_numpy(np.random.default_rng(5).normal(size=(2, 130, 2)))
+    rng = np.random.default_rng(4)
+    u = torch.from_numpy(rng.normal(size=(2, 130, 2)))
+    rng = np.random.default_rng(5)
+    target = torch.from_numpy(rng.normal(size=(2, 130, 2)))
 
     def gradient(evaluate: Evaluation) -> list[torch.Tensor]:
         lru.zero_grad()
-        ((evaluate(lru.modes(), u) - target) ** 2).sum().backward()
+        difference = evaluate(lru.modes(), u) - target
+        (difference**2).sum().backward()
         return [p.grad.clone() for p in lru.parameters() if p.grad is not None]
 
     for one, other in zip(gradient(EVALUATIONS[name]), gradient(by_steps), strict=True):
@@ -145,9 +155,8 @@ def test_every_value_of_the_free_parameters_is_stable(seed: int) -> None:
     lru = unit(seed, 6, 2, 1, 1)
     with torch.no_grad():
         for parameter in lru.parameters():
-            parameter += 3 * torch.from_numpy(
-                np.random.default_rng(seed).normal(size=tuple(parameter.shape))
-            )
+            rng = np.random.default_rng(seed)
+            parameter += 3 * torch.from_numpy(rng.normal(size=tuple(parameter.shape)))
         lru.nu[0] = -60.0  # a radius that rounds to one
     assert lru.to_state_space().spectral_radius < 1
 
@@ -161,7 +170,8 @@ def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     fast = recurrence.power_sums(
         torch.from_numpy(weights), recurrence.tables(torch.from_numpy(decay), samples)
     )[:, :samples]
-    np.testing.assert_allclose(fast.numpy(), direct, atol=1e-10)
+    actual = fast.numpy()
+    np.testing.assert_allclose(actual, direct, atol=1e-10)
 
 
 @pytest.mark.parametrize("moving", [True, False])
@@ -177,7 +187,8 @@ def test_the_derivatives_written_out_are_those_of_the_law(
 
     def run(*operands: torch.Tensor) -> torch.Tensor:
         decay, b, c, d, u, *x0 = operands
-        return EVALUATIONS[name](recurrence.ModalForm(decay=decay, b=b, c=c, d=d), u, *x0)
+        modal_form = recurrence.ModalForm(decay=decay, b=b, c=c, d=d)
+        return EVALUATIONS[name](modal_form, u, *x0)
 
     torch.autograd.gradcheck(run, [part.clone().requires_grad_() for part in at], fast_mode=True)
 
@@ -185,14 +196,16 @@ def test_the_derivatives_written_out_are_those_of_the_law(
 def test_forward_derivatives_are_those_of_the_law() -> None:
     """Vectorised, where `respond` is told so, against stepping."""
     at = _operands(2, 3, 520)
-    rng = torch.Generator().manual_seed(1)
+    generator = torch.Generator()
+    rng = generator.manual_seed(1)
     push = [torch.randn(4, *part.shape, generator=rng, dtype=part.dtype) for part in at]
 
     def pushed(law: Evaluation) -> torch.Tensor:
         def run(
             decay: torch.Tensor, b: torch.Tensor, c: torch.Tensor, d: torch.Tensor, *u: torch.Tensor
         ) -> torch.Tensor:
-            return law(recurrence.ModalForm(decay=decay, b=b, c=c, d=d), *u)
+            modal_form = recurrence.ModalForm(decay=decay, b=b, c=c, d=d)
+            return law(modal_form, *u)
 
         return torch.func.vmap(lambda *tangents: torch.func.jvp(run, at, tangents)[1])(*push)
 
@@ -203,16 +216,15 @@ def test_forward_derivatives_are_those_of_the_law() -> None:
 
 def _operands(m: int, p: int, samples: int) -> tuple[torch.Tensor, ...]:
     """`decay, b, c, d, u, x0` of two records and three modes."""
-    rng = torch.Generator().manual_seed(m + p + samples)
+    generator = torch.Generator()
+    rng = generator.manual_seed(m + p + samples)
     real = torch.rand(3, generator=rng, dtype=torch.float64)
     decay = torch.complex(-0.5 * real - 0.01, 3 * torch.rand(3, generator=rng, dtype=torch.float64))
     b, c, x0 = (
         torch.randn(*s, generator=rng, dtype=torch.complex128) for s in ((3, m), (p, 3), (2, 3))
     )
-    d, u = (
-        torch.randn(*shape, generator=rng, dtype=torch.float64)
-        for shape in ((p, m), (2, samples, m))
-    )
+    shapes = ((p, m), (2, samples, m))
+    d, u = (torch.randn(*shape, generator=rng, dtype=torch.float64) for shape in shapes)
     return decay, b, c, d, u, x0
 
 
@@ -230,9 +242,15 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
         y = np.zeros(400)
         for k in range(400):
             y[k] = 0.8 * y[k - 1] + 0.6 * u[k]
-        records = [(u[:240, None], y[:240, None] + 0.001 * rng.standard_normal((240, 1)))]
+        white_noise = rng.standard_normal((240, 1))
+        records = [(u[:240, None], y[:240, None] + 0.001 * white_noise)]
         start = from_data(records, order, np.random.default_rng(0), feedthrough)
         made = start.free_run(records[0][0])
-        assert np.abs(made).max() < 10 * np.abs(y).max()
-        assert np.linalg.norm(made - records[0][1]) <= np.linalg.norm(records[0][1]) * (1 + 1e-9)
+        largest = np.abs(made).max()
+        upper_limit = 10 * np.abs(y).max()
+        assert largest < upper_limit
+        difference = made - records[0][1]
+        norm = np.linalg.norm(difference)
+        upper_limit = np.linalg.norm(records[0][1]) * (1 + 1e-9)
+        assert norm <= upper_limit
         assert output_regression_coefficient(start, records) >= 0.5

@@ -23,7 +23,9 @@ CONF = Path(__file__).resolve().parents[2] / "conf"
 
 
 def built(path: Path) -> Trainable:
-    spec = instantiate(yaml.safe_load(path.read_text()))
+    text = path.read_text()
+    content = yaml.safe_load(text)
+    spec = instantiate(content)
     assert isinstance(spec, Trainable)
     return spec
 
@@ -47,7 +49,9 @@ def test_every_yaml_is_under_the_laws() -> None:
 def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
     """A scaffolding far from where it starts: the certificate must not depend on training."""
     rng = np.random.default_rng(seed)
-    frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, channels)))
+    slopes = (LOWER, UPPER)
+    samples = rng.normal(size=(50, channels))
+    frame = Frame(width=6, slopes=slopes, samples=samples)
     scaffold = spec.build(frame, rng)
     with torch.no_grad():
         for parameter in scaffold.parameters():
@@ -65,28 +69,30 @@ def test_roughness_is_the_variation_of_the_slope_over_its_largest(name: str, see
     assert pieces is not None
     kinks = np.sort(pieces[0].detach().numpy().ravel())
     inside = np.concatenate([[kinks[0] - 1], (kinks[1:] + kinks[:-1]) / 2, [kinks[-1] + 1]])
-    steps = np.minimum(1e-3, np.diff(np.concatenate([[-np.inf], kinks, [np.inf]])) / 4)
+    differences = np.diff(np.concatenate([[-np.inf], kinks, [np.inf]]))
+    steps = np.minimum(1e-3, differences / 4)
     at = torch.from_numpy(np.stack([inside - steps, inside + steps])[..., None])
     values = scaffold(at).detach().numpy()[..., 0]
     kept = steps > 1e-7  # pieces that floats can tell apart
-    slopes = ((values[1] - values[0]) / np.where(kept, 2 * steps, 1.0))[kept]
-    variation = np.abs(np.diff(slopes)).sum() / slopes.max()
-    assert (
-        variation - 0.01 * len(kinks) - 1e-3
-        <= float(scaffold.roughness().detach())
-        <= variation + 1e-3
-    )
+    difference = values[1] - values[0]
+    slopes = (difference / np.where(kept, 2 * steps, 1.0))[kept]
+    differences = np.diff(slopes)
+    largest = slopes.max()
+    variation = np.abs(differences).sum() / largest
+    difference = variation - 0.01 * len(kinks)
+    assert difference - 1e-3 <= float(scaffold.roughness().detach()) <= variation + 1e-3
 
 
 @pytest.mark.parametrize("name", SPECS)
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_frozen_numbers_give_the_same_values(name: str, seed: int, channels: int) -> None:
     scaffold = shaken(SPECS[name], seed, channels)
-    v = np.random.default_rng(seed).normal(size=(4, 5, channels)) * 3
+    rng = np.random.default_rng(seed)
+    v = rng.normal(size=(4, 5, channels)) * 3
     with torch.no_grad():
-        np.testing.assert_allclose(
-            scaffold(torch.from_numpy(v)).numpy(), scaffold.freeze()(v), rtol=1e-9, atol=1e-11
-        )
+        actual = scaffold(torch.from_numpy(v)).numpy()
+        expected = scaffold.freeze()(v)
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-11)
 
 
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
@@ -96,21 +102,26 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
     rng = np.random.default_rng(seed)
     samples = 3 + rng.uniform(size=(50, channels))  # all on one side of zero
     spec = Mlp(depth=1, train_slopes=True, certified=False)
-    scaffold = spec.build(Frame(width=6, slopes=(LOWER, UPPER), samples=samples), rng)
-    w, b, *_ = (part.detach().numpy() for part in scaffold.explicit()[0])
+    slopes = (LOWER, UPPER)
+    frame = Frame(width=6, slopes=slopes, samples=samples)
+    scaffold = spec.build(frame, rng)
+    parts = scaffold.explicit()[0]
+    w, b, *_ = (part.detach().numpy() for part in parts)
     below = (samples @ w.T + b < 0).mean(axis=0)
     assert ((below > 0) & (below < 1)).all()
 
 
 def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
     rng = np.random.default_rng(0)
-    frame = Frame(width=6, slopes=(LOWER, UPPER), samples=rng.normal(size=(50, 1)))
-    w, b, *_ = (
-        p.detach()
-        for p in Mlp(depth=1, train_slopes=True, certified=False).build(frame, rng).explicit()[0]
-    )
-    bends = torch.sign(w[torch.argsort(-b / w[:, 0]), 0])
-    assert (bends[1:] == -bends[:-1]).all()
+    slopes = (LOWER, UPPER)
+    samples = rng.normal(size=(50, 1))
+    frame = Frame(width=6, slopes=slopes, samples=samples)
+    mlp = Mlp(depth=1, train_slopes=True, certified=False)
+    w, b, *_ = (p.detach() for p in mlp.build(frame, rng).explicit()[0])
+    order = torch.argsort(-b / w[:, 0])
+    bends = torch.sign(w[order, 0])
+    expected = -bends[:-1]
+    assert (bends[1:] == expected).all()
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -125,12 +136,15 @@ def test_zero_maps_to_zero_exactly(name: str, seed: int, channels: int) -> None:
 @pytest.mark.parametrize("name", CERTIFIED)
 @given(seed=st.integers(0, 10_000), channels=st.integers(1, 3))
 def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, channels: int) -> None:
-    frozen = shaken(SPECS[name], seed, channels).freeze()
+    torch_scaffold = shaken(SPECS[name], seed, channels)
+    frozen = torch_scaffold.freeze()
     alpha = (UPPER + LOWER) / 2
     beta = (UPPER - LOWER) / 2
-    for v in np.random.default_rng(seed).normal(size=(20, channels)) * 4:
+    rng = np.random.default_rng(seed)
+    for v in rng.normal(size=(20, channels)) * 4:
         offset = frozen.jacobian(v) - alpha * np.eye(channels)
-        assert np.linalg.norm(offset, 2) <= beta * (1 + 1e-9)
+        norm = np.linalg.norm(offset, 2)
+        assert norm <= beta * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -138,34 +152,50 @@ def test_sampled_jacobians_lie_in_the_certified_ball(name: str, seed: int, chann
 def test_every_kind_answers_every_question(name: str, seed: int, channels: int) -> None:
     """JSON keeps every bit; the Jacobian is the derivative and lies in the ball; what is exported
     is the same map."""
-    scaffold = shaken(SPECS[name], seed, channels).freeze()
+    torch_scaffold = shaken(SPECS[name], seed, channels)
+    scaffold = torch_scaffold.freeze()
     rng = np.random.default_rng(seed)
     v = 3 * rng.normal(size=(8, channels))
     step = 1e-7
-    again = Scaffold.from_json(json.loads(json.dumps(scaffold.to_json())))
+    text = json.dumps(scaffold.to_json())
+    content = json.loads(text)
+    again = Scaffold.from_json(content)
     assert np.array_equal(again(v), scaffold(v))
-    np.testing.assert_allclose(scaffold.portable()(v), scaffold(v), rtol=1e-9, atol=1e-9)
+    actual = scaffold.portable()(v)
+    np.testing.assert_allclose(actual, scaffold(v), rtol=1e-9, atol=1e-9)
     bound = interval_bound(scaffold.network) if scaffold.kind == "mlp" else jacobian_ball(scaffold)
     direction = rng.normal(size=channels)
     for at in v:
-        slope = (scaffold(at + step * direction) - scaffold(at - step * direction)) / (2 * step)
-        np.testing.assert_allclose(scaffold.jacobian(at) @ direction, slope, atol=1e-4, rtol=1e-4)
-        offset = scaffold.jacobian(at) - bound.ball.alpha * np.eye(channels)
-        assert np.linalg.norm(offset, 2) <= bound.ball.beta * (1 + 1e-9) + 1e-12
+        difference = scaffold(at + step * direction) - scaffold(at - step * direction)
+        slope = difference / (2 * step)
+        actual = scaffold.jacobian(at) @ direction
+        np.testing.assert_allclose(actual, slope, atol=1e-4, rtol=1e-4)
+        alpha = bound.ball.alpha
+        offset = scaffold.jacobian(at) - alpha * np.eye(channels)
+        norm = np.linalg.norm(offset, 2)
+        beta = bound.ball.beta
+        upper_limit = beta * (1 + 1e-9) + 1e-12
+        assert norm <= upper_limit
 
 
 @pytest.mark.parametrize("name", [name for name in SPECS if "mlp" not in name])
 def test_what_the_linear_part_takes_is_given_up(name: str) -> None:
-    scaffold = shaken(SPECS[name], 3, 2).freeze()
-    v = np.random.default_rng(0).normal(size=(9, 2))
+    torch_scaffold = shaken(SPECS[name], 3, 2)
+    scaffold = torch_scaffold.freeze()
+    rng = np.random.default_rng(0)
+    v = rng.normal(size=(9, 2))
     centre = scaffold.centre()
     if centre is None:
         with pytest.raises(NotImplementedError):
             scaffold.after(np.eye(2))
         return
     m = np.linalg.inv(centre)
-    np.testing.assert_allclose(scaffold.after(m)(v), scaffold(v) @ m.T, atol=1e-9)
-    np.testing.assert_allclose(scaffold.before(m)(v), scaffold(v @ m.T), atol=1e-9)
+    actual = scaffold.after(m)(v)
+    expected = scaffold(v) @ m.T
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
+    actual = scaffold.before(m)(v)
+    expected = scaffold(v @ m.T)
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
 
 
 @given(seed=st.integers(0, 10_000))
@@ -175,9 +205,12 @@ def test_sampled_secants_lie_in_the_certified_sector(seed: int) -> None:
     for name in CERTIFIED:
         values = shaken(SPECS[name], seed, 1).freeze()(v)[:, 0]
         for stride in (1, 17):
-            secant = (values[stride:] - values[:-stride]) / (v[stride:, 0] - v[:-stride, 0])
-            assert secant.min() >= LOWER * (1 - 1e-9)
-            assert secant.max() <= UPPER * (1 + 1e-9)
+            difference = values[stride:] - values[:-stride]
+            secant = difference / (v[stride:, 0] - v[:-stride, 0])
+            smallest = secant.min()
+            assert smallest >= LOWER * (1 - 1e-9)
+            largest = secant.max()
+            assert largest <= UPPER * (1 + 1e-9)
 
 
 def test_the_free_perceptron_leaves_the_sector() -> None:
@@ -194,24 +227,28 @@ def test_the_free_perceptron_leaves_the_sector() -> None:
 @pytest.mark.parametrize("channels", [1, 2])
 def test_gradients_agree_with_finite_differences(name: str, channels: int) -> None:
     scaffold = shaken(SPECS[name], 5, channels)
-    v = torch.from_numpy(np.random.default_rng(6).normal(size=(7, channels)))
-    weight = torch.from_numpy(np.random.default_rng(7).normal(size=(7, channels)))
+    rng = np.random.default_rng(6)
+    v = torch.from_numpy(rng.normal(size=(7, channels)))
+    rng = np.random.default_rng(7)
+    weight = torch.from_numpy(rng.normal(size=(7, channels)))
     (scaffold(v) * weight).sum().backward()
     for parameter in scaffold.parameters():
         if not parameter.requires_grad:
             continue
-        direction = torch.from_numpy(np.random.default_rng(8).normal(size=tuple(parameter.shape)))
+        rng = np.random.default_rng(8)
+        direction = torch.from_numpy(rng.normal(size=tuple(parameter.shape)))
         values = []
         with torch.no_grad():
             for step in (1e-6, -2e-6):
                 parameter += step * direction
-                values.append((scaffold(v) * weight).sum().item())
+                item = (scaffold(v) * weight).sum().item()
+                values.append(item)
             parameter += 1e-6 * direction
-        expected = (values[0] - values[1]) / 2e-6
+        difference = values[0] - values[1]
+        expected = difference / 2e-6
         assert parameter.grad is not None
-        assert (parameter.grad * direction).sum().item() == pytest.approx(
-            expected, rel=1e-5, abs=1e-7
-        )
+        item = (parameter.grad * direction).sum().item()
+        assert item == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
 @given(depth=st.integers(1, 5), channels=st.integers(1, 4), ratio=st.floats(0.001, 0.9))
@@ -224,8 +261,10 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
     centre = (high + low) / 2
     relative = (high - low) / (high + low)
     if channels > 1 and depth > 1:  # the ball of products: centre a^L, radius a^L ((1 + d)^L - 1)
-        assert centre**depth == pytest.approx((1 + ratio) / 2)
-        assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx((1 - ratio) / 2)
+        expected = (1 + ratio) / 2
+        assert centre**depth == pytest.approx(expected)
+        expected = (1 - ratio) / 2
+        assert centre**depth * ((1 + relative) ** depth - 1) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("name", SPECS)
@@ -233,10 +272,10 @@ def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ra
 def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
     """Once per level, sorted into runs, or directly: the same values and the same gradients."""
     scaffold = shaken(SPECS[name], 11, 1)
-    u = torch.from_numpy(
-        np.random.default_rng(1).integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct)
-    )
-    weight = torch.from_numpy(np.random.default_rng(2).normal(size=(3, 200, 1)))
+    rng = np.random.default_rng(1)
+    u = torch.from_numpy(rng.integers(-distinct, distinct, size=(3, 200, 1)) * (2.0 / distinct))
+    rng = np.random.default_rng(2)
+    weight = torch.from_numpy(rng.normal(size=(3, 200, 1)))
     gradients = []
     for evaluate in (lambda: Lift(u)(scaffold), lambda: scaffold(u)):
         scaffold.zero_grad()

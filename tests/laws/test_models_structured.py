@@ -22,7 +22,8 @@ KINDS = tuple(NEURONS)
 
 def monotone(rng: np.random.Generator, channels: int) -> MonotoneScaffold:
     points = np.sort(rng.normal(size=(channels, 5)), axis=1)
-    return MonotoneScaffold(breakpoints=points, slopes=rng.uniform(0.2, 1.5, (channels, 6)))
+    slopes = rng.uniform(0.2, 1.5, (channels, 6))
+    return MonotoneScaffold(breakpoints=points, slopes=slopes)
 
 
 def drawn(
@@ -30,19 +31,18 @@ def drawn(
 ) -> StructuredSSM:
     rng = np.random.default_rng(seed)
     q = len(kinds)
-    shapes = {
-        "b": (n, m),
-        "c": (p, n),
-        "d": (p, m),
-        "e": (n, q),
-        "f": (q, n),
-        "g": (q, m),
-        "h": (p, q),
-        "bias": (q,),
-    }
+    b = (n, m)
+    c = (p, n)
+    d = (p, m)
+    e = (n, q)
+    f = (q, n)
+    g = (q, m)
+    h = (p, q)
+    shapes = {"b": b, "c": c, "d": d, "e": e, "f": f, "g": g, "h": h, "bias": (q,)}
     a = rng.normal(size=(n, n))
+    norm = np.linalg.norm(a, 2)
     return StructuredSSM(
-        a=0.6 * a / np.linalg.norm(a, 2),
+        a=0.6 * a / norm,
         **{name: 0.3 * rng.normal(size=shape) for name, shape in shapes.items()},
         neurons=kinds,
         scaffold_in=monotone(rng, m),
@@ -62,19 +62,24 @@ def drawn(
 def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) -> None:
     rng = np.random.default_rng(seed)
     model = drawn(seed, n, m, p, tuple(rng.choice(KINDS, size=rng.integers(0, 6)).tolist()))
-    u = model.scale.input_equilibrium + rng.normal(size=(2, 40, m))
+    input_equilibrium = model.scale.input_equilibrium
+    u = input_equilibrium + rng.normal(size=(2, 40, m))
     x = rng.normal(size=(2, n))
     compiled = model.simulate(u, x)
     for k in range(40):
         ubar = model.lift(u[:, k])
-        np.testing.assert_allclose(model.read(x, ubar), compiled[:, k], atol=1e-12, rtol=1e-12)
+        actual = model.read(x, ubar)
+        expected = compiled[:, k]
+        np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
         x = model.advance(x, ubar)
 
 
 def test_rest_stays_at_rest_whatever_the_bias() -> None:
     model = drawn(0)
-    y = model.simulate(np.tile(model.scale.input_equilibrium, (20, 1)))
-    assert np.array_equal(y, np.tile(model.scale.output_equilibrium, (20, 1)))
+    input_equilibrium = model.scale.input_equilibrium
+    y = model.simulate(np.tile(input_equilibrium, (20, 1)))
+    output_equilibrium = model.scale.output_equilibrium
+    assert np.array_equal(y, np.tile(output_equilibrium, (20, 1)))
 
 
 def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
@@ -82,36 +87,46 @@ def test_a_stored_model_of_one_layer_is_the_case_without_neurons() -> None:
     names = ("scaffold_in", "scaffold_out", "scale")
     plain = SSM(linear=rich.linear, step_s=0.01, **{name: getattr(rich, name) for name in names})
     same = StructuredSSM.from_json(plain.to_json())
-    u = np.random.default_rng(1).normal(size=(200, 2))
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(200, 2))
     assert same.neurons == ()
-    np.testing.assert_allclose(same.simulate(u), plain.simulate(u), atol=1e-12, rtol=1e-12)
+    actual = same.simulate(u)
+    expected = plain.simulate(u)
+    np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kinds", [KINDS, ()])
 def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     model = drawn(2, kinds=kinds)
-    back = model_from_json(json.loads(json.dumps(model.to_json())))
-    u = np.random.default_rng(2).normal(size=(50, 2))
+    text = json.dumps(model.to_json())
+    content = json.loads(text)
+    back = model_from_json(content)
+    rng = np.random.default_rng(2)
+    u = rng.normal(size=(50, 2))
     assert isinstance(back, StructuredSSM)
-    assert np.array_equal(back.simulate(u), model.simulate(u))
+    response = back.simulate(u)
+    assert np.array_equal(response, model.simulate(u))
 
 
 @given(kind=st.sampled_from(KINDS), z=st.floats(-50, 50), gap=st.floats(1e-3, 5))
 def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: float) -> None:
     low, high = (phi((kind,), np.array([at]))[0] for at in (z, z + gap))
-    assert -1e-12 <= (high - low) / gap <= 1 + 1e-9
+    upper_limit = (high - low) / gap
+    assert -1e-12 <= upper_limit <= 1 + 1e-9
     slope = phi((kind,), np.array([z]), "slope")[0]
     assert 0 <= slope <= 1
-    np.testing.assert_allclose(
-        activation_and_slope(KINDS.index(kind), z), (low, slope), rtol=1e-12, atol=1e-12
-    )
+    code = KINDS.index(kind)
+    actual = activation_and_slope(code, z)
+    expected = (low, slope)
+    np.testing.assert_allclose(actual, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_is_the_derivative(kind: str) -> None:
     z = np.linspace(-3, 3, 41)[:, None] + 0.013
     difference = (phi((kind,), z + 1e-6) - phi((kind,), z - 1e-6)) / 2e-6
-    np.testing.assert_allclose(phi((kind,), z, "slope"), difference, atol=1e-6)
+    actual = phi((kind,), z, "slope")
+    np.testing.assert_allclose(actual, difference, atol=1e-6)
 
 
 @pytest.mark.parametrize(

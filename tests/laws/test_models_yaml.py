@@ -49,14 +49,19 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
     if choice in PACKAGES:
         pytest.importorskip(PACKAGES[choice])
     data = data_set(noise=0.02, samples=120, records=2)
-    spec = read("model", choice, *FEWER.get(choice, ()))
+    fewer = FEWER.get(choice, ())
+    spec = read("model", choice, *fewer)
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
     assert np.isfinite(mean_fit(found.model, data.training, data))
-    again = model_from_json(json.loads(json.dumps(found.model.to_json())))
-    np.testing.assert_allclose(
-        again.simulate(data.test[0].u), found.model.simulate(data.test[0].u), rtol=1e-13
-    )
+    text = json.dumps(found.model.to_json())
+    content = json.loads(text)
+    again = model_from_json(content)
+    test_u = data.test[0].u
+    actual = again.simulate(test_u)
+    test_u = data.test[0].u
+    expected = found.model.simulate(test_u)
+    np.testing.assert_allclose(actual, expected, rtol=1e-13)
 
 
 @pytest.mark.parametrize("choice", MODELS)
@@ -73,8 +78,10 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     u = data.test[0].u
     with torch.no_grad():
         scaled = net(torch.from_numpy(data.scale.scaled_input(u))[None])[0].numpy()
-    expected = scaled * data.scale.output_scale + data.scale.output_equilibrium
-    np.testing.assert_allclose(net.freeze(data).simulate(u), expected, rtol=1e-9, atol=1e-9)
+    output_scale = data.scale.output_scale
+    expected = scaled * output_scale + data.scale.output_equilibrium
+    actual = net.freeze(data).simulate(u)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("side", ["scaffold_in", "scaffold_out"])
@@ -92,16 +99,16 @@ def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: P
 def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
     training = read("training", choice, "training.max_epochs=3")
     data = data_set(samples=120)
-    found = training.identify(read("model", "ssm", "model.order=2"), data, 0, tmp_path)
+    spec = read("model", "ssm", "model.order=2")
+    found = training.identify(spec, data, 0, tmp_path)
     assert mean_fit(found.model, data.training, data) > 30
 
 
 @pytest.mark.parametrize("choice", OPTIMISERS)
 def test_every_optimiser_yaml_lowers_the_error(choice: str, tmp_path: Path) -> None:
     training = read("training", "default", f"training/optimiser={choice}", "training.max_epochs=4")
-    found = training.identify(
-        read("model", "ssm", "model.order=2"), data_set(samples=120), 0, tmp_path
-    )
+    spec = read("model", "ssm", "model.order=2")
+    found = training.identify(spec, data_set(samples=120), 0, tmp_path)
     assert found.curve[-1]["fit_training_percent"] > 60
 
 

@@ -8,12 +8,16 @@ from ssm_study.table.over_seeds import mean_and_deviation, over_seeds
 
 def study(**more: object) -> pd.DataFrame:
     """Two rates by three seeds; the last run has no result."""
+    seed = [0, 1, 2] * 2
+    rate_controller = [0.1] * 3 + [0.3] * 3
+    fit_test_percent = [90.0, 91.0, 92.0, 90.0, 91.0, 92.0]
+    resolved_margin = [2.0, 3.0, 4.0, 1.5, 2.5, None]
     table = pd.DataFrame(
         {
-            "seed": [0, 1, 2] * 2,
-            "rate_controller": [0.1] * 3 + [0.3] * 3,
-            "fit_test_percent": [90.0, 91.0, 92.0, 90.0, 91.0, 92.0],
-            "resolved_margin": [2.0, 3.0, 4.0, 1.5, 2.5, None],
+            "seed": seed,
+            "rate_controller": rate_controller,
+            "fit_test_percent": fit_test_percent,
+            "resolved_margin": resolved_margin,
         }
     )
     return table.assign(**more)
@@ -21,17 +25,23 @@ def study(**more: object) -> pd.DataFrame:
 
 def test_each_setting_has_its_mean_and_deviation() -> None:
     lines = over_seeds(study())
-    assert lines[:2] == ["", "mean ± deviation over seeds"]
+    expected = ["", "mean ± deviation over seeds"]
+    assert lines[:2] == expected
     first, second = (line.split() for line in lines[-2:])
-    assert first == ["0.1", "3", "91", "±", "1", "3", "±", "1", "-", "-"]
-    assert second[5:8] == ["2", "±", "0.71"], "a seed without a result is left out"
+    expected = ["0.1", "3", "91", "±", "1", "3", "±", "1", "-", "-"]
+    assert first == expected
+    expected = ["2", "±", "0.71"]
+    assert second[5:8] == expected, "a seed without a result is left out"
 
 
 def test_one_seed_or_one_run_a_setting_has_no_deviation() -> None:
-    assert over_seeds(study(seed=0)) == []
-    assert over_seeds(study(rate_controller=range(6))) == []
+    table = study(seed=0)
+    assert over_seeds(table) == []
+    table = study(rate_controller=range(6))
+    assert over_seeds(table) == []
 
 
 @pytest.mark.parametrize(("values", "words"), [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")])
 def test_the_words_of_a_group(values: list[float], words: str) -> None:
-    assert mean_and_deviation(pd.Series(values, dtype=float)) == words
+    series = pd.Series(values, dtype=float)
+    assert mean_and_deviation(series) == words

@@ -15,7 +15,8 @@ from ssm_study.study.stages.dataset import compute_dataset, read_dataset
 
 def write_log(path: Path, gain: float) -> None:
     """A first-order lag under random levels."""
-    u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(5)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, 60).repeat(5)
     y = np.zeros(300)
     for k in range(299):
         y[k + 1] = 0.8 * y[k] + gain * u[k]
@@ -36,7 +37,8 @@ def builds(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     paths: list[str] = []
 
     def noted(self: RecordedData, seed: int):  # type: ignore[no-untyped-def]
-        paths.append(str(self.path))
+        path = str(self.path)
+        paths.append(path)
         return build(self, seed)
 
     monkeypatch.setattr(RecordedData, "build", noted)
@@ -67,23 +69,29 @@ def test_the_check_of_a_run_and_its_first_stage_read_its_log_once(
     assert builds == [str(log)]
     stored = read_dataset(folder)
     again = request.data.build(request.seed)
-    np.testing.assert_array_equal(stored.training[0].y, again.training[0].y)
+    actual = stored.training[0].y
+    expected = again.training[0].y
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_log_that_has_changed_is_read_again(log: Path, builds: list[str]) -> None:
     before = read_data_set(source(log), 0)
-    assert read_data_set(source(log), 0) is before
+    data_set = read_data_set(source(log), 0)
+    assert data_set is before
     write_log(log, 0.4)
     after = read_data_set(source(log), 0)
     assert len(builds) == 2
-    assert not np.array_equal(before.training[0].y, after.training[0].y)
+    training_y = before.training[0].y
+    assert not np.array_equal(training_y, after.training[0].y)
 
 
 def test_another_way_to_read_it_reads_it_again(log: Path, builds: list[str]) -> None:
     whole = read_data_set(source(log), 0)
-    fold = read_data_set(source(log, fold=1), 0)
+    recorded_data = source(log, fold=1)
+    fold = read_data_set(recorded_data, 0)
     assert len(builds) == 2
-    assert not np.array_equal(whole.training[0].u, fold.training[0].u)
+    training_u = whole.training[0].u
+    assert not np.array_equal(training_u, fold.training[0].u)
 
 
 def test_few_data_sets_are_remembered(log: Path, builds: list[str]) -> None:
@@ -91,4 +99,5 @@ def test_few_data_sets_are_remembered(log: Path, builds: list[str]) -> None:
         read_data_set(source(log), seed)
     assert len(read_once._DATA_SETS) == read_once.MOST
     read_data_set(source(log), 0)
-    assert len(builds) == read_once.MOST + 2
+    expected = read_once.MOST + 2
+    assert len(builds) == expected

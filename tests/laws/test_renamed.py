@@ -25,7 +25,8 @@ SOURCES = ROOT / "ssm_study"
 def configured(path: str) -> bool:
     """Whether some yaml of ours has a setting of this path's last name."""
     name = path.rpartition(".")[2]
-    return any(f"{name}:" in file.read_text() for file in (ROOT / "conf").rglob("*.yaml"))
+    files = (ROOT / "conf").rglob("*.yaml")
+    return any(f"{name}:" in file.read_text() for file in files)
 
 
 @pytest.mark.parametrize("old", renamed.MODULES)
@@ -124,7 +125,8 @@ def test_a_method_that_a_stranger_overrides_by_its_old_name_is_called() -> None:
         def present(self) -> str:
             return "ours"
 
-    renamed.accept_old_methods(Base, {"old_present": "present"})
+    methods = {"old_present": "present"}
+    renamed.accept_old_methods(Base, methods)
     with pytest.warns(OldName, match=r"Theirs\.old_present is now Theirs\.present"):
 
         class Theirs(Ours):
@@ -144,7 +146,8 @@ def test_an_abstract_method_is_answered_by_its_old_name() -> None:
         @abstractmethod
         def present() -> str: ...
 
-    renamed.accept_old_methods(Base, {"old": "present"})
+    methods = {"old": "present"}
+    renamed.accept_old_methods(Base, methods)
 
     class Theirs(Base):
         @staticmethod
@@ -158,9 +161,9 @@ def test_an_abstract_method_is_answered_by_its_old_name() -> None:
 
 def test_stored_targets_are_read_under_their_new_names() -> None:
     old = "ssm_study.synthesis.among_starts.FastestCertified"
-    config = OmegaConf.create(
-        {"model": {"among_starts": {"_target_": old, "at": "${seed}"}}, "seed": 3}
-    )
+    among_starts = {"_target_": old, "at": "${seed}"}
+    model = {"among_starts": among_starts}
+    config = OmegaConf.create({"model": model, "seed": 3})
     renamed.bring_up_to_date(config)
     chosen = config.model.among_starts
     assert chosen._target_ == "ssm_study.synthesis.model_selection.LargestCertifiableRate"
@@ -182,12 +185,16 @@ def tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("tables")
 def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
-    assert translate(["model.summed=true", "seed=1"]) == ["model.integrating=true", "seed=1"]
-    tree = {"model": {"summed": True, "order": 2}, "training": {"old_weight": 0.0, "starts": 1}}
-    assert renamed.present_settings(tree) == {
-        "model": {"integrating": True, "order": 2},
-        "training": {"starts": 1},
-    }
+    arguments = ["model.summed=true", "seed=1"]
+    expected = ["model.integrating=true", "seed=1"]
+    assert translate(arguments) == expected
+    model = {"summed": True, "order": 2}
+    training = {"old_weight": 0.0, "starts": 1}
+    tree = {"model": model, "training": training}
+    model = {"integrating": True, "order": 2}
+    training = {"starts": 1}
+    expected = {"model": model, "training": training}
+    assert renamed.present_settings(tree) == expected
     tree["training"]["old_weight"] = 0.5
     with pytest.raises(
         BadRequest, match=r"training.old_weight = 0.5: was withdrawn in 0.2 \(CHANGE"
@@ -206,9 +213,13 @@ def test_a_renamed_column_has_both_names_in_a_record(tmp_path: Path) -> None:
     write_record(tmp_path, {"status": "ok", "peak": 1.5})
     record = read_record(tmp_path)
     assert record is not None
-    assert (record["peak_v"], record["peak"], record["record_version"]) == (1.5, 1.5, 2)
-    old = parse_record(written(tmp_path, {"record_version": 1, "status": "ok", "peak_v": 2.5}))
-    assert (old["peak_v"], old["peak"]) == (2.5, 2.5)
+    assert record["peak_v"] == 1.5
+    assert record["peak"] == 1.5
+    assert record["record_version"] == 2
+    content = written(tmp_path, {"record_version": 1, "status": "ok", "peak_v": 2.5})
+    old = parse_record(content)
+    assert old["peak_v"] == 2.5
+    assert old["peak"] == 2.5
 
 
 def written(folder: Path, record: dict[str, object]) -> bytes:
@@ -221,5 +232,9 @@ def written(folder: Path, record: dict[str, object]) -> bytes:
 def test_a_record_of_an_unknown_version_is_corrupt(tmp_path: Path, version: object) -> None:
     stored = written(tmp_path, {"record_version": version, "status": "ok"})
     assert unsealed(stored) is not None
-    assert parse_record(stored) == {"status": CORRUPT}
-    assert parse_record(written(tmp_path, {"record_version": 1, "status": "ok"}))["status"] == "ok"
+    expected = {"status": CORRUPT}
+    assert parse_record(stored) == expected
+    content = written(tmp_path, {"record_version": 1, "status": "ok"})
+    record = parse_record(content)
+    status = record["status"]
+    assert status == "ok"

@@ -29,15 +29,17 @@ def row(**values: object) -> dict[str, object]:
 def test_every_question_that_the_table_has_numbers_for_is_answered() -> None:
     for words in QUESTIONS:
         assert said(report_tables.table(40), words)
-    assert answers(report_tables.empty()) == []
-    assert [answer.question for answer in answers(report_tables.failures())] == [
-        "Does a better fit mean a better loop?"
-    ]
+    table = report_tables.empty()
+    assert answers(table) == []
+    table = report_tables.failures()
+    questions = [answer.question for answer in answers(table)]
+    assert questions == ["Does a better fit mean a better loop?"]
 
 
 def test_a_log_has_no_question_about_a_plant() -> None:
     on_model = row(loop_on="identified model", predicted_stable=True)
-    (answer,) = (a for a in answers(pd.DataFrame([on_model])) if "prediction" in a.question)
+    table = pd.DataFrame([on_model])
+    (answer,) = (a for a in answers(table) if "prediction" in a.question)
     assert answer.question == "Does the prediction hold on the model?"
 
 
@@ -54,25 +56,27 @@ def test_what_a_study_can_show_of_the_prediction_is_counted_by_model() -> None:
         for m in range(20)
         for k in range(10)
     ]
-    text = said(pd.DataFrame(runs), "prediction hold")
+    table = pd.DataFrame(runs)
+    text = said(table, "prediction hold")
     assert (
         "of 20 models none had a predicted loop that does not settle, so with 95 % confidence"
         in text
     )
     assert text.endswith(f"below {1 - 0.05 ** (1 / 20):.2g}.")
     runs[7]["stable_fraction"] = runs[8]["stable_fraction"] = 0.5
-    text = said(pd.DataFrame(runs), "prediction hold")
+    table = pd.DataFrame(runs)
+    text = said(table, "prediction hold")
     bound = float(text.split("below ")[1].rstrip("."))
     assert "of 20 models 1 had" in text
     assert scipy.stats.binom.cdf(1, 20, bound) == pytest.approx(0.05, abs=0.01)
-    assert "confidence" not in said(
-        pd.DataFrame(runs[10:20]), "prediction hold"
-    )  # one model shows nothing
+    table = pd.DataFrame(runs[10:20])
+    assert "confidence" not in said(table, "prediction hold")  # one model shows nothing
 
 
 def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> None:
     runs = [row(run="m", plant="DCMotor"), row(run="t", plant="CascadedTanks")]
-    text = said(pd.DataFrame(runs), "better fit")
+    table = pd.DataFrame(runs)
+    text = said(table, "better fit")
     assert "DC motor: This study" in text
     assert "Cascaded tanks: This study" in text
 
@@ -80,12 +84,12 @@ def test_plants_are_answered_one_by_one_since_their_seconds_do_not_compare() -> 
 def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart() -> None:
     beyond = row(status="infeasible", rate_controller=0.4, controller_certified=None)
     missed = row(status="infeasible", rate_controller=0.2, controller_certified=None)
-    text = said(pd.DataFrame([row(), beyond, missed]), "feasibility")
+    table = pd.DataFrame([row(), beyond, missed])
+    text = said(table, "feasibility")
     assert "1 of 3 requests lie beyond it, and none of those was certified" in text
     assert "certified for is 0.3 per sample" in text
-    two = said(
-        pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}]), "feasibility"
-    )
+    table = pd.DataFrame([row(), beyond, missed | {"controller_rate_limit": 0.25}])
+    two = said(table, "feasibility")
     assert "certified for is from 0.25 to 0.3 per sample" in two
     assert "Inside it, 1 got no certificate" in text
 
@@ -93,26 +97,25 @@ def test_requests_beyond_the_frontier_and_those_a_method_missed_are_told_apart()
 def test_the_observers_frontier_is_told_where_a_request_went_beyond_it() -> None:
     inside = row(rate_observer=0.1, observer_rate_limit=0.5)
     beyond = row(rate_observer=0.7, observer_rate_limit=0.5, observer_certified=None)
-    assert "observer" not in said(pd.DataFrame([inside]), "feasibility")
-    assert "any observer can be certified for is 0.5" in said(
-        pd.DataFrame([inside, beyond]), "feasibility"
-    )
+    table = pd.DataFrame([inside])
+    assert "observer" not in said(table, "feasibility")
+    table = pd.DataFrame([inside, beyond])
+    assert "any observer can be certified for is 0.5" in said(table, "feasibility")
 
 
 def test_where_all_settle_fit_is_held_against_time() -> None:
     runs = [row(fit_test_percent=80.0 + k, settling_time_mean_s=0.3 - 0.01 * k) for k in range(5)]
-    assert "fit and settling time have a rank correlation of -1.00" in said(
-        pd.DataFrame(runs), "better fit"
-    )
+    table = pd.DataFrame(runs)
+    assert "fit and settling time have a rank correlation of -1.00" in said(table, "better fit")
 
 
 def test_the_prediction_is_scored_on_both_sides() -> None:
+    shares = (1, 0)
     missed = [
-        row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in (1, 0)
+        row(mismatch_margin=2.0, predicted_stable=False, stable_fraction=share) for share in shares
     ]
-    text = said(
-        pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed]), "prediction hold"
-    )
+    table = pd.DataFrame([row(mismatch_margin=0.5, predicted_stable=True), *missed])
+    text = said(table, "prediction hold")
     assert text.startswith(
         "Where the loop was predicted to stay stable, every start settles in 1 of 1 runs. Where it"
     )
@@ -138,9 +141,10 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
         row(**by_auto) | {"rate_controller": rate, "seed": k} for k, rate in enumerate((0.22, 0.31))
     ]
     assert swept_settings(pd.DataFrame(rows)) == ["seed"], "what auto chose is a result"
+    rates = (0.1, 0.3)
     rows += [
         row(**requested) | {"rate_controller": rate, "seed": 0, "rate_observer": rate}
-        for rate in (0.1, 0.3)
+        for rate in rates
     ]
     table = pd.DataFrame(rows)
     assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."

@@ -28,7 +28,8 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(
     for folder in (tmp_path / "once", tmp_path / "again"):
         with style.paper():
             figure = getattr(synthesis_figures, name)(table(name))
-            files.append([path.read_bytes() for path in style.save(figure, folder, name)])
+            paths = style.save(figure, folder, name)
+            files.append([path.read_bytes() for path in paths])
     assert files[0] == files[1]
     (axes,) = figure.axes
     assert "(" in axes.get_xlabel()
@@ -43,10 +44,12 @@ def test_every_verdict_is_a_point_and_the_frontier_is_the_tables() -> None:
     np.testing.assert_array_equal(certified, rows.loc[held, ["slope_floor", "rate"]])
     np.testing.assert_array_equal(none, rows.loc[~held, ["slope_floor", "rate"]])
     floors, limits = axes.lines[0].get_data()
-    expected = rows.groupby("slope_floor").rate_limit.first()
+    rate_limit = rows.groupby("slope_floor").rate_limit
+    expected = rate_limit.first()
     np.testing.assert_array_equal(floors, expected.index)
     np.testing.assert_array_equal(limits, expected)
-    assert (certified[:, 1] < np.interp(certified[:, 0], floors, limits)).all()
+    interpolated_values = np.interp(certified[:, 0], floors, limits)
+    assert (certified[:, 1] < interpolated_values).all()
 
 
 @pytest.mark.parametrize("name", ["gain_norm", "contraction"])
@@ -56,6 +59,5 @@ def test_every_method_of_the_table_has_its_line(name: str) -> None:
     drawn = {line.get_label(): line.get_ydata() for line in axes.lines}
     for method, group in rows.groupby("method"):
         label = synthesis_figures.METHODS[str(method)][0]
-        np.testing.assert_array_equal(
-            drawn[label], group["gain_norm" if name == "gain_norm" else "measured"]
-        )
+        expected = group["gain_norm" if name == "gain_norm" else "measured"]
+        np.testing.assert_array_equal(drawn[label], expected)

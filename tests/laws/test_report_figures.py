@@ -37,7 +37,8 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         name: report_tables.write_study(root / name, table) for name, table in STUDIES.items()
     }
     best = best_first(STUDIES["runs"]).iloc[0]["run"]
-    random_run(folders["runs"] / best, kind="mlp", channels=1, seed=1)
+    folder = folders["runs"] / best
+    random_run(folder, kind="mlp", channels=1, seed=1)
     write_recordings(folders["runs"] / best)
     return folders
 
@@ -46,12 +47,14 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def smoke_copy(smoke_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The finished smoke study, its run and its table as they are, in a folder of one's own to draw
     into."""
-    return Path(shutil.copytree(smoke_study, tmp_path_factory.mktemp("figures") / "smoke"))
+    smoke_path = tmp_path_factory.mktemp("figures") / "smoke"
+    return Path(shutil.copytree(smoke_study, smoke_path))
 
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(style._PAPER["savefig"], "dpi", 40)  # rendering pixels is most of the time
+    savefig = style._PAPER["savefig"]
+    monkeypatch.setitem(savefig, "dpi", 40)  # rendering pixels is most of the time
 
 
 # A certificate of the coverage, and a model whose input acts after its sample: of the smoke run.
@@ -77,7 +80,8 @@ def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
     assert figures.draw(None, studies[kind], told.append) == []
     assert [sentence.split(" ")[2].strip(".") for sentence in told] == figures.names()
     assert all(sentence.endswith(".") for sentence in told)
-    assert not (studies[kind] / "figures").exists()
+    figures_path = studies[kind] / "figures"
+    assert not (figures_path).exists()
 
 
 NEEDS_SEVERAL = {"robustness", "peers", "feasibility_map"}  # runs or controllers
@@ -86,21 +90,26 @@ NEEDS_SEVERAL = {"robustness", "peers", "feasibility_map"}  # runs or controller
 def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(
     smoke_copy: Path,
 ) -> None:
-    drawn = {path.stem for path in figures.draw(None, smoke_copy)}
-    assert drawn == set(figures.names()) - NEEDS_SEVERAL
+    paths = figures.draw(None, smoke_copy)
+    drawn = {path.stem for path in paths}
+    expected = set(figures.names()) - NEEDS_SEVERAL
+    assert drawn == expected
 
 
 def test_the_pictures_of_a_run_say_the_numbers_of_its_record(smoke_copy: Path) -> None:
     """Margin and coverage are computed again from the recordings, and are those of the record."""
-    (run,) = [path.parent for path in smoke_copy.glob("*/record.json")]
-    record = json.loads((run / "record.json").read_text())
+    paths = smoke_copy.glob("*/record.json")
+    (run,) = [path.parent for path in paths]
+    text = (run / "record.json").read_text()
+    record = json.loads(text)
     folder = RunFolder(path=run)
     margin = picture_of_run("margin_by_frequency", folder)
     assert f"{record['resolved_margin']:.3g}" in margin.title
     coverage = picture_of_run("coverage_by_band", folder)
     assert f"{np.floor(100 * record['coverage']) / 100:.2f}" in coverage.title
     assert record["coverage_reference"] in coverage.title
-    assert f"{record['fit_test_percent']:.1f} %" in picture_of_run("free_run", folder).title
+    title = picture_of_run("free_run", folder).title
+    assert f"{record['fit_test_percent']:.1f} %" in title
 
 
 def test_a_picture_of_what_a_run_did_not_leave_is_a_sentence(tmp_path: Path) -> None:
@@ -115,7 +124,8 @@ def test_one_situation_is_no_robustness(
 ) -> None:
     """The peers are compared in the nominal one alone: what would be drawn is a wall of one
     colour."""
-    whole = StudyFolder(folder=studies["runs"]).comparison
+    study_folder = StudyFolder(folder=studies["runs"])
+    whole = study_folder.comparison
     nominal = whole[whole["situation"] == "nominal"]
     assert len(nominal) < len(whole)
     monkeypatch.setattr(StudyFolder, "comparison", nominal)
@@ -129,7 +139,8 @@ def test_the_figure_of_the_fit_shows_the_test_record_first_and_validation_below(
 ) -> None:
     panels = drawn("validation_trajectory", smoke_copy).axes
     records = [panels[0], panels[2]]  # the error of the test record stands between them
-    assert [panel.lines[0].get_label() for panel in records] == ["test record", "validation record"]
+    labels = [panel.lines[0].get_label() for panel in records]
+    assert labels == ["test record", "validation record"]
     assert len(panels) == 4
 
 
@@ -149,17 +160,20 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
         .to_dict()
     )
     random_run(folder / record["run"], kind="mlp", channels=1, seed=2)
-    write_recordings(folder / record["run"], seed=1)
+    run = folder / record["run"]
+    write_recordings(run, seed=1)
     others = figures.draw(names, folder)[0].read_bytes()
     monkeypatch.setattr("ssm_study.table.gather.gather", lambda _: runs)
-    pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in ("png", "pdf")]
+    kinds = ("png", "pdf")
+    pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in kinds]
     told = folder / "told.json"
     assert str(pictures[0].relative_to(folder)) in endings._outcome(
         folder, record, names, pictures, 80
     )
     told.write_text("[1]")
     own = pictures[0].read_bytes()
-    assert own == figures.draw(names, folder, run=record["run"])[0].read_bytes()
+    expected = figures.draw(names, folder, run=record["run"])[0].read_bytes()
+    assert own == expected
     assert own != others
     later = time.time_ns() + 10**9
     os.utime(told, ns=(later, later))
@@ -170,8 +184,11 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
 
 @pytest.mark.parametrize("name", ["feasibility_map", "closed_loop_responses"])
 def test_the_same_files_give_the_same_bytes(studies: dict[str, Path], name: str) -> None:
-    first = [path.read_bytes() for path in figures.draw([name], studies["runs"])]
-    assert first == [path.read_bytes() for path in figures.draw([name], studies["runs"])]
+    paths = figures.draw([name], studies["runs"])
+    first = [path.read_bytes() for path in paths]
+    paths = figures.draw([name], studies["runs"])
+    expected = [path.read_bytes() for path in paths]
+    assert first == expected
 
 
 @pytest.mark.parametrize("name", sorted(OF_A_REAL_RUN))
@@ -189,7 +206,8 @@ def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
 ) -> None:
     study = smoke_study if name in OF_A_REAL_RUN else studies["runs"]
     figure = drawn(name, study)
-    assert figure.get_size_inches()[0] in (style.COLUMN_IN, style.PAGE_IN)
+    size_inches = figure.get_size_inches()
+    assert size_inches[0] in (style.COLUMN_IN, style.PAGE_IN)
     for axes in figure.axes:
         assert axes.axison, (
             "the study has what this figure needs, yet it says there is nothing to draw"
@@ -198,7 +216,8 @@ def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
         lowest = place and (
             place.is_last_row() or not axes.get_shared_x_axes().joined(axes, figure.axes[-1])
         )
-        for label in [axes.get_ylabel()] + ([axes.get_xlabel()] if lowest else []):
+        ylabel = axes.get_ylabel()
+        for label in [ylabel] + ([axes.get_xlabel()] if lowest else []):
             assert "(" in label or label in UNITLESS or (label == "" and name == "peers"), (
                 f"{label!r} has no unit"
             )
@@ -207,9 +226,11 @@ def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
 def test_a_rate_without_certificate_is_no_bound(studies: dict[str, Path], tmp_path: Path) -> None:
     folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
     path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "certificate.json"
-    content = json.loads(path.read_text())
+    text = path.read_text()
+    content = json.loads(text)
     content["state_feedback"]["certified"] = False
-    path.write_text(json.dumps(content))
+    text = json.dumps(content)
+    path.write_text(text)
     said = [axes.lines[0].get_label() for axes in drawn("certified_decay", folder).axes]
     assert said == ["not certified, r = 0.894", "bound, r = 0.894"]
 
@@ -219,7 +240,8 @@ def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(
 ) -> None:
     folder = Path(shutil.copytree(studies["runs"], tmp_path / "runs"))
     path = folder / best_first(STUDIES["runs"]).iloc[0]["run"] / "model.json"
-    path.write_text(json.dumps(structured_cases.model().to_json()))
+    text = json.dumps(structured_cases.model().to_json())
+    path.write_text(text)
     told: list[str] = []
     assert (
         figures.draw(
@@ -251,7 +273,8 @@ def test_a_folder_that_is_no_study_is_refused(tmp_path: Path) -> None:
 
 
 def drawn(name: str, folder: Path) -> Figure:
-    return figures.drawn(name, StudyFolder(folder=folder))
+    study_folder = StudyFolder(folder=folder)
+    return figures.drawn(name, study_folder)
 
 
 def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_configured(
@@ -261,7 +284,8 @@ def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_con
     group's default."""
     run = RunFolder(path=write_recordings(tmp_path))
     (tmp_path / ".hydra").mkdir()
-    (tmp_path / ".hydra" / "config.yaml").write_text("plant: {settling_band: 9.0}")
+    config_path = tmp_path / ".hydra" / "config.yaml"
+    config_path.write_text("plant: {settling_band: 9.0}")
     assert run.closed_loop is not None
     assert run.closed_loop.settling_band == 0.5
     assert 0.1 < run.closed_loop.settled_time_s < 0.5
@@ -270,9 +294,11 @@ def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_con
 def test_a_recording_has_no_true_dead_zone() -> None:
     """The plant's group has a default beside recorded data too; its curve is nobody's truth
     there."""
+    names = ("SimulatedData", "Rehearsal")
     simulated, recorded = (
-        {"data": {"_target_": f"x.{name}"}, "plant": {"dead_zone_v": 0.4}}
-        for name in ("SimulatedData", "Rehearsal")
+        {"data": {"_target_": f"x.{name}"}, "plant": {"dead_zone_v": 0.4}} for name in names
     )
-    assert learned_dead_zone.known_dead_zone(simulated) == (0.4, 0.0)
-    assert learned_dead_zone.known_dead_zone(recorded) == (None, 0.0)
+    expected = (0.4, 0.0)
+    assert learned_dead_zone.known_dead_zone(simulated) == expected
+    expected = (None, 0.0)
+    assert learned_dead_zone.known_dead_zone(recorded) == expected

@@ -28,9 +28,8 @@ def study(tmp_path: Path) -> Path:
             if isinstance(value, (bool, int, float, str)) and value == value
         }
         (folder / f"run{k}").mkdir(parents=True)
-        write_record(
-            folder / f"run{k}", known | {"study": "sweep", "run": f"run{k}", "status": "ok"}
-        )
+        record = known | {"study": "sweep", "run": f"run{k}", "status": "ok"}
+        write_record(folder / f"run{k}", record)
     return folder
 
 
@@ -38,7 +37,8 @@ def study(tmp_path: Path) -> Path:
 def address(study: Path) -> Iterator[str]:
     said: list[str] = []
     with serve(study, 0, said.append) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
         yield said[0]
         server.shutdown()
 
@@ -51,10 +51,8 @@ def test_it_follows_the_records(study: Path, address: str) -> None:
     assert "run2" in page
     assert "connect-src 'self'" in page, "without it the page may not ask for the state"
     (study / "run3").mkdir()
-    write_record(
-        study / "run3",
-        {"study": "sweep", "run": "run3", "status": "failed", "error_message": "no memory"},
-    )
+    record = {"study": "sweep", "run": "run3", "status": "failed", "error_message": "no memory"}
+    write_record(study / "run3", record)
     after = json.load(urlopen(f"{address}state"))
     assert after["line"] == "Live: 4 runs: 1 failed, 3 ok"
     assert after["mark"] != before["mark"], "the page reloads itself by this"
@@ -69,7 +67,8 @@ def test_nothing_else_is_served(address: str) -> None:
 def test_a_taken_port_and_a_missing_study_are_refused(
     study: Path, address: str, tmp_path: Path
 ) -> None:
+    port = int(address.rsplit(":", 1)[1].strip("/"))
     with pytest.raises(BadRequest, match="port"):
-        serve(study, int(address.rsplit(":", 1)[1].strip("/")), print)
+        serve(study, port, print)
     with pytest.raises(BadRequest, match="no such study folder"):
         serve(tmp_path / "none", 0, print)

@@ -16,18 +16,22 @@ import loop_margin_figures
 def designs(count: int = 60) -> pd.DataFrame:
     rng = np.random.default_rng(0)
     margin = np.round(rng.lognormal(-1, 1.5, count), 1)  # rounded: ties
-    settled = rng.uniform(size=count) < margin / (0.5 + margin)
+    upper_limit = margin / (0.5 + margin)
+    settled = rng.uniform(size=count) < upper_limit
+    plant = np.where(np.arange(count) % 2, "dc_motor", "cascaded_tanks")
+    controller_radius = rng.uniform(0.5, 1.3, count)
+    noise_peak = rng.uniform(0.0, 1.3, count)
+    kind = np.where(settled, "settled", "lost")
+    relative_time = np.where(rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count))
     return pd.DataFrame(
         {
-            "plant": np.where(np.arange(count) % 2, "dc_motor", "cascaded_tanks"),
+            "plant": plant,
             "mismatch_margin": margin,
             "resolved_margin": margin,
-            "controller_radius": rng.uniform(0.5, 1.3, count),
-            "noise_peak": rng.uniform(0.0, 1.3, count),
-            "kind": np.where(settled, "settled", "lost"),
-            "relative_time": np.where(
-                rng.uniform(size=count) < 0.2, np.nan, rng.uniform(0.2, 2, count)
-            ),
+            "controller_radius": controller_radius,
+            "noise_peak": noise_peak,
+            "kind": kind,
+            "relative_time": relative_time,
         }
     )
 
@@ -37,21 +41,26 @@ def test_the_area_is_the_chance_that_a_good_design_scores_higher():
     good = table["kind"].eq("settled").to_numpy(float)
     score = table["mismatch_margin"].to_numpy()
     false, true = loop_margin_figures.roc_points(score, good)
-    pairs = np.sign(score[good == 1][:, None] - score[good == 0][None, :])
-    assert np.trapezoid(true, false) == pytest.approx((0.5 + 0.5 * pairs).mean(), rel=1e-12)
-    assert (false[-1], true[-1]) == (1.0, 1.0)
+    difference = score[good == 1][:, None] - score[good == 0][None, :]
+    pairs = np.sign(difference)
+    expected = (0.5 + 0.5 * pairs).mean()
+    assert np.trapezoid(true, false) == pytest.approx(expected, rel=1e-12)
+    assert false[-1] == 1.0
+    assert true[-1] == 1.0
 
 
 def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_margin():
     table = designs()
     score = loop_margin_figures.prediction_score(table)
     stable = (table.controller_radius < 1) & (table.noise_peak < 1)
-    assert ((score > 0.5) == (stable & (table.resolved_margin > 1))).all()
-    assert score[stable].min() >= score[~stable].max()
-    assert (
-        np.argsort(score[stable], kind="stable")
-        == np.argsort(table.resolved_margin[stable], kind="stable")
-    ).all()
+    expected = stable & (table.resolved_margin > 1)
+    assert ((score > 0.5) == expected).all()
+    smallest = score[stable].min()
+    largest = score[~stable].max()
+    assert smallest >= largest
+    order = np.argsort(score[stable], kind="stable")
+    expected = np.argsort(table.resolved_margin[stable], kind="stable")
+    assert (order == expected).all()
 
 
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
@@ -62,10 +71,10 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     drawn = sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections)
     assert drawn == len(table)
     assert len(settling.axes) == 2
-    assert [text.get_text().split(",")[0] for text in roc.axes[0].get_legend().get_texts()] == [
-        "cascaded tanks",
-        "DC motor",
-    ]
+    legend = roc.axes[0].get_legend()
+    texts = legend.get_texts()
+    expected = ["cascaded tanks", "DC motor"]
+    assert [text.get_text().split(",")[0] for text in texts] == expected
 
 
 def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
@@ -73,7 +82,8 @@ def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
     with style.paper():
         roc = loop_margin_figures.roc(table)
         settling = loop_margin_figures.settling(table)
-    assert len(roc.axes[0].lines) == 1  # the diagonal
+    lines = roc.axes[0].lines
+    assert len(lines) == 1  # the diagonal
     assert sum(
         len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections
     ) == len(table)

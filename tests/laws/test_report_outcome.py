@@ -17,12 +17,8 @@ RECORDS = TABLE.where(TABLE.notna(), None).to_dict("records")
 
 def printed(record: dict[str, Any], *figures: Path, terminal: bool = False) -> str:
     stream = io.StringIO()
-    console = Console(
-        file=stream,
-        width=200,
-        force_terminal=terminal,
-        color_system="standard" if terminal else None,
-    )
+    color_system = "standard" if terminal else None
+    console = Console(file=stream, width=200, force_terminal=terminal, color_system=color_system)
     print_outcome(record, figures, console)
     return stream.getvalue()
 
@@ -33,7 +29,9 @@ def a_run(status: str) -> dict[str, Any]:
 
 def test_no_line_is_longer_than_80_columns_whatever_the_run() -> None:
     for record in RECORDS:
-        assert max(len(line) for line in printed(record).splitlines()) <= 80
+        lines = printed(record).splitlines()
+        largest = max(len(line) for line in lines)
+        assert largest <= 80
 
 
 def test_plain_in_a_pipe_and_coloured_on_a_terminal() -> None:
@@ -45,8 +43,10 @@ def test_an_outcome_that_cannot_be_judged_is_no_success_in_its_colour() -> None:
     bold_yellow = "\x1b[1;33m"
     run = a_run("ok")
     run |= {"stable_count": run["initial_conditions"], "stable_fraction": 1.0}
-    assert bold_yellow not in printed(run | {"evidence": "sound"}, terminal=True)
-    assert bold_yellow in printed(run | {"evidence": "cannot judge"}, terminal=True)
+    record = run | {"evidence": "sound"}
+    assert bold_yellow not in printed(record, terminal=True)
+    record = run | {"evidence": "cannot judge"}
+    assert bold_yellow in printed(record, terminal=True)
 
 
 def test_every_number_of_the_argument_is_there() -> None:
@@ -73,18 +73,23 @@ def test_every_number_of_the_argument_is_there() -> None:
 
 
 def test_it_says_who_chose_each_rate() -> None:
-    text = printed(
-        a_run("ok")
-        | {"synthesis_method": "auto", "rates_chosen": "observer", "rate_controller": 0.123}
-    )
+    record = a_run("ok") | {
+        "synthesis_method": "auto",
+        "rates_chosen": "observer",
+        "rate_controller": 0.123,
+    }
+    text = printed(record)
     assert "0.123 requested, at most" in text
     assert "0.2 chosen by auto, at most" in text
 
 
 def test_a_loop_on_the_model_and_an_official_score_are_said() -> None:
-    text = printed(
-        a_run("ok") | {"loop_on": "identified model", "benchmark": "emps", "score_test_1": 4.21}
-    )
+    record = a_run("ok") | {
+        "loop_on": "identified model",
+        "benchmark": "emps",
+        "score_test_1": 4.21,
+    }
+    text = printed(record)
     assert "SEEN on the identified model" in " ".join(text.split())
     assert "Score, record 1 4.21 mm" in " ".join(text.split())
 
@@ -101,56 +106,54 @@ def test_a_run_that_settles_on_the_model_alone_is_not_said_to_settle_on_the_plan
         (None, ""),
     ):
         for fraction in (1.0, 0.5):
-            text = printed(settled | {"loop_on": loop_on, "stable_fraction": fraction}).split(
-                "MODEL"
-            )[0]
-            assert (", on the identified model" in " ".join(text.split())) is (
-                bool(more) and fraction == 1.0
-            )
+            record = settled | {"loop_on": loop_on, "stable_fraction": fraction}
+            text = printed(record).split("MODEL")[0]
+            expected = bool(more) and fraction == 1.0
+            assert (", on the identified model" in " ".join(text.split())) is (expected)
 
 
 def test_the_prediction_says_what_it_rests_on() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.241, "controller_radius": 0.9312}
     for stable, words in ((True, "stays stable"), (False, "not predicted to be stable")):
-        text = " ".join(printed(a_run("ok") | known | {"predicted_stable": stable}).split())
+        record = a_run("ok") | known | {"predicted_stable": stable}
+        text = " ".join(printed(record).split())
         assert (
             f"Prediction for the plant {words}: stability margin 1.24 > 1, {RADIUS} 0.931 < 1"
             in text
         )
-    missed = " ".join(
-        printed(a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}).split()
-    )
+    record = a_run("ok") | known | {"resolved_margin": 0.98, "controller_radius": 1.0}
+    missed = " ".join(printed(record).split())
     assert f"stability margin 0.98 ≤ 1, {RADIUS} 1 ≥ 1" in missed
-    noisy = " ".join(
-        printed(a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}).split()
-    )
+    record = a_run("ok") | known | {"predicted_stable": False, "noise_peak": 1.562}
+    noisy = " ".join(printed(record).split())
     assert f"{RADIUS} 0.931 < 1, the noise reaches 1.56 ≥ 1 of the band" in noisy
 
 
 def test_a_path_is_never_broken() -> None:
-    path = Path("results") / ("long_" * 20) / "figures" / "closed_loop_responses.png"
-    assert (
-        printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()[-1] == f"  {path}, .pdf"
-    )
+    figures_path = Path("results") / ("long_" * 20) / "figures"
+    path = figures_path / "closed_loop_responses.png"
+    lines = printed(a_run("ok"), path, path.with_suffix(".pdf")).splitlines()
+    assert lines[-1] == f"  {path}, .pdf"
 
 
 def test_a_failed_run_shows_its_message_and_no_empty_lines() -> None:
-    text = printed(
-        a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."}
-    )
+    record = a_run("failed") | {"error_message": "model.order = 0: must be at least 1; use 8."}
+    text = printed(record)
     assert "model.order = 0: must be at least 1; use 8." in text
     assert "Prediction" not in text
 
 
 def test_a_run_without_certificate_shows_why() -> None:
     reason = "controller: tau 3.1; not positive definite in exact arithmetic"
-    text = printed(a_run("ok") | {"controller_certified": False, "uncertified_reason": reason})
+    record = a_run("ok") | {"controller_certified": False, "uncertified_reason": reason}
+    text = printed(record)
     assert "not certified" in text
     assert f"Uncertified reason: {reason}" in " ".join(text.split())
 
 
 def test_an_infeasible_run_shows_the_rate_that_was_possible() -> None:
-    text = printed(a_run("infeasible") | {"controller_rate_limit": 0.0987})
+    record = a_run("infeasible") | {"controller_rate_limit": 0.0987}
+    text = printed(record)
     assert "at most 0.0987: infeasible" in text
 
 
@@ -191,12 +194,14 @@ def test_fresh_data_stand_beside_what_is_proved() -> None:
         "; fresh data lie outside every such disc": {"coverage_needed": "inf"},
     }
     for words, change in expected.items():
-        assert words in " ".join(printed(record | change).split())
+        text = " ".join(printed(record | change).split())
+        assert words in text
 
 
 def test_no_number_is_rounded_across_the_bound_it_is_compared_with() -> None:
     known = {"predicted_stable": True, "resolved_margin": 1.00004, "controller_radius": 0.99996}
-    text = " ".join(printed(a_run("ok") | known).split())
+    record = a_run("ok") | known
+    text = " ".join(printed(record).split())
     assert f"stability margin 1.00004 > 1, {RADIUS} 0.99996 < 1" in text
 
 
@@ -214,7 +219,8 @@ def test_a_controller_that_is_no_faster_than_none_gets_no_word_of_success() -> N
 
 
 def test_cannot_judge_stands_first() -> None:
-    text = " ".join(printed(settled_run(evidence="cannot judge")).split())
+    record = settled_run(evidence="cannot judge")
+    text = " ".join(printed(record).split())
     outcome = text.partition("Outcome ")[2]
     assert outcome.startswith("cannot judge: the evidence allows no judgement")
 

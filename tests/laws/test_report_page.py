@@ -25,16 +25,18 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     table = report_tables.table(RUNS)
     table["error_message"] = None
     table.loc[table.status == "failed", "error_message"] = HOSTILE
-    table["run"] = table["run"].where(
-        table.index != best_first(table).index[0], "order8-width8-seed0-0123456789"
-    )
-    folder = report_tables.write_study(tmp_path_factory.mktemp("study") / "sweep", table)
-    best, second = best_first(table)["run"].head(2)
-    write_recordings(random_run(folder / best, kind="mlp", channels=1, seed=1))
+    index = best_first(table).index
+    table["run"] = table["run"].where(table.index != index[0], "order8-width8-seed0-0123456789")
+    sweep_path = tmp_path_factory.mktemp("study") / "sweep"
+    folder = report_tables.write_study(sweep_path, table)
+    run = best_first(table)["run"]
+    best, second = run.head(2)
+    run = random_run(folder / best, kind="mlp", channels=1, seed=1)
+    write_recordings(run)
     designs = [f"{k},{0.3 + 0.2 * k},{int(k > 2)}.0" for k in range(6)]
-    (folder / second / "comparison.csv").write_text(
-        "design,mismatch_margin,stable_fraction\n" + "\n".join(designs)
-    )
+    comparison_path = folder / second / "comparison.csv"
+    text = "\n".join(designs)
+    comparison_path.write_text("design,mismatch_margin,stable_fraction\n" + text)
     return write_page(folder)
 
 
@@ -68,9 +70,8 @@ def column(driver: Any, name: str) -> list[Any]:
 def test_it_loads_from_disk_without_error_or_request_and_runs_nothing_from_a_record(
     opened: Any,
 ) -> None:
-    assert [
-        entry for entry in opened.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")
-    ] == []
+    entries = opened.get_log("browser")
+    assert [entry for entry in entries if entry["level"] in ("SEVERE", "WARNING")] == []
     assert opened.execute_script("return performance.getEntriesByType('resource').length") == 0
     assert opened.execute_script("return window.hacked ?? null") is None
     assert shown(opened) == RUNS
@@ -81,12 +82,14 @@ def test_it_loads_from_disk_without_error_or_request_and_runs_nothing_from_a_rec
 def test_the_table_sorts_both_ways_by_click(opened: Any) -> None:
     button = "[data-column=fit_test_percent]"
     for direction in ("ascending", "descending"):
-        opened.find_element("css selector", button).click()
+        element = opened.find_element("css selector", button)
+        element.click()
         wait_for(
             opened, f"document.querySelector('{button}').parentElement.ariaSort === '{direction}'"
         )
         values = column(opened, "fit_test_percent")
-        assert values == sorted(values, reverse=direction == "descending")
+        expected = sorted(values, reverse=direction == "descending")
+        assert values == expected
         assert None not in values, "missing values come last, whichever way"
 
 
@@ -95,7 +98,8 @@ def test_filters_combine_and_reset(opened: Any) -> None:
     wait_for(opened, f"!document.getElementById('count').textContent.startsWith('{RUNS} ')")
     without = shown(opened)
     assert "infeasible" not in column(opened, "verdict")
-    opened.find_element("id", "text").send_keys("riccati settles")
+    element = opened.find_element("id", "text")
+    element.send_keys("riccati settles")
     wait_for(opened, f"!document.getElementById('count').textContent.startsWith('{without} ')")
     assert set(column(opened, "synthesis_method")) == {"riccati"}
     assert set(column(opened, "verdict")) == {"certified, settles"}
@@ -108,16 +112,14 @@ def test_a_brush_in_one_plot_filters_the_table_and_every_other_plot(opened: Any)
 
     canvas = opened.find_element("css selector", "#plots canvas")
     opened.execute_script("arguments[0].scrollIntoView({block: 'center'})", canvas)
-    drag = (
-        ActionChains(opened, duration=60)
-        .move_to_element_with_offset(canvas, -60, -60)
-        .click_and_hold()
-    )
+    action_chains = ActionChains(opened, duration=60)
+    drag = action_chains.move_to_element_with_offset(canvas, -60, -60).click_and_hold()
     drag.move_by_offset(60, 50).move_by_offset(60, 50).release().perform()
     wait_for(opened, f"!document.getElementById('count').textContent.startsWith('{RUNS} ')")
     low, high = opened.execute_script("return state.brushes[0].fit_test_percent")
     assert 0 < shown(opened) < RUNS
-    assert all(low <= fit <= high for fit in column(opened, "fit_test_percent"))
+    fits = column(opened, "fit_test_percent")
+    assert all(low <= fit <= high for fit in fits)
     wait_for(opened, "STALE.size === 0 || [...STALE].every(n => !VISIBLE.has(n))")
     seen = opened.execute_script(
         "const n = [...VISIBLE].find(n => n > 0); return "
@@ -140,8 +142,10 @@ def test_every_dashed_line_that_a_note_speaks_of_is_drawn(opened: Any) -> None:
 
 def test_an_axis_of_whole_numbers_has_whole_ticks(browser: Any, tmp_path: Path) -> None:
     """Between orders 2 and 4 stood 2.2, 2.6 and 3.4."""
-    table = report_tables.table(12).assign(order=[2, 4] * 6)
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    order = [2, 4] * 6
+    table = report_tables.table(12).assign(order=order)
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     change = "menu.value = 'order'; menu.dispatchEvent(new Event('change'))"
     browser.execute_script(f"const menu = document.querySelector('[data-axis=across]'); {change}")
@@ -151,7 +155,9 @@ def test_an_axis_of_whole_numbers_has_whole_ticks(browser: Any, tmp_path: Path) 
       return labels(VIEWS[DATA.panels.length].scenegraph().root)"""
     domain = "VIEWS[DATA.panels.length].scale('x').domain()"
     wait_for(browser, f"{domain}[0] > 1 && {domain}[1] < 5")
-    assert [text for text in browser.execute_script(labels) if float(text) < 5] == ["2", "3", "4"]
+    texts = browser.execute_script(labels)
+    expected = ["2", "3", "4"]
+    assert [text for text in texts if float(text) < 5] == expected
 
 
 def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
@@ -162,7 +168,8 @@ def test_a_run_opens_and_closes_from_the_keyboard(opened: Any) -> None:
     link.send_keys(Keys.ENTER)
     wait_for(opened, "document.querySelectorAll('#run canvas').length >= 3")
     assert opened.execute_script("return document.activeElement.textContent") == name
-    opened.switch_to.active_element.send_keys(Keys.ESCAPE)
+    active_element = opened.switch_to.active_element
+    active_element.send_keys(Keys.ESCAPE)
     wait_for(opened, "document.getElementById('run').hidden")
     assert opened.execute_script("return document.activeElement.textContent") == name, (
         "focus returns to where it was"
@@ -209,10 +216,12 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
     table = opened.execute_script("return COLUMNS")
     place = head.index(opened.execute_script("return DATA.words[arguments[0]]", metric))
     groups = groups_shown(opened)
-    assert head[0] == " · ".join(
+    expected = " · ".join(
         opened.execute_script("return arguments[0].map((n) => DATA.words[n])", by)
     )
-    assert sum(int(row[0]) for row in groups.values()) == RUNS
+    assert head[0] == expected
+    rows = groups.values()
+    assert sum(int(row[0]) for row in rows) == RUNS
     assert len(groups) >= 9, "three orders by three methods"
     for label, row in groups.items():
         here = [
@@ -220,17 +229,19 @@ def test_groups_by_any_settings_show_the_mean_over_their_runs(opened: Any) -> No
             for i in range(RUNS)
         ]
         own = [v for v, s in zip(table[metric], here, strict=True) if s == label and v is not None]
-        assert int(row[0]) == here.count(label)
+        expected = here.count(label)
+        assert int(row[0]) == expected
         if own:
-            assert float(row[place - 1].split(" ")[0]) == pytest.approx(
-                sum(own) / len(own), rel=6e-3
-            )
+            expected = sum(own) / len(own)
+            assert float(row[place - 1].split(" ")[0]) == pytest.approx(expected, rel=6e-3)
     every = [v for v in table[metric] if v is not None]
     last = opened.execute_script(
         "return [...document.querySelectorAll('#groups tfoot tr > *')].map(c => c.textContent)"
     )
-    assert (last[0], int(last[1])) == ("All", RUNS)
-    assert float(last[place].split(" ")[0]) == pytest.approx(sum(every) / len(every), rel=6e-3)
+    assert last[0] == "All"
+    assert int(last[1]) == RUNS
+    expected = sum(every) / len(every)
+    assert float(last[place].split(" ")[0]) == pytest.approx(expected, rel=6e-3)
 
 
 def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
@@ -238,14 +249,13 @@ def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) 
         synthesis_method="auto", rates_chosen="controller, observer"
     )
     table.loc[::2, ["rate_controller", "rates_chosen"]] = [0.1, "observer"]
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     browser.execute_script("state.group.by = ['rate_controller']; changed(true)")
     wait_for(browser, "document.querySelectorAll('#groups tbody tr').length === 2")
-    assert {label: row[0] for label, row in groups_shown(browser).items()} == {
-        "0.1": "6",
-        "auto": "6",
-    }
+    expected = {"0.1": "6", "auto": "6"}
+    assert {label: row[0] for label, row in groups_shown(browser).items()} == expected
 
 
 def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_records_are(
@@ -259,7 +269,8 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     )
     reasons = "note: One amplitude: the record shows no other. doubt: The record is short."
     table = table.assign(stable_fraction=1.0, stable_count=10, evidence_reasons=reasons)
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text_of = "return [...document.querySelectorAll(arguments[0])].map((c) => c.innerText)"
     cards = browser.execute_script(text_of, ".card")
@@ -270,13 +281,15 @@ def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_r
     assert cards[-1].startswith("Seen on the simulated plant\n10 of 10\nstarts settle, in 0.")
     (evidence,) = browser.execute_script(text_of, ".evidence li")
     doubts = "The records leave a doubt. The record is short."
-    assert " ".join(evidence.split()) == f"Evidence: doubt {doubts} 1 note", "what matters first"
+    text = " ".join(evidence.split())
+    assert text == f"Evidence: doubt {doubts} 1 note", "what matters first"
     note = browser.execute_script(
         "return document.querySelector('.evidence details p').textContent"
     )
     assert note == "Note: One amplitude: the record shows no other."
     absent = "return ['compare', 'filters', 'beside'].map((id) => document.getElementById(id))"
-    assert browser.execute_script(absent) == [None] * 3, "a single run has nothing to compare"
+    expected = [None] * 3
+    assert browser.execute_script(absent) == expected, "a single run has nothing to compare"
 
 
 @pytest.mark.parametrize(
@@ -289,7 +302,8 @@ def test_the_first_screen_says_what_the_loop_was_closed_on(
     """A trial on a device was said to have settled on the model."""
     table = report_tables.table(60).assign(loop_on=loop_on)
     table = table[table["stable_count"] > 0].head(1)
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text = browser.execute_script("return document.getElementById('lead').innerText")
     assert f"Seen on the {said}\n" in text
@@ -303,12 +317,14 @@ def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_re
     """A run without certificate must be listed: the page said that nothing failed and that every
     certified controller settled."""
     table = report_tables.table(60)
+    run = ["bare", "untried"]
     table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(
-        run=["bare", "untried"]
+        run=run
     )
     table["uncertified_reason"] = ["observer: not positive definite", None]
     table["observer_certified"], table["stable_fraction"] = [False, True], [1.0, None]
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text = browser.execute_script("return document.getElementById('failures').textContent")
     assert "not certified: observer: not positive definite" in text
@@ -322,7 +338,8 @@ def test_a_link_keeps_what_was_chosen(opened: Any, page: Path) -> None:
     boxes = opened.find_elements("css selector", "#body input[type=checkbox]")
     for box in boxes[:2]:
         opened.execute_script("arguments[0].click()", box)
-    opened.find_element("css selector", "[data-column=fit_test_percent]").click()
+    element = opened.find_element("css selector", "[data-column=fit_test_percent]")
+    element.click()
     wait_for(opened, "document.querySelectorAll('#side thead th').length === 3")
     wait_for(opened, "location.hash.includes('fit_test_percent')")
     link = opened.current_url
@@ -357,7 +374,8 @@ def test_menus_list_what_varies_by_the_part_that_it_describes(opened: Any) -> No
     )
     names = opened.execute_script(listed)
     varied = "name => new Set(COLUMNS[name].filter(v => v !== null)).size"
-    assert min(opened.execute_script(f"return arguments[0].map({varied})", names)) > 1
+    smallest = min(opened.execute_script(f"return arguments[0].map({varied})", names))
+    assert smallest > 1
     assert "slope_upper" not in names, "every run has the same"
 
 
@@ -367,12 +385,14 @@ def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(
     table = best_first(report_tables.table(4)).reset_index(drop=True)
     digits = [f"{k:010x}" for k in range(4)]
     table["run"] = [f"order{4 + k // 2}-width8-seed0-{digits[k]}" for k in range(4)]
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     links = browser.execute_script(
         "return [...document.querySelectorAll('#body tr th button')].map(b => b.textContent)"
     )
-    assert links == [f"order{4 + k // 2}-{digits[k]}" for k in range(4)]
+    expected = [f"order{4 + k // 2}-{digits[k]}" for k in range(4)]
+    assert links == expected
     rings = """return VIEWS.map((view) => {
       const ring = (item) => item.strokeWidth === 1.3 ? [item.datum.i] : [];
       const around = (item) => item.items ? item.items.flatMap(around) : ring(item);
@@ -393,7 +413,8 @@ def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(
     table = table.assign(
         rate_controller=0.6, controller_rate_limit=0.359, infeasible_reason="rate 0.6 is infeasible"
     )
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     text = browser.execute_script("return document.getElementById('lead').innerText")
     assert "0.359\nlargest rate that can be certified; requested: 0.6" in text
@@ -412,7 +433,8 @@ def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(
     table = table.assign(
         rate_controller=None, controller_certified_rate=0.1, observer_certified=False
     )
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'", 5)
     text = browser.execute_script("return document.getElementById('lead').innerText")
     assert "largest rate that can be certified\n" in text
@@ -437,7 +459,8 @@ def test_axe_has_no_serious_finding_and_a_phone_need_not_scroll_sideways(
             if v["impact"] in ("serious", "critical")
         ] == []
         ground = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
-        assert ground == ("rgb(22, 24, 27)" if where == "dark" else "rgb(255, 255, 255)")
+        expected = "rgb(22, 24, 27)" if where == "dark" else "rgb(255, 255, 255)"
+        assert ground == expected
         painted = driver.execute_script("return VIEWS.map(view => view.background().toLowerCase())")
         assert set(painted) == {"#16181b" if where == "dark" else "white"}
         if where == "phone":
@@ -458,7 +481,8 @@ def test_an_error_without_a_place_to_break_fits_on_a_phone(tmp_path: Path) -> No
         {"failed": f"no such file: /{'folder/' * 12}log.csv"}
     )
     with chromium(tmp_path / "profile", phone=True) as driver:
-        driver.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+        study_folder = report_tables.write_study(tmp_path / "study", table)
+        driver.get(write_page(study_folder).as_uri())
         wait_for(driver, "document.body.dataset.ready === 'yes'")
         assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
 
@@ -471,7 +495,8 @@ def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_p
         1
     )
     one = pd.concat([one, one.assign(run="again")], ignore_index=True)
-    browser.get(write_page(report_tables.write_study(tmp_path / "one", one)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "one", one)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     heights = browser.execute_script(
         "return [...document.querySelectorAll('.chart canvas')].map((c) => c.clientHeight)"
@@ -489,9 +514,11 @@ def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_p
     "table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"]
 )
 def test_a_study_without_results_still_has_a_page(browser: Any, tmp_path: Path, table: Any) -> None:
-    browser.get(write_page(report_tables.write_study(tmp_path / "study", table)).as_uri())
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    entries = browser.get_log("browser")
+    assert [entry for entry in entries if entry["level"] == "SEVERE"] == []
     assert browser.execute_script("return RUNS") == len(table)
     assert not len(table) or shown(browser) == len(table)
 
@@ -500,7 +527,8 @@ def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
     for name, runs in (("first", 5), ("second", 3)):
         table = report_tables.table(runs).assign(study=name)
         report_tables.write_study(tmp_path / name, table)
-    path = write_page(tmp_path / "first", (tmp_path / "second",))
+    others = (tmp_path / "second",)
+    path = write_page(tmp_path / "first", others)
     assert path.name == "report_with_second.html"
     browser.get(path.as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
@@ -520,7 +548,8 @@ def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path
         ([False, True, None], "clean or with"),
     ):
         table = report_tables.table(6).assign(git_dirty=pd.array((dirty * 6)[:6], dtype="boolean"))
-        study = StudyFolder(folder=report_tables.write_study(tmp_path / str(len(told)), table))
+        folder = report_tables.write_study(tmp_path / str(len(told)), table)
+        study = StudyFolder(folder=folder)
         assert dict(provenance(study, study.table))["working tree"].startswith(told)
 
 
@@ -543,9 +572,11 @@ def test_pictures_and_overlays_are_drawn_and_points_take_the_colours_of_a_settin
     same = "const run = COLUMNS.run[0]; DATA.trajectories.twin = DATA.trajectories[run];"
     same += "COLUMNS.run[1] = 'twin'; const figures = overlayFigures([0, 1]);"
     same += "return figures.map(({ dataset }) => dataset.overlay)"
-    assert opened.execute_script(same) == ["free-runs", "loops"]
+    expected = ["free-runs", "loops"]
+    assert opened.execute_script(same) == expected
     far = "return [printed(0.99998), printed(1.00001), printed(0.5)]"
-    assert opened.execute_script(far) == ["0.99998", "1.00001", "0.5"]
+    expected = ["0.99998", "1.00001", "0.5"]
+    assert opened.execute_script(far) == expected
 
 
 def test_a_prediction_in_the_table_never_stands_without_its_doubt(opened: Any) -> None:
@@ -554,7 +585,8 @@ def test_a_prediction_in_the_table_never_stands_without_its_doubt(opened: Any) -
         "return ['doubt', 'cannot judge', 'sound'].map((word) => {"
         "COLUMNS.evidence[0] = word; return cellOf('predicted_stable', 0); })"
     )
-    assert opened.execute_script(script) == ["yes, doubt", "cannot judge", "yes"]
+    expected = ["yes, doubt", "cannot judge", "yes"]
+    assert opened.execute_script(script) == expected
 
 
 def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
@@ -563,13 +595,17 @@ def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
     table = report_tables.table(60)
     table = table[table["status"] == "ok"].head(3).reset_index(drop=True)
     table = pd.concat([table.head(1)] * 3, ignore_index=True)
-    table = table.assign(run=["a", "b", "c"], rate_controller=[0.1, 0.3, 0.2], rates_chosen=None)
+    run = ["a", "b", "c"]
+    rate_controller = [0.1, 0.3, 0.2]
+    table = table.assign(run=run, rate_controller=rate_controller, rates_chosen=None)
     folder = report_tables.write_study(tmp_path / "study", table)
     for seed, name in enumerate(("a", "b"), start=1):  # the third left no recording
-        write_recordings(random_run(folder / name, kind="mlp", channels=1, seed=seed))
+        run = random_run(folder / name, kind="mlp", channels=1, seed=seed)
+        write_recordings(run)
     browser.get(write_page(folder).as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
-    assert browser.execute_script("return DATA.slider.values") == [0.1, 0.2, 0.3]
+    expected = [0.1, 0.2, 0.3]
+    assert browser.execute_script("return DATA.slider.values") == expected
     chart = "document.querySelector('#responses .chart').view"
     wait_for(browser, chart)
     move = (

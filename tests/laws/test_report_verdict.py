@@ -23,16 +23,18 @@ def test_a_fast_loop_without_certificate_never_beats_a_certified_one() -> None:
     bare = row(run="bare", settling_time_mean_s=0.01, controller_certified=False)
     lost = row(run="lost", settling_time_mean_s=0.02, stable_fraction=0.9)
     failed = {"run": "failed", "status": "failed"}
-    order = best_first(pd.DataFrame([failed, bare, slow, lost, quick]))["run"].tolist()
-    assert order == ["quick", "slow", "lost", "bare", "failed"]
+    table = pd.DataFrame([failed, bare, slow, lost, quick])
+    run = best_first(table)["run"]
+    order = run.tolist()
+    expected = ["quick", "slow", "lost", "bare", "failed"]
+    assert order == expected
 
 
 def test_a_baseline_that_is_only_scored_is_identified_not_uncertified() -> None:
     baseline = {"run": "gru", "status": "ok", "fit_test_percent": 95.0}
-    assert words.verdicts(pd.DataFrame([baseline, row(run="ours")])).tolist() == [
-        "identified",
-        "certified, settles",
-    ]
+    table = pd.DataFrame([baseline, row(run="ours")])
+    expected = ["identified", "certified, settles"]
+    assert words.verdicts(table).tolist() == expected
 
 
 def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
@@ -42,23 +44,24 @@ def test_a_certified_run_without_a_loop_is_not_said_to_miss_a_start() -> None:
         "observer_certified": True,
         "fit_test_percent": 95.0,
     }
-    assert words.verdicts(pd.DataFrame([untried])).tolist() == ["certified, not tried"]
-    assert (
-        words.verdicts(pd.DataFrame([untried, row(stable_fraction=0.5)])).tolist()[1]
-        == words.LOST.word
-    )
+    table = pd.DataFrame([untried])
+    assert words.verdicts(table).tolist() == ["certified, not tried"]
+    table = pd.DataFrame([untried, row(stable_fraction=0.5)])
+    expected = words.LOST.word
+    assert words.verdicts(table).tolist()[1] == expected
 
 
 def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
     for status in ("failed", "lost", "corrupt", "running", None):
-        assert words.verdicts(pd.DataFrame([row(status=status)])).tolist() == [words.FAILED.word]
+        table = pd.DataFrame([row(status=status)])
+        expected = [words.FAILED.word]
+        assert words.verdicts(table).tolist() == expected
 
 
 def test_counts_add_up() -> None:
     table = report_tables.table(50)
-    assert (
-        sum(int(part.split()[0]) for part in words.counts(table).split(": ")[1].split("; ")) == 50
-    )
+    parts = words.counts(table).split(": ")[1].split("; ")
+    assert sum(int(part.split()[0]) for part in parts) == 50
     assert words.counts(report_tables.empty()) == "0 runs"
 
 
@@ -66,4 +69,5 @@ def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:
     unjudged = row(
         run="unjudged", mismatch_margin=7.9, predicted_stable=None, evidence="cannot judge"
     )
-    assert predicted_stable(pd.DataFrame([unjudged])).tolist() == [False]
+    table = pd.DataFrame([unjudged])
+    assert predicted_stable(table).tolist() == [False]

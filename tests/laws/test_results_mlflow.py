@@ -26,7 +26,8 @@ RECORDS = (
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     for record in RECORDS:
-        folder = tmp_path / "study" / str(record["run"])
+        run = str(record["run"])
+        folder = tmp_path / "study" / run
         folder.mkdir(parents=True)
         times = {
             "started_utc": "2026-11-21T01:00:00+00:00",
@@ -38,20 +39,35 @@ def study(tmp_path: Path) -> Path:
 
 def test_every_finished_run_is_written_once(study: Path) -> None:
     mlflow = pytest.importorskip("mlflow", reason="the extra `mlflow` is not installed")
-    assert [export_mlflow(study), export_mlflow(study)] == [2, 0]
+    expected = [2, 0]
+    assert [export_mlflow(study), export_mlflow(study)] == expected
     client = mlflow.MlflowClient(tracking_uri=f"sqlite:///{study / 'mlflow.db'}")
-    runs = {
-        run.info.run_name: run
-        for run in client.search_runs([client.get_experiment_by_name("study").experiment_id])
-    }
-    assert set(runs) == {"a", "b"}
-    assert runs["a"].data.metrics["fit_test_percent"] == 91.5
-    assert runs["a"].data.params["order"] == "8"
-    assert "fit_test_percent" not in runs["b"].data.metrics
-    assert (runs["a"].info.status, runs["b"].info.status) == ("FINISHED", "FAILED")
-    assert runs["a"].info.end_time - runs["a"].info.start_time == 30_000
-    assert [file.path for file in client.list_artifacts(runs["a"].info.run_id)] == ["record.json"]
-    write_record(study / "c", {"run": "c", "status": "ok"})
+    experiment_id = client.get_experiment_by_name("study").experiment_id
+    runs = {run.info.run_name: run for run in client.search_runs([experiment_id])}
+    expected = {"a", "b"}
+    assert set(runs) == expected
+    metrics = runs["a"].data.metrics
+    fit_test_percent = metrics["fit_test_percent"]
+    assert fit_test_percent == 91.5
+    params = runs["a"].data.params
+    order = params["order"]
+    assert order == "8"
+    metrics = runs["b"].data.metrics
+    assert "fit_test_percent" not in metrics
+    status = runs["a"].info.status
+    assert status == "FINISHED"
+    status = runs["b"].info.status
+    assert status == "FAILED"
+    end_time = runs["a"].info.end_time
+    start_time = runs["a"].info.start_time
+    difference = end_time - start_time
+    assert difference == 30_000
+    run_id = runs["a"].info.run_id
+    files = client.list_artifacts(run_id)
+    paths = [file.path for file in files]
+    assert paths == ["record.json"]
+    record = {"run": "c", "status": "ok"}
+    write_record(study / "c", record)
     assert export_mlflow(study) == 1
 
 

@@ -65,10 +65,12 @@ RECORDS = [
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     for record in RECORDS:
-        folder = tmp_path / "study" / str(record["run"])
+        run = str(record["run"])
+        folder = tmp_path / "study" / run
         folder.mkdir(parents=True)
         write_record(folder, {"study": "study", **record})
-    (tmp_path / "study" / "no_run").mkdir()
+    no_run_path = tmp_path / "study" / "no_run"
+    no_run_path.mkdir()
     (tmp_path / "study" / ".hidden").mkdir()
     return tmp_path / "study"
 
@@ -78,11 +80,13 @@ def test_the_agreed_columns_come_first_with_their_types(study: Path) -> None:
     table = pd.read_parquet(study / "runs.parquet", dtype_backend="numpy_nullable")
     names = [column.name for column in COLUMNS]
     assert list(table.columns[: len(names)]) == names
-    assert list(table.columns[len(names) :]) == sorted(table.columns[len(names) :])
-    assert {column.name: str(table[column.name].dtype) for column in COLUMNS} == {
-        c.name: c.kind for c in COLUMNS
-    }
-    assert set(SCHEMA.split()) <= set(names)  # scripts rely on these
+    expected = sorted(table.columns[len(names) :])
+    assert list(table.columns[len(names) :]) == expected
+    dtype_by_name = {column.name: str(table[column.name].dtype) for column in COLUMNS}
+    expected = {c.name: c.kind for c in COLUMNS}
+    assert dtype_by_name == expected
+    schema = SCHEMA.split()
+    assert set(schema) <= set(names)  # scripts rely on these
 
 
 def test_missing_is_null_and_never_zero(study: Path) -> None:
@@ -90,7 +94,8 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
     assert table.loc["c", ["fit_test_percent", "seed", "controller_certified"]].isna().all()
     assert table.loc["e", "mismatch_gain"] == float("inf")
     assert table.loc["d", "controller_feasible"] == False  # noqa: E712
-    lines = (study / "runs.csv").read_text().splitlines()
+    text = (study / "runs.csv").read_text()
+    lines = text.splitlines()
     assert lines[0].startswith(
         "study,run,status,plant,seed,excitation,fold,fresh_sets,model,order,hidden_width"
     )
@@ -98,18 +103,17 @@ def test_missing_is_null_and_never_zero(study: Path) -> None:
 
 
 def test_a_value_of_another_type_is_missing(study: Path) -> None:
-    write_record(
-        study / "c",
-        {"status": "ok", "order": "eight", "fit_test_percent": True, "seed": 1.5, "study": "x"},
-    )
+    record = {"status": "ok", "order": "eight", "fit_test_percent": True, "seed": 1.5, "study": "x"}
+    write_record(study / "c", record)
     row = gather(study).set_index("run").loc["c"]
     assert row[["order", "fit_test_percent", "seed"]].isna().all()
     assert row["study"] == "study"
 
 
 def test_a_damaged_record_is_a_corrupt_row(study: Path) -> None:
-    text = (study / "a" / "record.json").read_text()
-    (study / "a" / "record.json").write_text(text.replace("91.5", "97.5"))
+    record_path = study / "a" / "record.json"
+    text = record_path.read_text()
+    record_path.write_text(text.replace("91.5", "97.5"))
     row = gather(study).set_index("run").loc["a"]
     assert row["status"] == "corrupt"
     assert pd.isna(row["fit_test_percent"])
@@ -149,7 +153,9 @@ def test_gathering_twice_gives_the_same_bytes(study: Path) -> None:
     ],
 )
 def test_filters_compare_columns(study: Path, expression: str, runs: str) -> None:
-    assert "".join(where(gather(study), expression)["run"]) == runs
+    run = where(gather(study), expression)["run"]
+    text = "".join(run)
+    assert text == runs
 
 
 @pytest.mark.parametrize(
@@ -188,9 +194,15 @@ def test_filters_evaluate_nothing_else(
 
 def test_best_comes_first(study: Path) -> None:
     table = gather(study)
-    assert "".join(rank_runs(table)["run"]) == "baedc"
-    assert "".join(rank_runs(table, "fit_test_percent")["run"]) == "eabcd"
-    assert "".join(rank_runs(table, "settling_time_mean_s")["run"]) == "bacde"
+    run = rank_runs(table)["run"]
+    text = "".join(run)
+    assert text == "baedc"
+    run = rank_runs(table, "fit_test_percent")["run"]
+    text = "".join(run)
+    assert text == "eabcd"
+    run = rank_runs(table, "settling_time_mean_s")["run"]
+    text = "".join(run)
+    assert text == "bacde"
     with pytest.raises(BadRequest, match="by = nothing"):
         rank_runs(table, "nothing")
 
@@ -198,7 +210,9 @@ def test_best_comes_first(study: Path) -> None:
 def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
     show(study, where="order > 4")
     output = capsys.readouterr().out
-    assert max(len(line) for line in output.splitlines() if "failed c:" not in line) <= 80
+    lines = output.splitlines()
+    largest = max(len(line) for line in lines if "failed c:" not in line)
+    assert largest <= 80
     assert "5 runs (4 shown): 3 ok, 1 infeasible, 1 failed" in output
     assert "failed c: the solver gave up" in output
     assert "infeasible d: rate 0.8 is too much" in output
@@ -208,9 +222,8 @@ def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixt
 def test_a_run_without_certificate_is_listed_with_its_reason(
     study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_record(
-        study / "b", {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"}
-    )
+    record = {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"}
+    write_record(study / "b", record)
     show(study)
     output = capsys.readouterr().out
     assert "not certified b: observer: too few digits" in output
@@ -231,7 +244,9 @@ def test_a_wide_table_is_cut_to_eighty_columns() -> None:
         }
         for i in range(3)
     ]
-    assert max(map(len, plain_table(table_of(wide)).splitlines())) <= 80
+    lines = plain_table(table_of(wide)).splitlines()
+    largest = max(map(len, lines))
+    assert largest <= 80
 
 
 def sweep(count: int) -> pd.DataFrame:
@@ -253,9 +268,12 @@ def sweep(count: int) -> pd.DataFrame:
 
 
 def test_what_was_swept_stands_before_what_came_of_it() -> None:
-    heads, first = plain_table(sweep(6)).splitlines()[:2]
-    assert heads.split()[:6] == ["run", "status", "order", "r", "ctl", "settled"]
-    assert first.split() == ["0000000000", "ok", "0", "0", "9/10"]
+    lines = plain_table(sweep(6)).splitlines()
+    heads, first = lines[:2]
+    expected = ["run", "status", "order", "r", "ctl", "settled"]
+    assert heads.split()[:6] == expected
+    expected = ["0000000000", "ok", "0", "0", "9/10"]
+    assert first.split() == expected
 
 
 def test_settings_of_the_command_tell_runs_apart() -> None:
@@ -272,16 +290,16 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
         }
         for i, (step_s, undone) in enumerate(settings)
     )
-    assert swept_settings(table) == ["plant__step_s", "synthesis__invert_input"]
+    expected = ["plant__step_s", "synthesis__invert_input"]
+    assert swept_settings(table) == expected
     assert question(table) == "What changes with plant.step_s and synthesis.invert_input?"
-    assert where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"].tolist() == [
-        "r-3"
-    ]
+    run = where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"]
+    assert run.tolist() == ["r-3"]
     heads, *_, last = plain_table(table).splitlines()
-    assert (heads.split(), last.split()) == (
-        ["run", "status", "step_s", "invert_input"],
-        ["3", "ok", "0.02", "yes"],
-    )
+    expected = ["run", "status", "step_s", "invert_input"]
+    assert heads.split() == expected
+    expected = ["3", "ok", "0.02", "yes"]
+    assert last.split() == expected
 
 
 def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
@@ -296,12 +314,9 @@ def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
             [(True, True), (True, None), (None, True), (None, None)]
         )
     ]
-    assert [line.split()[2] for line in plain_table(table_of(rows)).splitlines()[1:]] == [
-        "both",
-        "ctl",
-        "obs",
-        "-",
-    ]
+    lines = plain_table(table_of(rows)).splitlines()[1:]
+    expected = ["both", "ctl", "obs", "-"]
+    assert [line.split()[2] for line in lines] == expected
 
 
 def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None:
@@ -318,12 +333,15 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
          "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697,
          "predicted_stable": True},
     ]  # fmt: skip
-    heads = plain_table(table_of(rows)).splitlines()[0].split()
+    lines = plain_table(table_of(rows)).splitlines()
+    heads = lines[0].split()
     assert heads[2] == "model"
-    assert heads[-5:] == ["settled", "fit", "%", "margin", "predicted"]
+    expected = ["settled", "fit", "%", "margin", "predicted"]
+    assert heads[-5:] == expected
     assert "scaffold_out" not in heads
     # Where there is room.
-    assert "scaffold_out" in plain_table(table_of(rows), width=160).splitlines()[0]
+    lines = plain_table(table_of(rows), width=160).splitlines()
+    assert "scaffold_out" in lines[0]
 
 
 def test_one_reason_is_told_once() -> None:
@@ -351,7 +369,8 @@ def test_folds_are_told_with_their_mean_and_deviation() -> None:
     told = summary(table_of(rows), 5)[2:]
     assert told[0] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
     assert told[1] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
-    assert len(summary(table_of(rows[:2]), 2)) == 2  # one fold is no spread
+    records = rows[:2]
+    assert len(summary(table_of(records), 2)) == 2  # one fold is no spread
 
 
 def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
@@ -372,13 +391,13 @@ def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_n
     study: Path,
 ) -> None:
     table = gather(study)
-    assert plain_table(rank_runs(table, "rmse_test"), "rmse_test").splitlines()[0].split()[:3] == [
-        "run",
-        "rmse",
-        "status",
-    ]
-    heads = plain_table(rank_runs(table, "fit_test_percent"), "fit_test_percent").splitlines()[0]
-    assert heads.split()[1:3] == ["fit", "%"]
+    lines = plain_table(rank_runs(table, "rmse_test"), "rmse_test").splitlines()
+    expected = ["run", "rmse", "status"]
+    assert lines[0].split()[:3] == expected
+    lines = plain_table(rank_runs(table, "fit_test_percent"), "fit_test_percent").splitlines()
+    heads = lines[0]
+    expected = ["fit", "%"]
+    assert heads.split()[1:3] == expected
     for refused in (
         lambda: rank_runs(table, "fit_tets_percent"),
         lambda: where(table, "fit_tets_percent > 1"),
@@ -392,20 +411,18 @@ def test_a_path_in_a_reason_stays_in_one_piece(
 ) -> None:
     """It can be copied out of the terminal, however long."""
     path = "/home/somebody/" + "-a-long-name" * 15
-    write_record(
-        study / "c", {"status": "failed", "error_message": f"cannot read {path}", "run": "c"}
-    )
+    record = {"status": "failed", "error_message": f"cannot read {path}", "run": "c"}
+    write_record(study / "c", record)
     show(study)
     assert path in capsys.readouterr().out
 
 
 def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> None:
-    write_record(
-        study / "c",
-        {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"},
-    )
+    record = {"status": "failed", "error_message": "=HYPERLINK(1)", "plant": "\x1b[2J", "run": "c"}
+    write_record(study / "c", record)
     table = gather(study)
-    assert "'=HYPERLINK(1)" in (study / "runs.csv").read_text()
+    text = (study / "runs.csv").read_text()
+    assert "'=HYPERLINK(1)" in text
     # The table itself says what it was.
     assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
     said = plain_table(table) + "\n".join(summary(table, 5))
@@ -441,10 +458,13 @@ def test_costs_count_each_stage_once() -> None:
         for i in range(20)
     ]
     costs = stage_costs(table_of(runs))
-    assert costs.loc["model", ["distinct", "spent_s", "saved_s"]].tolist() == [1, 10.0, 190.0]
-    assert costs.loc["loop", ["distinct", "spent_s", "saved_s"]].tolist() == [20, 20.0, 0.0]
+    expected = [1, 10.0, 190.0]
+    assert costs.loc["model", ["distinct", "spent_s", "saved_s"]].tolist() == expected
+    expected = [20, 20.0, 0.0]
+    assert costs.loc["loop", ["distinct", "spent_s", "saved_s"]].tolist() == expected
     assert costs.index[0] == "loop"
-    assert cost_lines(table_of(runs))[-1].split() == ["together", "30", "s", "3", "min"]
+    expected = ["together", "30", "s", "3", "min"]
+    assert cost_lines(table_of(runs))[-1].split() == expected
     assert cost_lines(table_of([]))
 
 
@@ -453,30 +473,32 @@ def test_a_missing_study_is_refused(tmp_path: Path) -> None:
         gather(tmp_path / "nothing")
     with pytest.raises(BadRequest, match="there is no run in it"):
         gather(tmp_path)
-    assert list(tmp_path.iterdir()) == []
+    paths = list(tmp_path.iterdir())
+    assert paths == []
 
 
 def change_something(study: Path, what: str) -> None:
     """Make one of the changes that may happen between two gatherings."""
     if what == "new run":
         (study / "f").mkdir()
-        write_record(
-            study / "f", {"status": "ok", "run": "f", "seed": 7, "extra": 2.5, "newly": True}
-        )
+        record = {"status": "ok", "run": "f", "seed": 7, "extra": 2.5, "newly": True}
+        write_record(study / "f", record)
     if what == "changed run":
-        write_record(study / "c", {"status": "ok", "fit_test_percent": 1.0})
+        record = {"status": "ok", "fit_test_percent": 1.0}
+        write_record(study / "c", record)
     if what == "removed run":
-        (study / "b" / "record.json").unlink()
+        record_path = study / "b" / "record.json"
+        record_path.unlink()
     if what == "started run":
-        write_record(study / "d", {"status": "running"})
+        record = {"status": "running"}
+        write_record(study / "d", record)
     if what == "damaged table":
         content = bytearray((study / "runs.parquet").read_bytes())
         content[len(content) // 3] ^= 4
         (study / "runs.parquet").write_bytes(content)
     if what == "damaged index":
-        (study / ".gathered.json").write_text(
-            (study / ".gathered.json").read_text().replace("0", "1", 1)
-        )
+        text = (study / ".gathered.json").read_text()
+        (study / ".gathered.json").write_text(text.replace("0", "1", 1))
     if what == "table by hand":
         (study / "runs.csv").write_text("run\nx\n")
 
@@ -498,11 +520,13 @@ def test_gathering_step_by_step_equals_gathering_afresh(study: Path, what: str) 
     gather(study)
     change_something(study, what)
     step_by_step = gather(study)
-    files = {name: (study / name).read_bytes() for name in ("runs.parquet", "runs.csv")}
+    names = ("runs.parquet", "runs.csv")
+    files = {name: (study / name).read_bytes() for name in names}
     for name in (*files, ".gathered.json"):
         (study / name).unlink()
     pd.testing.assert_frame_equal(step_by_step, gather(study), check_dtype=False)
-    assert {name: (study / name).read_bytes() for name in files} == files
+    bytes_by_name = {name: (study / name).read_bytes() for name in files}
+    assert bytes_by_name == files
 
 
 def test_only_what_has_changed_is_read_again(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -518,4 +542,5 @@ def test_only_what_has_changed_is_read_again(study: Path, monkeypatch: pytest.Mo
     change_something(study, "changed run")
     change_something(study, "new run")
     gather(study)
-    assert read == ["a", "b", "c", "d", "e", "c", "f"]
+    expected = ["a", "b", "c", "d", "e", "c", "f"]
+    assert read == expected

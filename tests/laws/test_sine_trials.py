@@ -36,7 +36,8 @@ MISMATCH = measure_mismatch(SSM_MODEL, records(scaled_model(SHARE), noise=1e-3))
 def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Trajectory:
     wave = amplitude * np.sin(2 * np.pi * line * np.arange(PERIOD) / PERIOD)
     u = np.tile(wave[:, None], (3, 1))
-    y = answer(u) + noise * np.random.default_rng(seed).standard_normal(u.shape)
+    rng = np.random.default_rng(seed)
+    y = answer(u) + noise * rng.standard_normal(u.shape)
     return Trajectory(u=u, y=y, step_s=0.01, name="sine")
 
 
@@ -44,8 +45,10 @@ def sine(answer, line: int, amplitude: float, noise: float, seed: int = 0) -> Tr
 def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
     trial = sine(scaled_model(SHARE), line, 0.5, 1e-3)
     (measured,) = measure_sine_mismatch(SSM_MODEL, (trial,), MISMATCH, PERIOD)
-    assert measured.angle == pytest.approx(2 * np.pi * line / PERIOD)
-    assert measured.amplitude == pytest.approx(0.5 / np.sqrt(2), rel=1e-3)
+    expected = 2 * np.pi * line / PERIOD
+    assert measured.angle == pytest.approx(expected)
+    expected = 0.5 / np.sqrt(2)
+    assert measured.amplitude == pytest.approx(expected, rel=1e-3)
     response = frequency_response(MODEL, np.array([measured.angle]))[0, 0, 0]
     exact = SHARE * abs(response)
     assert exact * 0.999 < measured.gain < 1.05 * exact + 1e-3
@@ -54,14 +57,18 @@ def test_a_sine_shows_the_gain_of_its_line(line: int) -> None:
 def test_what_noise_hides_is_not_zero() -> None:
     """Without any mismatch the limit is that of the noise, and an upper one nearly always."""
     trials = tuple(sine(scaled_model(0.0), 43, 0.01, 1e-3, seed) for seed in range(40))
-    gains = [trial.gain for trial in measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)]
+    sine_mismatch = measure_sine_mismatch(SSM_MODEL, trials, MISMATCH, PERIOD)
+    gains = [trial.gain for trial in sine_mismatch]
     assert min(gains) > 0
     scale = 1e-3 / 0.01 * np.sqrt(2 / PERIOD)
-    assert 0.3 * scale < np.median(gains) < 3 * scale
+    median = np.median(gains)
+    assert 0.3 * scale < median < 3 * scale
     small = tuple(sine(scaled_model(SHARE), 43, 0.01, 1e-3, seed) for seed in range(40))
-    limits = [trial.gain for trial in measure_sine_mismatch(SSM_MODEL, small, MISMATCH, PERIOD)]
+    sine_mismatch = measure_sine_mismatch(SSM_MODEL, small, MISMATCH, PERIOD)
+    limits = [trial.gain for trial in sine_mismatch]
     exact = SHARE * abs(frequency_response(MODEL, np.array([2 * np.pi * 43 / PERIOD]))[0, 0, 0])
-    assert np.mean(np.array(limits) > exact) > 0.9
+    mean = np.mean(np.array(limits) > exact)
+    assert mean > 0.9
 
 
 def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> None:
@@ -77,18 +84,26 @@ def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> Non
     assert facts["sine_margin"] < 1
     harmless = replace(harmful, gain=1e-6)
     facts = sine_facts(FAST, SSM_MODEL, BALLS, MISMATCH, [harmless])
-    assert facts == {"predicted_stable": True, "sine_margin": before.resolved_margin}
+    expected = {"predicted_stable": True, "sine_margin": before.resolved_margin}
+    assert facts == expected
     assert sine_facts(FAST, SSM_MODEL, BALLS, MISMATCH, []) == {}
 
 
 def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
     smallest = MISMATCH.views[0]
-    tiny = SineMismatch(angle=0.3, amplitude=smallest.amplitude / 10, gain=5.0)
-    views = with_sines(MISMATCH, [tiny]).views
-    assert len(views) == len(MISMATCH.views) + 1
-    assert views[0].amplitude == tiny.amplitude
-    np.testing.assert_array_equal(views[1].by_frequency, smallest.by_frequency)
-    assert np.interp(0.3, np.linspace(0, np.pi, 33), views[0].by_frequency) == pytest.approx(5.0)
+    amplitude = smallest.amplitude / 10
+    tiny = SineMismatch(angle=0.3, amplitude=amplitude, gain=5.0)
+    mismatch = with_sines(MISMATCH, [tiny])
+    views = mismatch.views
+    expected = len(MISMATCH.views) + 1
+    assert len(views) == expected
+    amplitude = views[0].amplitude
+    assert amplitude == tiny.amplitude
+    actual = views[1].by_frequency
+    np.testing.assert_array_equal(actual, smallest.by_frequency)
+    by_frequency = views[0].by_frequency
+    interpolated_values = np.interp(0.3, np.linspace(0, np.pi, 33), by_frequency)
+    assert interpolated_values == pytest.approx(5.0)
 
 
 def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
@@ -97,7 +112,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
     angles = 2 * np.pi * np.arange(4, PERIOD // 2) / PERIOD
     loop = sensitivity(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
     size = np.abs(frequency_response(loop, angles)[:, 0, 0])
-    assert max(size[line - 4] for line in lines) > 0.99 * size.max()
+    largest = max(size[line - 4] for line in lines)
+    assert largest > 0.99 * size.max()
 
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
@@ -108,12 +124,21 @@ def test_where_no_noise_is_known_nothing_is_tried() -> None:
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
     plant = motor()
-    trials = sine_records(plant, np.random.default_rng(0), np.zeros(1), [43, 128])
-    assert len(trials) == 2 * len(SINE_SHARES)
+    rng = np.random.default_rng(0)
+    deviation = np.zeros(1)
+    lines = [43, 128]
+    trials = sine_records(plant, rng, deviation, lines)
+    expected = 2 * len(SINE_SHARES)
+    assert len(trials) == expected
     assert min(SINE_SHARES) == 0.01
     for trial in trials:
         u = trial.u[:, 0]
-        np.testing.assert_array_equal(u[PERIOD : 2 * PERIOD], u[2 * PERIOD :])
+        actual = u[PERIOD : 2 * PERIOD]
+        expected = u[2 * PERIOD :]
+        np.testing.assert_array_equal(actual, expected)
     largest = max(float(np.abs(trial.u - plant.equilibrium().u).max()) for trial in trials)
-    assert largest == pytest.approx(plant.input_amplitude[0], rel=1e-3)
-    assert sine_records(plant, np.random.default_rng(0), np.zeros(1), []) == ()
+    expected = plant.input_amplitude[0]
+    assert largest == pytest.approx(expected, rel=1e-3)
+    rng = np.random.default_rng(0)
+    deviation = np.zeros(1)
+    assert sine_records(plant, rng, deviation, []) == ()

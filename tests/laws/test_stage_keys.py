@@ -83,7 +83,9 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def request_of(*overrides: str) -> Specification:
     with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return Specification.from_config(compose("study", ["study=s", *overrides]))
+        number = ["study=s", *overrides]
+        config = compose("study", number)
+        return Specification.from_config(config)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +100,8 @@ def keys_of(
     sources = Code({"ssm_study": package})
 
     def version(*roots: Callable[..., Any] | type | str) -> str:
-        return sources.version(*sorted({symbol_of(root) for root in roots}))
+        symbols = sorted({symbol_of(root) for root in roots})
+        return sources.version(*symbols)
 
     stages = KeysOfStages(folder=folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -174,7 +177,8 @@ MEASURES = {
 def test_a_measure_makes_its_columns_stale(
     stage: str, scratch: Path, simulated: Specification
 ) -> None:
-    assert stale(simulated, scratch, *MEASURES[stage]) == [stage + COLUMNS]
+    expected = [stage + COLUMNS]
+    assert stale(simulated, scratch, *MEASURES[stage]) == expected
 
 
 ROWS = {
@@ -203,7 +207,8 @@ ROWS = {
 @pytest.mark.parametrize("row", ROWS)
 def test_exactly_these_stages(row: str, scratch: Path, simulated: Specification) -> None:
     *change, expected = ROWS[row]
-    assert stages_among(stale(simulated, scratch, *change)) == expected
+    names = stale(simulated, scratch, *change)
+    assert stages_among(names) == expected
 
 
 def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
@@ -214,17 +219,20 @@ def test_a_rule_that_leaves_the_evidence_as_it_was_makes_no_design_stale(
     file.parent.mkdir()
     file.write_text('{"level": "sound"}')
     *change, _ = ROWS["evidence"]
-    assert stages_among(stale(simulated, scratch, *change, folder=tmp_path)) == ["evidence"]
+    names = stale(simulated, scratch, *change, folder=tmp_path)
+    assert stages_among(names) == ["evidence"]
     before = keys_of(simulated, scratch, tmp_path)
     file.write_text('{"level": "doubt"}')
     after = keys_of(simulated, scratch, tmp_path)
-    assert [name for name in ALL if after[name] != before[name]] == ALL[6:]
+    expected = ALL[6:]
+    assert [name for name in ALL if after[name] != before[name]] == expected
 
 
 @pytest.fixture
 def recorded(tmp_path: Path) -> Specification:
     log = tmp_path / "log.csv"
-    log.write_text("time,u,y\n" + "".join(f"{0.1 * k},{k % 3},{k % 5}\n" for k in range(200)))
+    text = "".join(f"{0.1 * k},{k % 3},{k % 5}\n" for k in range(200))
+    log.write_text("time,u,y\n" + text)
     words = ("data=recorded", f"data.path={log}", "data.input=u", "data.output=y", "model=ssm")
     return request_of(*words, "model.order=2")
 
@@ -241,7 +249,8 @@ def test_reader_and_split_make_all_stale(
     file: str, pattern: str, scratch: Path, recorded: Specification
 ) -> None:
     edited = stale(recorded, scratch, file, pattern, r"@edited\n\g<0>")
-    assert stages_among(edited) == [name for name in ALL if name not in OF_A_PLANT]
+    expected = [name for name in ALL if name not in OF_A_PLANT]
+    assert stages_among(edited) == expected
 
 
 def test_more_fresh_data_sets_train_nothing_again(scratch: Path, simulated: Specification) -> None:
@@ -249,7 +258,8 @@ def test_more_fresh_data_sets_train_nothing_again(scratch: Path, simulated: Spec
     more = request_of("experiment=smoke", "data.fresh_sets=7")
     after = keys_of(more, scratch)
     assert [name for name in ALL if after[name] != before[name]] == ["fresh_data"]
-    other_noise = keys_of(request_of("experiment=smoke", "data.noise_variance=0.5"), scratch)
+    request = request_of("experiment=smoke", "data.noise_variance=0.5")
+    other_noise = keys_of(request, scratch)
     assert [name for name in ALL if other_noise[name] != before[name]] == ALL
 
 
@@ -314,7 +324,9 @@ def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
     root = ("own.theorem", "OwnTheorem")
 
     def version() -> str:
-        return Code({"ssm_study": scratch, "own": own}).version(root)
+        folders = {"ssm_study": scratch, "own": own}
+        code = Code(folders)
+        return code.version(root)
 
     before = version()
     package = scratch.parent if file.startswith("ssm_study") else tmp_path

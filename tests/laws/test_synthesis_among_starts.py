@@ -27,7 +27,8 @@ def slower(of: StructuredSSM) -> StructuredSSM:
     b = of.b.copy()
     a[0], a[:, 0], b[0] = 0.0, 0.0, 0.0
     a[0, 0] = 0.99
-    return replace(of, a=a, b=b, e=np.vstack([0.0 * of.e[:1], of.e[1:]]))
+    e = np.vstack([0.0 * of.e[:1], of.e[1:]])
+    return replace(of, a=a, b=b, e=e)
 
 
 def test_nearly_equal_fits_leave_the_choice_to_the_rate_and_a_better_fit_does_not() -> None:
@@ -45,13 +46,12 @@ def test_neurons_must_gain_a_percent_point() -> None:
     they gain more."""
     slow = slower(model())
     rule = LargestCertifiableRate()
-    none = {
-        "e": slow.e[:, :0],
-        "f": slow.f[:0],
-        "g": slow.g[:0],
-        "h": slow.h[:, :0],
-        "bias": slow.bias[:0],
-    }
+    e = slow.e[:, :0]
+    f = slow.f[:0]
+    g = slow.g[:0]
+    h = slow.h[:, :0]
+    bias = slow.bias[:0]
+    none = {"e": e, "f": f, "g": g, "h": h, "bias": bias}
     plain = replace(model(), **none, neurons=())
     assert rule([trained(slow, 98.0), trained(plain, 97.1)]).model is plain
     assert rule([trained(slow, 98.0), trained(plain, 96.9)]).model is slow
@@ -60,16 +60,20 @@ def test_neurons_must_gain_a_percent_point() -> None:
 def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
     spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=LargestCertifiableRate())
     sizes = [(one.order, one.neurons) for one in map(spec.at_start, range(spec.trainings))]
-    assert sizes == [(5, 4), (3, 4), (5, 4), (3, 0)]
+    expected = [(5, 4), (3, 4), (5, 4), (3, 0)]
+    assert sizes == expected
     best = replace(spec, among_starts=None)
-    assert [best.at_start(k) for k in range(best.trainings)] == [best] * 3
+    expected = [best] * 3
+    assert [best.at_start(k) for k in range(best.trainings)] == expected
 
 
 def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     """Bisection on the inequality with neurons, and the frontier in closed form."""
     idle = drawn(seed=3, size=1e-6)
     assert isinstance(idle, StructuredSystem)
-    exact = largest_rate_of(idle.at_slopes(np.zeros(idle.neurons)), BALL)
+    slopes = np.zeros(idle.neurons)
+    system = idle.at_slopes(slopes)
+    exact = largest_rate_of(system, BALL)
     assert largest_rate_of(idle, BALL) == pytest.approx(exact, abs=2e-3)
     assert largest_rate_of(idle, BALL) <= exact
 

@@ -23,7 +23,8 @@ BALLS = [
 def problem(ball: JacobianBall, rate: float = 0.1) -> Problem:
     a = np.array([[1.05, 0.1, 0.0], [-0.1, 0.97, 0.2], [0.0, 0.0, 0.4]])
     b = np.array([[0.1], [1.0], [0.5]])
-    return Problem(a=a, b=b, ball=ball, rate=rate, state_weight=np.eye(3), input_weight=1.0)
+    state_weight = np.eye(3)
+    return Problem(a=a, b=b, ball=ball, rate=rate, state_weight=state_weight, input_weight=1.0)
 
 
 def limits(asked: Problem) -> Frontier:
@@ -33,7 +34,8 @@ def limits(asked: Problem) -> Frontier:
 def shares(asked: Problem, contractions: list[float]) -> np.ndarray:
     """How far each lies on the way, in log r, from the asked factor to the frontier, or to half
     where that is zero."""
-    floor = max(limits(asked).contraction_limit, asked.contraction / 2)
+    contraction_limit = limits(asked).contraction_limit
+    floor = max(contraction_limit, asked.contraction / 2)
     return np.log(np.array(contractions) / asked.contraction) / np.log(floor / asked.contraction)
 
 
@@ -55,7 +57,9 @@ def test_gains_in_closed_form_are_built_inside_the_room(ball: JacobianBall) -> N
         made.append((found.sigma, found.status))
         built.append(float(np.sqrt(1 - rate)))
     assert len(set(made)) == len(made) > 20
-    np.testing.assert_allclose(shares(asked, built[: len(SHARES)]), SHARES, atol=1e-4)
+    contractions = built[: len(SHARES)]
+    actual = shares(asked, contractions)
+    np.testing.assert_allclose(actual, SHARES, atol=1e-4)
 
 
 @pytest.mark.parametrize("ball", BALLS)
@@ -68,17 +72,18 @@ def test_the_asked_rate_comes_first_and_repairs_lie_inside_the_room(ball: Jacobi
             raise NoSolution("noted")
 
     asked = problem(ball)
-    attempts: list[Callable[[], Solution]] = super(
-        RiccatiSynthesis, Noting(rate_controller=0.1, rate_observer=0.1)
-    ).attempts(asked, limits(asked))
+    noting = Noting(rate_controller=0.1, rate_observer=0.1)
+    attempts: list[Callable[[], Solution]] = super(RiccatiSynthesis, noting).attempts(
+        asked, limits(asked)
+    )
     for attempt in attempts:
         with pytest.raises(NoSolution):
             attempt()
     first, *repairs = tried
     assert first == asked.rate
-    np.testing.assert_allclose(
-        shares(asked, [float(np.sqrt(1 - rate)) for rate in repairs]), REPAIRS
-    )
+    contractions = [float(np.sqrt(1 - rate)) for rate in repairs]
+    actual = shares(asked, contractions)
+    np.testing.assert_allclose(actual, REPAIRS)
     assert all(asked.rate < rate < limits(asked).rate_limit for rate in repairs)
     assert repairs == sorted(repairs)  # the mildest first
 
@@ -104,7 +109,8 @@ def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> N
     b = 2.0 * asked.b / r
     s = scipy.linalg.solve_discrete_are(a, b, asked.state_weight, np.eye(1))
     gain = -np.linalg.solve(np.eye(1) + b.T @ s @ b, b.T @ s @ a)
-    np.testing.assert_allclose(guaranteed_cost(asked).k, gain, rtol=1e-6)
+    actual = guaranteed_cost(asked).k
+    np.testing.assert_allclose(actual, gain, rtol=1e-6)
 
 
 def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_closed_form() -> (
@@ -112,5 +118,7 @@ def test_the_weights_are_tried_at_the_asked_rate_and_two_faster_ones_before_the_
 ):
     asked = problem(BALLS[1])
     method = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    said = [attempt().status.split()[0] for attempt in method.attempts(asked, limits(asked))[:5]]
-    assert said == ["tau", "tau", "tau", "minimum", "minimum"]
+    attempts = method.attempts(asked, limits(asked))[:5]
+    said = [attempt().status.split()[0] for attempt in attempts]
+    expected = ["tau", "tau", "tau", "minimum", "minimum"]
+    assert said == expected

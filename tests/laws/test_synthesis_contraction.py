@@ -25,35 +25,36 @@ SEEDS = st.integers(0, 10**6)
 
 
 def kinked(rng: np.random.Generator, channels: int, lower: float) -> MonotoneScaffold:
-    return MonotoneScaffold(
-        breakpoints=np.sort(rng.normal(size=(channels, 6)), axis=1),
-        slopes=rng.uniform(lower, 1, size=(channels, 7)),
-    )
+    breakpoints = np.sort(rng.normal(size=(channels, 6)), axis=1)
+    slopes = rng.uniform(lower, 1, size=(channels, 7))
+    return MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
 
 
 def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
     """Order 4, feedthrough D, kinked scaffoldings on both sides, marginally stable."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(4, 4))
-    linear = StateSpace(
-        a=a / np.abs(np.linalg.eigvals(a)).max(),
-        b=rng.normal(size=(4, channels)),
-        c=rng.normal(size=(channels, 4)),
-        d=rng.normal(size=(channels, channels)),
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    b = rng.normal(size=(4, channels))
+    c = rng.normal(size=(channels, 4))
+    d = rng.normal(size=(channels, channels))
+    linear = StateSpace(a=a / spectral_radius, b=b, c=c, d=d)
+    scaffold_in = kinked(rng, channels, 0.3)
+    scaffold_out = kinked(rng, channels, output_floor)
+    scale = Scale.unit(channels, channels)
     return SSM(
-        linear=linear,
-        scaffold_in=kinked(rng, channels, 0.3),
-        scaffold_out=kinked(rng, channels, output_floor),
-        scale=Scale.unit(channels, channels),
-        step_s=0.1,
+        linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.1
     )
 
 
 def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
     balls = certified_balls(model)
-    controller = controller_frontier(model.linear, balls.input).rate_limit
-    observer = controller_frontier(dual(model.linear), balls.output).rate_limit
+    frontier = controller_frontier(model.linear, balls.input)
+    controller = frontier.rate_limit
+    system = dual(model.linear)
+    frontier = controller_frontier(system, balls.output)
+    observer = frontier.rate_limit
     design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(
         model, balls
     )
@@ -74,10 +75,13 @@ def closed_loop(
     for _ in range(steps):
         states.append(x)
         estimates.append(xh)
-        ubar = model.scaffold_in(xh @ design.state_feedback.k.T)
-        innovation = model.read_scaled(xh, ubar) - model.read_scaled(x, ubar)
+        state_feedback_k = design.state_feedback.k
+        ubar = model.scaffold_in(xh @ state_feedback_k.T)
+        scaled = model.read_scaled(xh, ubar)
+        innovation = scaled - model.read_scaled(x, ubar)
         x = model.advance(x, ubar)
-        xh = model.advance(xh, ubar) + innovation @ design.observer.l.T
+        observer_l = design.observer.l
+        xh = model.advance(xh, ubar) + innovation @ observer_l.T
     return np.stack(states, axis=1), np.stack(estimates, axis=1)
 
 
@@ -92,10 +96,9 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     assert isinstance(design.observer, Observer)
     assert violations(x, xh, design.state_feedback, design.observer) == 0
     _, error = distances(x, xh, design.state_feedback, design.observer)
-    assert (
-        error[:, 1:]
-        <= design.observer.contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]
-    ).all()
+    contraction = design.observer.contraction
+    upper_limit = contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]
+    assert (error[:, 1:] <= upper_limit).all()
 
 
 def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
@@ -116,9 +119,14 @@ def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
     d, e = distances(x, xh, design.state_feedback, design.observer)
-    bound = certified_bound(d[:, 0], e[:, 0], 200, design.state_feedback, design.observer)
-    np.testing.assert_array_equal(bound[:, 0], d[:, 0])
-    assert (bound[:, -1] < 1e-3 * bound.max(axis=1)).all()
+    d0 = d[:, 0]
+    e0 = e[:, 0]
+    bound = certified_bound(d0, e0, 200, design.state_feedback, design.observer)
+    actual = bound[:, 0]
+    expected = d[:, 0]
+    np.testing.assert_array_equal(actual, expected)
+    upper_limit = 1e-3 * bound.max(axis=1)
+    assert (bound[:, -1] < upper_limit).all()
 
 
 def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.ndarray:
@@ -129,10 +137,8 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
     for _ in range(count):
         v = rng.normal(size=len(metric))
         slope = part.alpha + part.beta * rng.choice([-1, 1])
-        ratios.append(
-            np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v)))
-            / np.linalg.norm(root @ v)
-        )
+        norm = np.linalg.norm(root @ (part.a @ v + slope * part.b @ (part.k @ v)))
+        ratios.append(norm / np.linalg.norm(root @ v))
     return np.array(ratios)
 
 
@@ -141,7 +147,10 @@ def steps_in(metric: np.ndarray, part: StateFeedback, count: int = 400) -> np.nd
 def test_distances_shrink_by_the_root_of_one_minus_the_rate(seed: int) -> None:
     part = certified_design(random_ssm(seed)).state_feedback
     assert isinstance(part, StateFeedback)
-    assert steps_in(np.linalg.inv(part.p), part).max() <= part.contraction * (1 + 1e-7)
+    metric = np.linalg.inv(part.p)
+    largest = steps_in(metric, part).max()
+    upper_limit = part.contraction * (1 + 1e-7)
+    assert largest <= upper_limit
 
 
 def test_the_metric_is_the_inverse_of_p_and_not_p() -> None:
@@ -168,9 +177,11 @@ def _feedbacks() -> list[StateFeedback]:
 def test_singular_values_are_not_enough() -> None:
     """A falling S_u has singular values in [mu, nu] too; the certificate for the rising ball breaks
     on it."""
-    linear = StateSpace(
-        a=np.array([[0.99]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = np.array([[0.99]])
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     rising = JacobianBall.from_slopes(0.5, 1.0)
     falling = JacobianBall.from_slopes(-1.0, -0.5)
     method = ClosedFormSynthesis(rate_controller=0.5, rate_observer=0.5)
@@ -178,7 +189,8 @@ def test_singular_values_are_not_enough() -> None:
     down = method.state_feedback(linear, falling)
     assert isinstance(up, StateFeedback)
     assert isinstance(down, StateFeedback)
-    assert abs(0.99 - 0.75 * up.k[0, 0]) > 1  # the same gain on the falling map: unstable
+    difference = abs(0.99 - 0.75 * up.k[0, 0])
+    assert difference > 1  # the same gain on the falling map: unstable
     np.testing.assert_allclose(down.k, -up.k, rtol=1e-12)  # the ball with sign gives the right gain
     assert down.certified
 
@@ -202,18 +214,35 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
         w = w + into @ into.T
         o = o + out.T @ out
         power = power @ model.linear.a
+    a = model.linear.a
+    b = model.linear.b
+    linear_a = model.linear.a
+    linear_c = model.linear.c
     for found, linear, ball in (
-        (w, gramian(model.linear.a, model.linear.b, steps), balls.input),
-        (o, gramian(model.linear.a.T, model.linear.c.T, steps), balls.output),
+        (w, gramian(a, b, steps), balls.input),
+        (o, gramian(linear_a.T, linear_c.T, steps), balls.output),
     ):
-        slack = 1e-9 * np.abs(linear).max()
-        assert np.linalg.eigvalsh(found - ball.lower**2 * linear)[0] >= -slack
-        assert np.linalg.eigvalsh(ball.upper**2 * linear - found)[0] >= -slack
-    local = local_property(model.linear.a, model.linear.b, balls.input)
+        largest = np.abs(linear).max()
+        slack = 1e-9 * largest
+        difference = found - ball.lower**2 * linear
+        eigenvalues = np.linalg.eigvalsh(difference)
+        assert eigenvalues[0] >= -slack
+        difference = ball.upper**2 * linear - found
+        eigenvalues = np.linalg.eigvalsh(difference)
+        assert eigenvalues[0] >= -slack
+    a = model.linear.a
+    b = model.linear.b
+    local = local_property(a, b, balls.input)
     assert local.holds
-    assert local.lower <= np.linalg.eigvalsh(w)[0] + 1e-9
-    assert np.linalg.eigvalsh(w)[-1] <= local.upper * (1 + 1e-9)
-    assert local_property(model.linear.a.T, model.linear.c.T, balls.output).holds
+    eigenvalues = np.linalg.eigvalsh(w)
+    upper_limit = eigenvalues[0] + 1e-9
+    assert local.lower <= upper_limit
+    eigenvalues = np.linalg.eigvalsh(w)
+    upper_limit = local.upper * (1 + 1e-9)
+    assert eigenvalues[-1] <= upper_limit
+    a = model.linear.a.T
+    b = model.linear.c.T
+    assert local_property(a, b, balls.output).holds
 
 
 @pytest.mark.parametrize(
@@ -222,9 +251,11 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
 def test_local_controllability_is_not_claimed_without_authority(
     slopes: tuple[float, float], b: float
 ) -> None:
-    linear = StateSpace(
-        a=np.diag([0.9, 0.5]), b=np.array([[b], [1.0]]), c=np.ones((1, 2)), d=np.zeros((1, 1))
-    )
-    local = local_property(linear.a, linear.b, JacobianBall.from_slopes(*slopes))
+    a = np.diag([0.9, 0.5])
+    c = np.ones((1, 2))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=np.array([[b], [1.0]]), c=c, d=d)
+    ball = JacobianBall.from_slopes(*slopes)
+    local = local_property(linear.a, linear.b, ball)
     assert not local.holds
     assert local.lower == 0.0

@@ -32,34 +32,41 @@ def response(monkeypatch: pytest.MonkeyPatch) -> ExpectedResponse:
     monkeypatch.setattr(ExpectedResponse, "resists_noise", lambda *_: True)
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS)
     gains: Any = np.zeros((4, 1, 1))
-    grid = Candidates(feedback=(), ks=gains, observing=(), ls=gains[:1])
+    ls = gains[:1]
+    grid = Candidates(feedback=(), ks=gains, observing=(), ls=ls)
+    mismatch = Mismatch(views=())
     return ExpectedResponse(
-        model=motor_model(), balls=BALLS, candidates=grid, mismatch=Mismatch(views=()), margin=1.0
+        model=motor_model(), balls=BALLS, candidates=grid, mismatch=mismatch, margin=1.0
     )
 
 
 def order_of(response: ExpectedResponse) -> list[int]:
-    pairs = response.ordered_pairs(np.zeros((4, 1)), (), None)
+    peaks = np.zeros((4, 1))
+    pairs = response.ordered_pairs(peaks, (), None)
     ranked = list(islice(pairs, 10))
     for pair, is_faster in ranked:
-        assert is_faster == (expected_response.relative_areas()[pair[0]] < expected_response.FASTER)
+        expected = expected_response.relative_areas()[pair[0]] < expected_response.FASTER
+        assert is_faster == expected
     return [int(pair[0]) for pair, _ in ranked]
 
 
 def test_a_predicted_faster_pair_comes_before_an_idle_one(response):
-    assert order_of(response) == [0, 1, 2]
+    expected = [0, 1, 2]
+    assert order_of(response) == expected
 
 
 def test_by_expected_area_alone_the_idle_one_came_first(response, monkeypatch):
     monkeypatch.setattr(expected_response, "FASTER", np.inf)
-    assert order_of(response) == [1, 0, 2]
+    expected = [1, 0, 2]
+    assert order_of(response) == expected
 
 
 def test_without_a_faster_pair_the_others_are_still_offered(response, monkeypatch):
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: AREAS + 1)
     order = order_of(response)
     assert order[0] == 1
-    assert sorted(order) == [0, 1, 2]
+    expected = [0, 1, 2]
+    assert sorted(order) == expected
 
 
 def test_a_plant_that_does_not_rest_is_offered_nothing(response):
@@ -73,40 +80,45 @@ def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monk
     ratios = np.array([1.2, 0.5, 0.5, 0.5])
     monkeypatch.setattr(expected_response, "slowest_ratios", lambda *_: ratios)
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: 0.5 * AREAS)
-    pairs = [
-        (int(ranked.pair[0]), ranked.is_faster)
-        for ranked in response.ordered_pairs(np.zeros((4, 1)), (), None)
-    ]
-    assert pairs == [(1, True), (2, False), (0, False)]
+    peaks = np.zeros((4, 1))
+    rankeds = response.ordered_pairs(peaks, (), None)
+    pairs = [(int(ranked.pair[0]), ranked.is_faster) for ranked in rankeds]
+    expected = [(1, True), (2, False), (0, False)]
+    assert pairs == expected
 
 
 def test_the_compared_pairs_are_the_fastest_and_some_of_the_rest():
     areas = np.linspace(1.0, 0.0, 1000)
     compared = compared_indices(areas, areas >= FASTER)
     assert compared[0] == 999
-    assert set(compared[:200]) == set(range(800, 1000))
+    expected = set(range(800, 1000))
+    assert set(compared[:200]) == expected
     assert min(compared) < 10  # the slowest are among them
-    assert compared_indices(np.array([0.1, 0.8]), np.array([True, False])) == [1, 0]
+    slow = np.array([True, False])
+    expected = [1, 0]
+    assert compared_indices(np.array([0.1, 0.8]), slow) == expected
 
 
 def test_a_decay_is_answered_by_the_model_alone():
     """Without gains the decay is what it was; gains that act at once settle it sooner."""
     model = motor_model()
     linear = model.linear
-    trial = Trajectory(
-        u=np.tile(model.scale.input_equilibrium, (200, 1)),
-        y=model.simulate(np.tile(model.scale.input_equilibrium, (200, 1)), START),
-        step_s=model.step_s,
-    )
-    excited = Trajectory(
-        u=model.scale.input_equilibrium + RNG.standard_normal((400, linear.b.shape[1])),
-        y=np.zeros((400, len(linear.c))),
-        step_s=model.step_s,
-    )
+    input_equilibrium = model.scale.input_equilibrium
+    u = np.tile(input_equilibrium, (200, 1))
+    input_equilibrium = model.scale.input_equilibrium
+    y = model.simulate(np.tile(input_equilibrium, (200, 1)), START)
+    trial = Trajectory(u=u, y=y, step_s=model.step_s)
+    input_equilibrium = model.scale.input_equilibrium
+    rng = RNG.standard_normal((400, linear.b.shape[1]))
+    u = input_equilibrium + rng
+    y = np.zeros((400, len(linear.c)))
+    excited = Trajectory(u=u, y=y, step_s=model.step_s)
     decays = decays_of(model, (trial,), (excited,))
     assert len(decays) == 1
-    none = Gains(k=np.zeros((1, 1, model.order)), l=np.zeros((1, model.order, 1)))
+    k = np.zeros((1, 1, model.order))
+    none = Gains(k=k, l=np.zeros((1, model.order, 1)))
     assert slowest_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
     assert not slowest_ratios(model, none, NO_DECAYS, 0.05).any()
-    moving = replace(trial, u=trial.u + 1.0)
+    u = trial.u + 1.0
+    moving = replace(trial, u=u)
     assert not len(decays_of(model, (moving,), (excited,)))

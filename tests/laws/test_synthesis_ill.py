@@ -53,19 +53,20 @@ OUTPUTS: tuple[Callable[[np.random.Generator, np.ndarray], np.ndarray], ...] = (
 
 def drawn(kind: str, rng: np.random.Generator) -> tuple[SSM, Balls]:
     n = int(rng.integers(2, 5))
-    b, c = (rng.standard_normal(shape) * 10.0 ** rng.integers(-14, 9) for shape in ((n, 1), (1, n)))
+    shapes = ((n, 1), (1, n))
+    b, c = (rng.standard_normal(shape) * 10.0 ** rng.integers(-14, 9) for shape in shapes)
     silent = rng.integers(
         4
     )  # a direction that the input does not reach or the output does not show; or all of them
     b[: int(rng.integers(n + 1)) if silent == 0 else 0] = 0
     c[:, : int(rng.integers(n + 1)) if silent == 1 else 0] = 0
-    linear = StateSpace(
-        a=MATRICES[kind](rng, n), b=b, c=c, d=np.array([[rng.choice([0.0, 1.0, 1e8])]])
-    )
+    a = MATRICES[kind](rng, n)
+    d = np.array([[rng.choice([0.0, 1.0, 1e8])]])
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     lower = float(rng.choice([1e-9, 1e-3, 0.12, 1.0]))
-    balls = Balls(
-        input=JacobianBall.from_slopes(lower, 1.0), output=JacobianBall(alpha=1.0, beta=0.0)
-    )
+    jacobian_ball = JacobianBall.from_slopes(lower, 1.0)
+    output = JacobianBall(alpha=1.0, beta=0.0)
+    balls = Balls(input=jacobian_ball, output=output)
     return replace(motor_model(), linear=linear), balls
 
 
@@ -76,8 +77,11 @@ def test_a_design_comes_back(kind: str) -> None:
         rng = np.random.default_rng([seed, *kind.encode()])
         model, balls = drawn(kind, rng)
         u = np.repeat(rng.uniform(-3, 3, 40), 5)[:, None]
-        record = (Trajectory(u=u, y=OUTPUTS[seed](rng, u), step_s=0.01),)
-        design = Auto(**GRIDS, integral_weights=integral_weights).design(model, balls, record)
+        y = OUTPUTS[seed](rng, u)
+        trajectory = Trajectory(u=u, y=y, step_s=0.01)
+        record = (trajectory,)
+        auto = Auto(**GRIDS, integral_weights=integral_weights)
+        design = auto.design(model, balls, record)
         shown = measure_mismatch(model, record)
         facts = design_facts(with_gain_certificates(design, model, balls), model, balls, shown)
         assert isinstance(facts["controller_certified"], bool)
@@ -86,7 +90,8 @@ def test_a_design_comes_back(kind: str) -> None:
 
 def test_a_norm_beyond_floats_is_infinite_and_one_below_them_small() -> None:
     one = np.ones((1, 1))
-    assert hinf_norm(StateSpace(a=-(1 - 1e-17) * one, b=one, c=one, d=0 * one)) == np.inf
-    assert hinf_norm(
-        StateSpace(a=0.5 * one, b=1e-170 * one, c=1e-3 * one, d=0 * one)
-    ) == pytest.approx(2e-173)
+    a = -(1 - 1e-17) * one
+    system = StateSpace(a=a, b=one, c=one, d=0 * one)
+    assert hinf_norm(system) == np.inf
+    system = StateSpace(a=0.5 * one, b=1e-170 * one, c=1e-3 * one, d=0 * one)
+    assert hinf_norm(system) == pytest.approx(2e-173)

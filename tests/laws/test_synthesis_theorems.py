@@ -32,8 +32,10 @@ QUESTIONS = (
 
 def unanswered(text: str) -> list[str]:
     """Headings of the form that a module's docstring lacks, or that stand in another order."""
-    said = ast.get_docstring(ast.parse(text)) or ""
-    starts = [paragraph.split(". ")[0].strip() + "." for paragraph in said.split("\n\n")]
+    docstring = ast.get_docstring(ast.parse(text))
+    said = docstring or ""
+    paragraphs = said.split("\n\n")
+    starts = [paragraph.split(". ")[0].strip() + "." for paragraph in paragraphs]
     found = [start for start in starts if start in QUESTIONS]
     return [question for question in QUESTIONS if question not in found] or (
         [] if tuple(found) == QUESTIONS else ["order"]
@@ -42,7 +44,8 @@ def unanswered(text: str) -> list[str]:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_a_theorem_answers_every_question_in_order(path: Path) -> None:
-    assert unanswered(path.read_text()) == []
+    text = path.read_text()
+    assert unanswered(text) == []
 
 
 def test_a_missing_or_misplaced_answer_is_found() -> None:
@@ -57,8 +60,11 @@ def test_a_missing_or_misplaced_answer_is_found() -> None:
     "path", [path for path in FILES if path.stem != "_template"], ids=lambda path: path.stem
 )
 def test_a_reference_names_its_equation_or_theorem(path: Path) -> None:
-    said = ast.get_docstring(ast.parse(path.read_text())) or ""
-    (reference,) = (part for part in said.split("\n\n") if part.startswith("Reference."))
+    text = path.read_text()
+    docstring = ast.get_docstring(ast.parse(text))
+    said = docstring or ""
+    parts = said.split("\n\n")
+    (reference,) = (part for part in parts if part.startswith("Reference."))
     assert re.search(r"eq\. \(\d+\)|Theorem \d|Lemma \d|section \d", reference)
 
 
@@ -74,13 +80,21 @@ def test_the_example_prints_what_it_says(path: Path) -> None:
 )
 def test_an_example_that_is_wrong_is_found(path: Path) -> None:
     """Negative control: the last line that is printed, altered."""
-    said = ast.get_docstring(ast.parse(path.read_text())) or ""
-    example = doctest.DocTestParser().get_examples(said)[-1]
+    text = path.read_text()
+    docstring = ast.get_docstring(ast.parse(text))
+    said = docstring or ""
+    doc_test_parser = doctest.DocTestParser()
+    examples = doc_test_parser.get_examples(said)
+    example = examples[-1]
     module = importlib.import_module(f"ssm_study.certificates.theorems.{path.stem}")
     assert example.want
-    wrong = said.replace(example.want.rstrip().splitlines()[-1], "something else")
-    test = doctest.DocTestParser().get_doctest(wrong, vars(module).copy(), path.stem, None, None)
-    assert doctest.DocTestRunner(verbose=False).run(test, out=lambda _: None).failed > 0
+    lines = example.want.rstrip().splitlines()
+    wrong = said.replace(lines[-1], "something else")
+    doc_test_parser = doctest.DocTestParser()
+    test = doc_test_parser.get_doctest(wrong, vars(module).copy(), path.stem, None, None)
+    doc_test_runner = doctest.DocTestRunner(verbose=False)
+    failed = doc_test_runner.run(test, out=lambda _: None).failed
+    assert failed > 0
 
 
 def test_a_class_that_leaves_a_question_open_is_refused() -> None:
@@ -98,7 +112,8 @@ def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_tod
         class WithOldName(StateFeedback):
             @staticmethod
             def conditions(of):
-                return {"inequality": [[of.p]]}
+                inequality = [[of.p]]
+                return {"inequality": inequality}
 
             def given(self, known):
                 return {"a": known}
@@ -111,7 +126,8 @@ def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_tod
             def numbers_of(problem, found):
                 return {"a": problem, "p": found}
 
-    assert WithOldName.model_data(None, 1.0) == {"a": 1.0}
+    with_old_name = WithOldName.model_data(None, 1.0)
+    assert with_old_name == {"a": 1.0}
 
 
 def test_a_name_that_is_no_theorem_is_refused() -> None:
@@ -222,16 +238,23 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> dict:
     synthesis = module.BothEndsSynthesis(rate_controller=0.3, rate_observer=0.3)
     design = synthesis.design(Model(), BALLS)
     assert design.certified
-    return json.loads(json.dumps(design.to_json()))
+    text = json.dumps(design.to_json())
+    return json.loads(text)
 
 
 def test_one_file_is_stored_read_back_and_verified(stored: dict) -> None:
     assert stored["state_feedback"]["theorem"] == "both_ends"
-    assert stored["state_feedback"]["lambda"] == [1.0, 1.0]
+    expected = [1.0, 1.0]
+    assert stored["state_feedback"]["lambda"] == expected
     assert failed_checks(stored, PLANT, BALLS) == []
-    again = json.loads(json.dumps(Design.from_json(stored).to_json()))
+    design = Design.from_json(stored)
+    text = json.dumps(design.to_json())
+    again = json.loads(text)
     assert again == stored
-    assert sys.modules["both_ends"].BothEnds is type(Design.from_json(stored).state_feedback)
+    both_ends = sys.modules["both_ends"]
+    state_feedback = Design.from_json(stored).state_feedback
+    expected = type(state_feedback)
+    assert both_ends.BothEnds is expected
 
 
 @pytest.mark.parametrize(
@@ -253,10 +276,8 @@ def test_tampering_with_it_is_found_though_no_code_elsewhere_knows_it(
 ) -> None:
     content = copy.deepcopy(stored)
     content["state_feedback"][name] = altered
-    assert any(
-        "digest" in claim or "certificate." in claim
-        for claim in failed_checks(content, PLANT, BALLS)
-    )
+    claims = failed_checks(content, PLANT, BALLS)
+    assert any("digest" in claim or "certificate." in claim for claim in claims)
     content["state_feedback"]["certified_rate"] = content["state_feedback"]["rate"]
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
     assert any(found in claim for claim in failed_checks(content, PLANT, BALLS))

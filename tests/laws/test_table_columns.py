@@ -80,7 +80,9 @@ def test_a_new_column_is_one_file(tmp_path: Path, smoke_study: Path) -> None:
         command, cwd=scratch, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    columns = list(pd.read_csv(scratch / "results" / "smoke" / "runs.csv").columns)
+    runs_path = scratch / "results" / "smoke" / "runs.csv"
+    table = pd.read_csv(runs_path)
+    columns = list(table.columns)
     assert (
         columns.index("training_ended")
         > columns.index("curve_rows")
@@ -113,18 +115,21 @@ def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
 
 @pytest.mark.parametrize("folder", COMMITTED, ids=lambda path: path.name)
 def test_show_page_and_figures_name_the_same_run(folder: Path) -> None:
-    table = table_of(
+    records = (
         pd.read_csv(folder / "runs.csv")
         .astype(object)
         .where(lambda t: t.notna(), None)
         .to_dict("records")
     )
-    best = rank_runs(table)["run"].iloc[0]
-    assert (
-        plain_table(rank_runs(table)).splitlines()[1].split()[0]
-        == short_names(rank_runs(table)["run"]).iloc[0]
-    )
-    assert best_ordered(table)["run"].iloc[0] == best
+    table = table_of(records)
+    run = rank_runs(table)["run"]
+    best = run.iloc[0]
+    lines = plain_table(rank_runs(table)).splitlines()
+    run = rank_runs(table)["run"]
+    expected = short_names(run).iloc[0]
+    assert lines[1].split()[0] == expected
+    run = best_ordered(table)["run"]
+    assert run.iloc[0] == best
 
 
 def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
@@ -145,7 +150,10 @@ def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
     table.to_parquet(tmp_path / "runs.parquet")
     for name in table["run"]:
         (tmp_path / name).mkdir()
-        (tmp_path / name / "model.json").touch()
+        model_path = tmp_path / name / "model.json"
+        model_path.touch()
     best = StudyFolder(folder=tmp_path).best
     assert best is not None
-    assert best.path.name == rank_runs(table)["run"].iloc[0] == "quick"
+    run = rank_runs(table)["run"]
+    expected = run.iloc[0]
+    assert best.path.name == expected == "quick"

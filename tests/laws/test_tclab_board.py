@@ -77,9 +77,9 @@ def board(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 def plant(board: ModuleType) -> Any:  # noqa: ARG001  which finds the package
     from tclab_study.laboratory import TemperatureLab
 
-    settings = yaml.safe_load(
-        (PACKAGE / "tclab_study" / "conf" / "plant" / "tclab.yaml").read_text()
-    )
+    tclab_path = PACKAGE / "tclab_study" / "conf" / "plant" / "tclab.yaml"
+    text = tclab_path.read_text()
+    settings = yaml.safe_load(text)
     return TemperatureLab(**{name: value for name, value in settings.items() if name != "_target_"})
 
 
@@ -101,14 +101,22 @@ def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(
 ) -> None:
     """Two routes: the model simulated at once, and the board asked in real time; then the heater is
     off."""
-    u = np.random.default_rng(0).uniform(0, 100, (2, 6, 1))
-    _, y = replace(plant, hardware=True).simulate(u)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(0, 100, (2, 6, 1))
+    changed_plant = replace(plant, hardware=True)
+    _, y = changed_plant.simulate(u)
     start = plant.states_at(np.array([[40.0]]))
-    whole = plant.simulate(u.reshape(1, 12, 1), start)[1][0]
-    np.testing.assert_allclose(y.reshape(12, 1), whole, rtol=1e-12)
+    response = plant.simulate(u.reshape(1, 12, 1), start)
+    whole = response[1][0]
+    actual = y.reshape(12, 1)
+    np.testing.assert_allclose(actual, whole, rtol=1e-12)
     times, duties = np.array(fake.sent).T
-    np.testing.assert_allclose(times[:6], STEP_S * np.arange(6))
-    np.testing.assert_allclose(duties[:6], u[0, :, 0])
+    actual = times[:6]
+    expected = STEP_S * np.arange(6)
+    np.testing.assert_allclose(actual, expected)
+    actual = duties[:6]
+    expected = u[0, :, 0]
+    np.testing.assert_allclose(actual, expected)
     assert fake.sent[-1][1] == 0
     assert fake.closed == 1
 
@@ -116,13 +124,17 @@ def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(
 def test_a_pi_regulates_the_board_within_its_limits(plant: Any, fake: FakeBoard) -> None:
     real = replace(plant, hardware=True)
     law = PI.on(real, gain=4.0, integral_s=200.0)
-    asked = {"reference": StepReference(before=8.0, after=-5.0, at_s=1000.0), "horizon_s": 2000.0}
+    reference = StepReference(before=8.0, after=-5.0, at_s=1000.0)
+    asked = {"reference": reference, "horizon_s": 2000.0}
     loop = Loop(initial_conditions=1, input_lower=0.0, input_upper=100.0, **asked)
-    run = loop.on_plant(real, law, seed=0).controlled
+    loop_runs = loop.on_plant(real, law, seed=0)
+    run = loop_runs.controlled
     duties = np.array(fake.sent)[:, 1]
     assert duties.min() >= 0
     assert duties.max() <= 100
-    assert np.abs(run.y - run.reference)[0, -20:].max() < 0.5
+    difference = np.abs(run.y - run.reference)
+    largest = difference[0, -20:].max()
+    assert largest < 0.5
     assert fake.duty == 0
     assert np.array_equal(run.y, run.measured)  # the board's noise is its own
 
@@ -150,7 +162,8 @@ def test_the_heater_is_off_whatever_ends_it(cause: type, plant: Any, fake: FakeB
 
 @pytest.mark.usefixtures("fake")
 def test_a_request_to_terminate_ends_it_as_an_exception_does(plant: Any) -> None:
-    replace(plant, hardware=True).states_at(np.zeros((1, 1)))
+    changed_plant = replace(plant, hardware=True)
+    changed_plant.states_at(np.zeros((1, 1)))
     with pytest.raises(SystemExit):
         os.kill(os.getpid(), signal.SIGTERM)
 
@@ -162,32 +175,34 @@ def test_without_a_board_it_is_refused_in_one_sentence(
     def absent() -> None:
         raise RuntimeError("No Arduino device found.")
 
-    monkeypatch.setattr(sys.modules["tclab"], "TCLab", absent)
+    tclab = sys.modules["tclab"]
+    monkeypatch.setattr(tclab, "TCLab", absent)
     said = (
         r"plant.hardware = True: no board answers \(No Arduino device found\); connect the board "
         r"and pip install tclab"
     )
+    changed_plant = replace(plant, hardware=True)
     with pytest.raises(BadRequest, match=said):
-        replace(plant, hardware=True).simulate(np.full((1, 3, 1), 40.0))
+        changed_plant.simulate(np.full((1, 3, 1), 40.0))
     monkeypatch.setitem(sys.modules, "tclab", None)
+    changed_plant = replace(plant, hardware=True)
     with pytest.raises(BadRequest, match="no board answers"):
-        replace(plant, hardware=True).states_at(np.zeros((1, 1)))
+        changed_plant.states_at(np.zeros((1, 1)))
 
 
 def test_many_cases_at_once_are_refused_before_anything_is_heated(
     plant: Any, fake: FakeBoard
 ) -> None:
-    known = Specification.from_config(composed(["experiment=smoke"]))
-    asked = replace(known, plant=replace(plant, hardware=True))
+    config = composed(["experiment=smoke"])
+    known = Specification.from_config(config)
+    changed_plant = replace(plant, hardware=True)
+    asked = replace(known, plant=changed_plant)
     with pytest.raises(
         BadRequest, match=r"a device runs one case, from where it is; use loop.initial_conditions=1"
     ):
         asked.refuse_sizes()
-    one = replace(
-        asked,
-        loop=replace(asked.loop, initial_conditions=1),
-        data=replace(asked.data, trials=False),
-    )
+    loop = replace(asked.loop, initial_conditions=1)
+    one = replace(asked, loop=loop, data=replace(asked.data, trials=False))
     one.refuse_sizes()
     with pytest.raises(BadRequest, match="a board runs one case at a time"):
         asked.plant.advance(np.zeros((2, 2)), np.zeros((2, 1)), np.zeros((2, 1)))

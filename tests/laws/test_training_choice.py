@@ -44,8 +44,9 @@ FIXED = {"order": 2, "neurons": 1, "knots": 0, "input_path": "none"}
 
 def training(max_epochs: int) -> Training:
     """A training of a few epochs."""
+    optimiser = Lbfgs(steps_per_epoch=10, history=20)
     return Training(
-        optimiser=Lbfgs(steps_per_epoch=10, history=20),
+        optimiser=optimiser,
         max_epochs=max_epochs,
         patience=12,
         min_gain_percent=0.0,
@@ -64,10 +65,8 @@ def changed(data: DataSet, change: object) -> DataSet:
     def record(one: Trajectory) -> Trajectory:
         return replace(one, y=change(one))  # type: ignore[operator]
 
-    parts = {
-        name: tuple(record(one) for one in getattr(data, name))
-        for name in ("training", "validation", "test")
-    }
+    names = ("training", "validation", "test")
+    parts = {name: tuple(record(one) for one in getattr(data, name)) for name in names}
     return replace(data, **parts)
 
 
@@ -81,7 +80,10 @@ def answering_late(record: Trajectory) -> np.ndarray:
 
 def summed(record: Trajectory) -> np.ndarray:
     """An integrator behind the plant, driven by deviations from the record's mean."""
-    return 0.05 * np.cumsum(record.y - record.y.mean(axis=0), axis=0)
+    mean = record.y.mean(axis=0)
+    difference = record.y - mean
+    running_sum = np.cumsum(difference, axis=0)
+    return 0.05 * running_sum
 
 
 @pytest.mark.parametrize(
@@ -98,7 +100,8 @@ def test_the_delay_is_what_the_records_show(change: object, name: str, expected:
     spec = StructuredSpec(**FIXED | BRIEF | {name: "auto"})  # type: ignore[arg-type]
     choice = choose_model(spec, data, 0, quiet)
     assert getattr(choice.spec, name) == expected
-    rows = json.loads(json.dumps(choice.rows))
+    text = json.dumps(choice.rows)
+    rows = json.loads(text)
     assert [row[name] for row in rows if row["chosen"]] == [expected] * bool(rows)
 
 
@@ -110,29 +113,40 @@ def test_an_integrator_is_found_and_not_invented() -> None:
 
 def test_the_test_records_are_not_looked_at() -> None:
     data = changed(data_set(noise=0.02, samples=250, records=4), answering_at_once)
-    other = replace(data, test=(replace(data.test[0], y=np.zeros_like(data.test[0].y)),))
+    test_y = data.test[0].y
+    y = np.zeros_like(test_y)
+    test = (replace(data.test[0], y=y),)
+    other = replace(data, test=test)
     spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": "auto"})  # type: ignore[arg-type]
-    assert choose_model(spec, data, 0, quiet) == choose_model(spec, other, 0, quiet)
+    choice = choose_model(spec, data, 0, quiet)
+    expected = choose_model(spec, other, 0, quiet)
+    assert choice == expected
 
 
 def test_short_records_choose_nothing() -> None:
     data = data_set(samples=120, records=1)
     spec = StructuredSpec(order="auto", neurons="auto", input_path="auto", knots="auto")
-    choice = choose_model(spec, replace(data, validation=data.training), 0, quiet)
-    assert choice == Choice(spec=StructuredSpec(order=5, neurons=5))
+    changed_data = replace(data, validation=data.training)
+    choice = choose_model(spec, changed_data, 0, quiet)
+    structured_spec = StructuredSpec(order=5, neurons=5)
+    expected = Choice(spec=structured_spec)
+    assert choice == expected
 
 
 def test_what_is_fixed_stays_fixed() -> None:
     data = data_set(noise=0.02, samples=400, records=4)
     spec = StructuredSpec(order="auto", neurons=0, knots=4, **BRIEF)  # type: ignore[arg-type]
     choice = choose_model(spec, data, 0, quiet)
-    assert (choice.spec.neurons, choice.spec.knots) == (0, 4)
+    assert choice.spec.neurons == 0
+    assert choice.spec.knots == 4
     assert choice.spec.automatic == ()
-    assert {row["order"] for row in choice.rows} >= {2, 3}
+    orders = {row["order"] for row in choice.rows}
+    assert orders >= {2, 3}
 
 
 def candidate(name: str, *errors: float) -> Candidate:
-    return Candidate(question="size", model=name, settings={}, errors=np.array(errors))
+    candidate_errors = np.array(errors)
+    return Candidate(question="size", model=name, settings={}, errors=candidate_errors)
 
 
 def test_the_smallest_that_is_not_behind_is_taken() -> None:
@@ -140,8 +154,10 @@ def test_the_smallest_that_is_not_behind_is_taken() -> None:
     middle = candidate("middle", 4.1, 4.0, 4.2, 4.1)
     large = candidate("large", 4.0, 4.1, 4.1, 4.0)
     given_up = candidate("given up", 9.0, 9.0)
-    assert first_not_behind([small, given_up, middle, large]) is middle
-    assert best_of([small, given_up, middle, large]) is large
+    candidates = [small, given_up, middle, large]
+    assert first_not_behind(candidates) is middle
+    candidates = [small, given_up, middle, large]
+    assert best_of(candidates) is large
     assert small.is_behind(large)
     assert not middle.is_behind(large)
 
@@ -161,9 +177,11 @@ def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
 
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
     best = candidate("best", 2.0, 2.0, 2.0, 2.0)
-    assert is_hopeless([4.0, 4.0], best)
+    errors = [4.0, 4.0]
+    assert is_hopeless(errors, best)
     assert not is_hopeless([40.0], best)
-    assert not is_hopeless([2.5, 2.5], best)
+    errors = [2.5, 2.5]
+    assert not is_hopeless(errors, best)
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -172,12 +190,15 @@ def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> Non
     data = data_set(noise=0.01, samples=600, records=2)
     data = changed(data, answering_at_once) if direct else data
     model = linear_model(data, 2, direct=direct)
-    recursion = output_error(data, 2, 0 if direct else 1)
+    delay = 0 if direct else 1
+    recursion = output_error(data, 2, delay)
     u = data.test[0].u
     late = slice(300, None)
-    np.testing.assert_allclose(
-        model.simulate(u)[late], recursion.simulate(u)[late], atol=1e-6 * np.ptp(data.test[0].y)
-    )
+    actual = model.simulate(u)[late]
+    expected = recursion.simulate(u)[late]
+    test_y = data.test[0].y
+    atol = 1e-6 * np.ptp(test_y)
+    np.testing.assert_allclose(actual, expected, atol=atol)
 
 
 def test_lightly_damped_modes_are_found_by_a_long_regression_cut_down() -> None:
@@ -185,11 +206,13 @@ def test_lightly_damped_modes_are_found_by_a_long_regression_cut_down() -> None:
     kind = next(kind for kind in KINDS if kind.name == "resonances")
     table = kind.log(0, 1500)
     data = data_set(samples=400)
-    record = replace(
-        data.training[0], u=table[["u"]].to_numpy(), y=table[["y"]].to_numpy(), step_s=kind.step_s
-    )
-    data = replace(data, training=(record[:1000],), test=(record[1000:],), start_up_samples=20)
-    assert mean_fit(linear_model(data, 10, direct=False), data.test, data) > 95.0
+    u = table[["u"]].to_numpy()
+    y = table[["y"]].to_numpy()
+    record = replace(data.training[0], u=u, y=y, step_s=kind.step_s)
+    test = (record[1000:],)
+    data = replace(data, training=(record[:1000],), test=test, start_up_samples=20)
+    model = linear_model(data, 10, direct=False)
+    assert mean_fit(model, data.test, data) > 95.0
 
 
 class OnlyLinear:
@@ -208,9 +231,11 @@ def test_what_cannot_be_certified_is_dropped_and_told() -> None:
     behind = replace(candidate("behind", 9.0, 9.0), example="linear")
     best = replace(candidate("best", 2.0, 2.0), example="neurons")
     search.tried += [behind, best]
-    assert first_not_behind([behind, best]) is best
+    candidates = [behind, best]
+    assert first_not_behind(candidates) is best
     assert first_certified(search, [behind, best]) is behind
-    certified = [row["certified"] for row in search.rows([behind])]
+    rows = search.rows([behind])
+    certified = [row["certified"] for row in rows]
     assert certified == [True, False]
     assert first_certified(search, [best]) is best
 
@@ -220,36 +245,43 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     log before them does."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.normal(size=(40, 1)), 60, axis=0)
-    system = StateSpace(
-        a=np.array([[0.998]]), b=np.array([[0.01]]), c=np.eye(1), d=np.zeros((1, 1))
-    )
+    a = np.array([[0.998]])
+    b = np.array([[0.01]])
+    c = np.eye(1)
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     model = SSM.of(system, 1.0)
     y = model.simulate(u)
     y[1800:1820] += y.std()
     log = Trajectory(u=u, y=y, step_s=1.0, log=1)
-    data = replace(
-        data_set(samples=400), training=(log[:1800],), validation=(log[1800:],), test=(log[1800:],)
-    )
+    validation = (log[1800:],)
+    test = (log[1800:],)
+    data = replace(data_set(samples=400), training=(log[:1800],), validation=validation, test=test)
     trial = Trial()
-    trial.add(model, replace(data, scale=model.scale, start_up_samples=20))
+    changed_data = replace(data, scale=model.scale, start_up_samples=20)
+    trial.add(model, changed_data)
     assert trial.start == "past"
-    assert trial.errors[0] < trial.by_start["samples"][0]
+    upper_limit = trial.by_start["samples"][0]
+    assert trial.errors[0] < upper_limit
 
 
 def test_pieces_that_follow_each_other_are_joined_and_folds_cover_them() -> None:
     u = np.arange(1000.0)[:, None]
     log = Trajectory(u=u, y=u, step_s=1.0, log=1)
     data = data_set(samples=400)
-    data = replace(data, training=(log[:400], log[600:]), validation=(log[400:600],))
+    validation = (log[400:600],)
+    data = replace(data, training=(log[:400], log[600:]), validation=validation)
     joined = with_joined_records(data)
     assert [len(record) for record in joined.training] == [1000]
-    assert len(joined_pieces([log[:400], log[500:]])) == 2
+    records = [log[:400], log[500:]]
+    assert len(joined_pieces(records)) == 2
     folds = folds_of(data)
     held_out = np.concatenate([fold.test[0].u for fold in folds])
     np.testing.assert_array_equal(held_out, u)
     for fold in folds:
         trained = np.concatenate([record.u for record in fold.training])
-        assert not set(trained.ravel()) & set(fold.test[0].u.ravel())
+        test_u = fold.test[0].u
+        assert not set(trained.ravel()) & set(test_u.ravel())
 
 
 def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_path: Path) -> None:
@@ -257,11 +289,15 @@ def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_
     data = data_set(noise=0.02, samples=500, records=4)
     same = training(max_epochs=3).identify(spec, data, 0, tmp_path / "same")
     assert not same.refitted
-    moved = replace(data, validation=(replace(data.validation[0], y=-data.validation[0].y),))
+    y = -data.validation[0].y
+    validation = (replace(data.validation[0], y=y),)
+    moved = replace(data, validation=validation)
     refitted = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "moved")
     assert refitted.refitted
     assert "trained again with the validation records" in refitted.ended
-    assert not Choice(spec=replace(spec, order=2, refit=False), error=1.0).asks_for_refit(100.0)
+    changed_spec = replace(spec, order=2, refit=False)
+    choice = Choice(spec=changed_spec, error=1.0)
+    assert not choice.asks_for_refit(100.0)
 
 
 def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
@@ -270,10 +306,14 @@ def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
     found = training(max_epochs=10).identify(spec, data, 0, tmp_path)
     model = found.model
     assert model.order == 2 + 6
-    step = np.tile(data.scale.input_equilibrium, (20, 1))
+    input_equilibrium = data.scale.input_equilibrium
+    step = np.tile(input_equilibrium, (20, 1))
     step[1:] += 1.0
-    answer = model.simulate(step)[:, 0] - data.scale.output_equilibrium[0]
-    np.testing.assert_array_equal(answer[:8], 0.0)
+    response = model.simulate(step)
+    output_equilibrium = data.scale.output_equilibrium
+    answer = response[:, 0] - output_equilibrium[0]
+    actual = answer[:8]
+    np.testing.assert_array_equal(actual, 0.0)
     assert abs(answer[8]) > 0.0
 
 
@@ -285,7 +325,10 @@ def test_a_delayed_structured_model_answers_as_the_model_did() -> None:
     model = fit.stored()
     u = data.test[0].u
     late = model.delayed(3).simulate(u)
-    np.testing.assert_allclose(late[3:], model.simulate(u)[:-3], atol=1e-9)
+    actual = late[3:]
+    response = model.simulate(u)
+    expected = response[:-3]
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
     assert isinstance(model.linear, StateSpace)
 
 
@@ -306,15 +349,19 @@ def moving_late(samples: int = 6000) -> Batch:
     """One record that stands still for its first half."""
     rng = np.random.default_rng(0)
     u = np.zeros((samples, 1))
-    u[samples // 2 :] = rng.normal(size=(samples - samples // 2, 1))
-    return Batch.padded([(u, np.cumsum(u, axis=0) * 0.1)])
+    difference = samples - samples // 2
+    u[samples // 2 :] = rng.normal(size=(difference, 1))
+    running_sum = np.cumsum(u, axis=0)
+    pairs = [(u, running_sum * 0.1)]
+    return Batch.padded(pairs)
 
 
 def test_a_start_is_made_where_the_record_moves() -> None:
     records = moving_late()
     stretch = records.moving_stretch(2000)
     assert stretch.u.std() > 0.8
-    assert records.cut(2000).u.std() == 0.0
+    standard_deviation = records.cut(2000).u.std()
+    assert standard_deviation == 0.0
     late = Batch(*(part[:, 3000:] for part in records))
     assert np.shares_memory(late.moving_stretch(2000).u, late.cut(2000).u)
 
@@ -322,7 +369,8 @@ def test_a_start_is_made_where_the_record_moves() -> None:
 def test_records_at_rest_have_no_start() -> None:
     u = np.zeros((300, 1))
     u[0] = 1.0
-    records = Batch.padded([(u, np.arange(300.0)[:, None])])
+    pairs = [(u, np.arange(300.0)[:, None])]
+    records = Batch.padded(pairs)
     still = Batch(records.u * 0.0, records.y, records.weight)
     with pytest.raises(BadRequest, match="no stretch of the training records moves"):
         still.moving_stretch(100)
@@ -332,10 +380,14 @@ def test_a_log_that_stands_still_at_first_trains() -> None:
     """With the equilibrium at zero its first samples are all zero, and gave a singular matrix."""
     data = data_set(samples=400, records=1)
     record = data.training[0]
-    u = np.concatenate([np.tile(data.scale.input_equilibrium, (2500, 1)), record.u])
-    y = np.concatenate([np.tile(data.scale.output_equilibrium, (2500, 1)), record.y])
-    data = replace(data, training=(replace(record, u=u, y=y),))
-    spec = StructuredSpec(order=2, neurons=1, draws=1, start_steps=[5, 5, 3])
+    input_equilibrium = data.scale.input_equilibrium
+    u = np.concatenate([np.tile(input_equilibrium, (2500, 1)), record.u])
+    output_equilibrium = data.scale.output_equilibrium
+    y = np.concatenate([np.tile(output_equilibrium, (2500, 1)), record.y])
+    changed_record = replace(record, u=u, y=y)
+    data = replace(data, training=(changed_record,))
+    start_steps = [5, 5, 3]
+    spec = StructuredSpec(order=2, neurons=1, draws=1, start_steps=start_steps)
     fit = StructuredFit(spec, data, 0)
     fit.advance(3)
     assert float(fit.loss) < 0.2

@@ -37,9 +37,11 @@ def spec(
         "slope_upper": 1.0,
         "feedthrough": False,
     }
+    ssm_spec_scaffold_in = scaffold_in or Mlp(depth=1, train_slopes=True, certified=True)
+    ssm_spec_scaffold_out = scaffold_out or Linear()
     return SSMSpec(
-        scaffold_in=scaffold_in or Mlp(depth=1, train_slopes=True, certified=True),
-        scaffold_out=scaffold_out or Linear(),
+        scaffold_in=ssm_spec_scaffold_in,
+        scaffold_out=ssm_spec_scaffold_out,
         **{**settings, **changes},
     )
 
@@ -64,10 +66,13 @@ def test_a_system_of_the_model_class_is_found(
     data = data_set()
     found = training().identify(spec(scaffold_in), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > least
-    poles = np.sort_complex(np.linalg.eigvals(found.model.linear.a))
-    np.testing.assert_allclose(
-        poles, np.sort_complex(np.linalg.eigvals(true_system().linear.a)), atol=0.01
-    )
+    linear_a = found.model.linear.a
+    eigenvalues = np.linalg.eigvals(linear_a)
+    poles = np.sort_complex(eigenvalues)
+    linear_a = true_system().linear.a
+    eigenvalues = np.linalg.eigvals(linear_a)
+    expected = np.sort_complex(eigenvalues)
+    np.testing.assert_allclose(poles, expected, atol=0.01)
 
 
 def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
@@ -92,28 +97,36 @@ def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Pa
     found = training(precision=precision, max_epochs=8).identify(
         spec(), data, seed=0, folder=tmp_path
     )
-    again = SSM.from_json(json.loads(json.dumps(found.model.to_json())))
+    text = json.dumps(found.model.to_json())
+    content = json.loads(text)
+    again = SSM.from_json(content)
     assert mean_fit(again, data.validation, data) == found.fit_validation_percent
-    assert (
-        mean_fit(again, data.training, data)
-        > max(row["fit_training_percent"] for row in found.curve) - 0.01
-    )
+    largest = max(row["fit_training_percent"] for row in found.curve)
+    lower_limit = largest - 0.01
+    assert mean_fit(again, data.training, data) > lower_limit
 
 
 def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> None:
     data = data_set(noise=0.05)
     found = training(max_epochs=5).identify(spec(order=6), data, seed=0, folder=tmp_path)
-    net = spec(order=6).build(data, 0)
+    ssm_spec = spec(order=6)
+    net = ssm_spec.build(data, 0)
     state = torch.load(tmp_path / "best.ckpt", weights_only=True)["state_dict"]
-    net.load_state_dict(
-        {k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")}
-    )
+    state_dict = {k.removeprefix("model."): v for k, v in state.items() if k.startswith("model.")}
+    net.load_state_dict(state_dict)
     u = data.test[0].u
     with torch.no_grad():
         scaled = torch.from_numpy(data.scale.scaled_input(u))[None]
-        convolved = net(scaled)[0].numpy() * data.scale.output_scale + data.scale.output_equilibrium
-    replayed = SSM.from_json(found.model.to_json()).simulate(u)
-    assert np.abs(replayed - convolved).max() <= 1e-9 * np.abs(convolved).max()
+        output_scale = data.scale.output_scale
+        output_equilibrium = data.scale.output_equilibrium
+        convolved = net(scaled)[0].numpy() * output_scale + output_equilibrium
+    ssm = SSM.from_json(found.model.to_json())
+    replayed = ssm.simulate(u)
+    difference = np.abs(replayed - convolved)
+    largest_difference = difference.max()
+    largest = np.abs(convolved).max()
+    upper_limit = 1e-9 * largest
+    assert largest_difference <= upper_limit
 
 
 ADAM = Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)
@@ -134,11 +147,12 @@ def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
 @pytest.mark.parametrize("optimiser", [LBFGS, ADAM])
 def test_equal_seeds_give_equal_models(optimiser: OptimiserSpec, tmp_path: Path) -> None:
     data = data_set(noise=0.05)
+    names = ("one", "two")
     one, two = (
         training(optimiser, max_epochs=4)
         .identify(spec(start="ring", real_modes=0), data, 3, tmp_path / name)
         .model
-        for name in ("one", "two")
+        for name in names
     )
     assert one.to_json() == two.to_json()
     other = training(optimiser, max_epochs=4).identify(
@@ -149,9 +163,11 @@ def test_equal_seeds_give_equal_models(optimiser: OptimiserSpec, tmp_path: Path)
 
 def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
     data = data_set()
-    short = dataclasses.replace(
-        data.training[0], u=data.training[0].u[:150], y=data.training[0].y[:150]
-    )
+    training_u = data.training[0].u
+    u = training_u[:150]
+    training_y = data.training[0].y
+    y = training_y[:150]
+    short = dataclasses.replace(data.training[0], u=u, y=y)
     data = dataclasses.replace(data, training=(short, *data.training[1:]), start_up_samples=20)
     found = training().identify(spec(), data, seed=0, folder=tmp_path)
     assert mean_fit(found.model, data.test, data) > 99.0
@@ -165,6 +181,7 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
     data = data_set(records=6)
     moving = tuple(dataclasses.replace(r, u=r.u[60:140], y=r.y[60:140]) for r in data.training)
     data = dataclasses.replace(data, training=moving)
+    states = ("zero", "estimated")
     fits = {
         state: mean_fit(
             training(initial_state=state, max_epochs=25)
@@ -173,10 +190,11 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
             data.test,
             data,
         )
-        for state in ("zero", "estimated")
+        for state in states
     }
     assert fits["estimated"] > 97.0
-    assert fits["zero"] < fits["estimated"] - 1.0
+    upper_limit = fits["estimated"] - 1.0
+    assert fits["zero"] < upper_limit
 
 
 def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
@@ -192,7 +210,10 @@ def test_validation_starts_where_a_score_starts(tmp_path: Path) -> None:
     assert found.fit_validation_percent == pytest.approx(
         kept, abs=0.3
     )  # 0.2 is the tolerance of what is kept
-    at_rest = fit_percent(late[0].y, found.model.simulate(late[0].u), moving.start_up_samples)
+    late_y = late[0].y
+    late_u = late[0].u
+    response = found.model.simulate(late_u)
+    at_rest = fit_percent(late_y, response, moving.start_up_samples)
     assert kept > at_rest + 5
 
 
@@ -212,12 +233,15 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
         part: tuple(bent(r) for r in getattr(data, part))
         for part in ("training", "validation", "test")
     }
+    input_scale = data.scale.input_scale
+    output_scale = np.full(1, 0.5)
     scale = dataclasses.replace(
-        Scale.unit(1, 1), input_scale=data.scale.input_scale, output_scale=np.full(1, 0.5)
+        Scale.unit(1, 1), input_scale=input_scale, output_scale=output_scale
     )
     data = dataclasses.replace(data, **parts, scale=scale)
     settings = training(roughness_weight=1e-3)
-    found = settings.identify(spec(hidden_width=16), data, 0, tmp_path)
+    ssm_spec = spec(hidden_width=16)
+    found = settings.identify(ssm_spec, data, 0, tmp_path)
     assert mean_fit(found.model, data.test, data) > 98.0
 
 
@@ -244,5 +268,7 @@ def test_the_best_of_several_starts_is_returned(tmp_path: Path) -> None:
         n: training(max_epochs=2, starts=n).identify(ring, data, 5, tmp_path / str(n))
         for n in (1, 3)
     }
-    assert fits[3].fit_validation_percent > fits[1].fit_validation_percent
-    assert (tmp_path / "3" / "start_2" / "best.ckpt").exists()
+    fit_validation_percent = fits[3].fit_validation_percent
+    assert fit_validation_percent > fits[1].fit_validation_percent
+    best_path = tmp_path / "3" / "start_2" / "best.ckpt"
+    assert (best_path).exists()

@@ -20,13 +20,15 @@ def logged(choice: str, folder: Path, *overrides: str) -> list[float]:
     training = read(
         "training", "default", "training.max_epochs=3", f"training/logger={choice}", *overrides
     )
-    return [row[NAME] for row in training.identify(spec(), data_set(samples=100), 0, folder).curve]
+    rows = training.identify(spec(), data_set(samples=100), 0, folder).curve
+    return [row[NAME] for row in rows]
 
 
 def test_csv(tmp_path: Path) -> None:
     curve = logged("csv", tmp_path)
     with (tmp_path / "csv" / "metrics.csv").open(newline="") as file:
-        seen = [float(row[NAME]) for row in csv.DictReader(file)]
+        rows = csv.DictReader(file)
+        seen = [float(row[NAME]) for row in rows]
     assert seen == pytest.approx(curve, rel=1e-5)
 
 
@@ -37,7 +39,8 @@ def test_tensorboard(tmp_path: Path) -> None:
     curve = logged("tensorboard", tmp_path)
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
-    assert [event.value for event in events.Scalars(NAME)] == pytest.approx(curve, rel=1e-5)
+    scalars = events.Scalars(NAME)
+    assert [event.value for event in scalars] == pytest.approx(curve, rel=1e-5)
 
 
 @pytest.mark.parametrize(("choice", "kind"), [("tensorboard", "TensorBoardLogger")])

@@ -55,11 +55,12 @@ def test_a_killed_training_resumes_to_the_same_model(
     stopped["callbacks"]["BestModelCheckpoint"]["curve"][-1]["seconds"] += 100.0
     DurableCheckpointIO().save_checkpoint(stopped, last)
     resumed = settings.identify(spec(), data, 0, tmp_path / "broken")
-    assert 100.0 < resumed.curve[-1]["seconds"] < resumed.seconds, (
-        "the time before the interruption counts"
-    )
+    upper_limit = resumed.curve[-1]["seconds"]
+    assert 100.0 < upper_limit < resumed.seconds, "the time before the interruption counts"
     assert resumed.model.to_json() == whole.model.to_json()
-    assert [row["epoch"] for row in resumed.curve] == [row["epoch"] for row in whole.curve]
+    epoches = [row["epoch"] for row in resumed.curve]
+    expected = [row["epoch"] for row in whole.curve]
+    assert epoches == expected
 
 
 def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
@@ -86,7 +87,8 @@ def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
 ) -> None:
     data = data_set(samples=100, noise=0.05)
     settings = training(LBFGS, max_epochs=2, checkpoint_every_s=0.0)
-    whole = settings.identify(spec(), data, 0, tmp_path / "whole").model.to_json()
+    model = settings.identify(spec(), data, 0, tmp_path / "whole").model
+    whole = model.to_json()
     failed: set[str] = set()
     for nth, code in zip((2, 3, 4, 5, 9, 11), itertools.cycle((errno.ENOSPC, errno.EIO))):
         disk = FailingDisk(nth, code)
@@ -99,27 +101,32 @@ def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
         failed.add(disk.failed)
         for path in folder.glob("*"):
             DurableCheckpointIO().load_checkpoint(path)  # whatever is there is whole
-        assert settings.identify(spec(), data, 0, folder).model.to_json() == whole
-    assert failed == {"open", "write", "fsync", "replace"}
+        model = settings.identify(spec(), data, 0, folder).model
+        assert model.to_json() == whole
+    expected = {"open", "write", "fsync", "replace"}
+    assert failed == expected
 
 
 def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> None:
     path = tmp_path / "last.ckpt"
     rng = random.Random(0)
     seen = set()
-    DurableCheckpointIO().save_checkpoint({"epoch": 0, "weights": torch.zeros(100_000)}, path)
+    weights = torch.zeros(100_000)
+    checkpoint = {"epoch": 0, "weights": weights}
+    DurableCheckpointIO().save_checkpoint(checkpoint, path)
     for _ in range(12):
         writer = os.fork()
         if writer == 0:
             for epoch in range(10_000):
-                DurableCheckpointIO().save_checkpoint(
-                    {"epoch": epoch, "weights": torch.full((100_000,), epoch)}, path
-                )
+                weights = torch.full((100_000,), epoch)
+                checkpoint = {"epoch": epoch, "weights": weights}
+                DurableCheckpointIO().save_checkpoint(checkpoint, path)
             os._exit(0)
         before = path.stat().st_ino
         while path.stat().st_ino == before:  # it is at work
             time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.03))
+        seconds = rng.uniform(0.0, 0.03)
+        time.sleep(seconds)
         os.kill(writer, signal.SIGKILL)
         os.waitpid(writer, 0)
         found = DurableCheckpointIO().load_checkpoint(path)
@@ -127,7 +134,9 @@ def test_a_checkpoint_is_whole_whenever_its_writer_is_killed(tmp_path: Path) -> 
         seen.add(found["epoch"])
     assert len(seen) > 1
     DurableCheckpointIO().save_checkpoint({}, path)
-    assert [left.name for left in tmp_path.iterdir()] == ["last.ckpt"]
+    lefts = tmp_path.iterdir()
+    names = [left.name for left in lefts]
+    assert names == ["last.ckpt"]
 
 
 def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> None:
@@ -135,11 +144,12 @@ def test_no_flipped_bit_and_no_cut_of_a_checkpoint_is_silent(tmp_path: Path) -> 
     path = tmp_path / "last.ckpt"
     rng = random.Random(0)
     silent = 0
-    io.save_checkpoint({"weights": torch.linspace(0, 1, 1000)}, path)
+    weights = torch.linspace(0, 1, 1000)
+    checkpoint = {"weights": weights}
+    io.save_checkpoint(checkpoint, path)
     whole = path.read_bytes()
-    assert (
-        len(torch.load(path, weights_only=True)["weights"]) == 1000
-    )  # the sum at its end is in nobody's way
+    weights = torch.load(path, weights_only=True)["weights"]
+    assert len(weights) == 1000  # the sum at its end is in nobody's way
     for trial in range(200):
         harmed = bytearray(whole)
         harmed[rng.randrange(len(whole))] ^= 1 << rng.randrange(8)
@@ -157,16 +167,21 @@ def test_a_write_that_fails_keeps_the_old_checkpoint(
 ) -> None:
     io = DurableCheckpointIO()
     path = tmp_path / "last.ckpt"
-    io.save_checkpoint({"epoch": 1}, path)
+    checkpoint = {"epoch": 1}
+    io.save_checkpoint(checkpoint, path)
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
+    checkpoint = {"epoch": 2}
     with pytest.raises(OSError, match="No space"):
-        io.save_checkpoint({"epoch": 2}, path)
-    assert io.load_checkpoint(path) == {"epoch": 1}
-    assert [p.name for p in tmp_path.iterdir()] == ["last.ckpt"]
+        io.save_checkpoint(checkpoint, path)
+    checkpoint = io.load_checkpoint(path)
+    assert checkpoint == {"epoch": 1}
+    paths = tmp_path.iterdir()
+    names = [p.name for p in paths]
+    assert names == ["last.ckpt"]
 
 
 def test_epochs_that_change_nothing_end_the_training() -> None:
@@ -180,7 +195,8 @@ def test_epochs_that_change_nothing_end_the_training() -> None:
         keeper.see(epoch, *fits, module)
         assert not keeper.ended
     resumed = BestModelCheckpoint(tolerance=0.0)
-    resumed.load_state_dict(keeper.state_dict())
+    state_dict = keeper.state_dict()
+    resumed.load_state_dict(state_dict)
     resumed.see(5, 90.0, 75.1, module)
     assert resumed.ended == "the optimiser no longer moves"
     assert resumed.kept_training == 90.0

@@ -58,7 +58,10 @@ SIZES = {
 
 def free_core(seed: int, n: int, q: int) -> Free:
     rng = np.random.default_rng(seed)
-    return Free(rng.normal(size=(n, q)), rng.normal(size=(n + q, n)), 0.5 * rng.normal(size=q))
+    x_e = rng.normal(size=(n, q))
+    x_g = rng.normal(size=(n + q, n))
+    log_d = 0.5 * rng.normal(size=q)
+    return Free(x_e, x_g, log_d)
 
 
 def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
@@ -68,7 +71,9 @@ def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
     lam = np.diag(multipliers)
     sector = np.block([[rate**2 * np.eye(n), -core.f.T @ lam], [-lam @ core.f, 2.0 * lam]])
     moved = np.hstack([core.a, core.e])
-    return float(np.linalg.eigvalsh(sector - moved.T @ moved)[0])
+    difference = sector - moved.T @ moved
+    eigenvalues = np.linalg.eigvalsh(difference)
+    return float(eigenvalues[0])
 
 
 @settings(max_examples=60, deadline=None)
@@ -78,56 +83,88 @@ def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(
 ) -> None:
     free = free_core(seed, n, q)
     core = explicit(free, rate)
-    assert analysis_gap(core, np.exp(-2.0 * free.log_d), rate) > 0
+    multipliers = np.exp(-2.0 * free.log_d)
+    assert analysis_gap(core, multipliers, rate) > 0
     d = np.exp(free.log_d)
-    back = parameters(Core(core.a, core.e * d, core.f / d[:, None]), rate)
+    e = core.e * d
+    f = core.f / d[:, None]
+    back = parameters(Core(core.a, e, f), rate)
     np.testing.assert_allclose(back.x_e, free.x_e, atol=1e-7, rtol=1e-7)
     np.testing.assert_allclose(back.x_g, free.x_g, atol=1e-7, rtol=1e-7)
 
 
 def test_a_model_that_does_not_contract_has_no_parameters() -> None:
-    core = explicit(free_core(0, 3, 2), 0.9)
+    free = free_core(0, 3, 2)
+    core = explicit(free, 0.9)
+    norm = np.linalg.norm(core.a, 2)
+    factor = 1.2 / norm
     with pytest.raises(np.linalg.LinAlgError):
-        parameters(replace_a(core, 1.2 / np.linalg.norm(core.a, 2)), 0.9)
+        parameters(replace_a(core, factor), 0.9)
 
 
 def replace_a(core: Core, factor: float) -> Core:
-    return Core(factor * core.a, core.e, core.f)
+    a = factor * core.a
+    return Core(a, core.e, core.f)
 
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31), n=st.integers(1, 4), q=st.integers(1, 4))
 def test_the_projection_contracts_whatever_it_is_given(seed: int, n: int, q: int) -> None:
     rng = np.random.default_rng(seed)
-    core = Core(rng.normal(size=(n, n)), rng.normal(size=(n, q)), rng.normal(size=(q, n)))
-    found = projected(core, rng.uniform(0, 1, q), 0.95)
-    assert analysis_gap(in_metric(found), np.ones(q), 0.95) > 0
+    a = rng.normal(size=(n, n))
+    e = rng.normal(size=(n, q))
+    f = rng.normal(size=(q, n))
+    core = Core(a, e, f)
+    slope = rng.uniform(0, 1, q)
+    found = projected(core, slope, 0.95)
+    multipliers = np.ones(q)
+    assert analysis_gap(in_metric(found), multipliers, 0.95) > 0
 
 
 def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
     """A hardly contracting pair: as the neurons' share shrinks, `A + E diag(slope) F` stays what it
     was."""
     rng = np.random.default_rng(3)
-    core = Core(0.5 * np.eye(2), 4 * rng.normal(size=(2, 2)), 4 * rng.normal(size=(2, 2)))
+    a = 0.5 * np.eye(2)
+    e = 4 * rng.normal(size=(2, 2))
+    f = 4 * rng.normal(size=(2, 2))
+    core = Core(a, e, f)
     slope = np.array([0.2, 0.3])
-    scaled = core._replace(
-        e=core.e * 0.6 / np.abs(np.linalg.eigvals(core.a + (core.e * slope) @ core.f)).max()
-    )
-    found = projected(scaled, slope, 0.9).core
-    assert np.abs(found.e).max() < np.abs(scaled.e).max()
+    eigenvalues = np.linalg.eigvals(core.a + (core.e * slope) @ core.f)
+    spectral_radius = np.abs(eigenvalues).max()
+    e = core.e * 0.6 / spectral_radius
+    scaled = core._replace(e=e)
+    contracting = projected(scaled, slope, 0.9)
+    found = contracting.core
+    largest = np.abs(found.e).max()
+    assert largest < np.abs(scaled.e).max()
     average = scaled.a + scaled.e @ np.diag(slope) @ scaled.f
-    average *= min(1.0, 0.99 * 0.9 / np.abs(np.linalg.eigvals(average)).max())
-    np.testing.assert_allclose(found.a + found.e @ np.diag(slope) @ found.f, average, atol=1e-12)
+    eigenvalues = np.linalg.eigvals(average)
+    spectral_radius = np.abs(eigenvalues).max()
+    average *= min(1.0, 0.99 * 0.9 / spectral_radius)
+    actual = found.a + found.e @ np.diag(slope) @ found.f
+    np.testing.assert_allclose(actual, average, atol=1e-12)
 
 
 def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
     free = free_core(1, 3, 2)
-    core = explicit(free._replace(x_e=0.2 * free.x_e, x_g=0.3 * free.x_g), 0.9)
+    x_e = 0.2 * free.x_e
+    x_g = 0.3 * free.x_g
+    core = explicit(free._replace(x_e=x_e, x_g=x_g), 0.9)
     assert metric(core, 0.9) is not None
-    np.testing.assert_allclose(projected(core, np.full(2, 0.5), 0.9).core.f, core.f)
-    assert metric(core._replace(f=0.0 * core.f), 0.9) is not None  # neurons that see nothing
-    assert metric(Core(core.a, core.e[:, :0], core.f[:0]), 0.9) is not None  # no neurons
-    assert metric(replace_a(core, 1.5 / np.abs(np.linalg.eigvals(core.a)).max()), 0.9) is None
+    slope = np.full(2, 0.5)
+    contracting = projected(core, slope, 0.9)
+    actual = contracting.core.f
+    np.testing.assert_allclose(actual, core.f)
+    f = 0.0 * core.f
+    assert metric(core._replace(f=f), 0.9) is not None  # neurons that see nothing
+    e = core.e[:, :0]
+    f = core.f[:0]
+    assert metric(Core(core.a, e, f), 0.9) is not None  # no neurons
+    eigenvalues = np.linalg.eigvals(core.a)
+    spectral_radius = np.abs(eigenvalues).max()
+    factor = 1.5 / spectral_radius
+    assert metric(replace_a(core, factor), 0.9) is None
 
 
 KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a kink is no derivative
@@ -143,19 +180,25 @@ def problem(
     q = 3
     pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
     lift = Pieces(m, 4, 0.1, 1.5)
-    read = Pieces(p, 0 if integrating_output else 3, 0.3, 1.0)
-    shapes = {"b": (n, m), "c": (p, n), "d": (p, m), "g": (q, m), "h": (p, q), "bias": (q,)}
+    knots = 0 if integrating_output else 3
+    read = Pieces(p, knots, 0.3, 1.0)
+    b = (n, m)
+    c = (p, n)
+    d = (p, m)
+    g = (q, m)
+    h = (p, q)
+    shapes = {"b": b, "c": c, "d": d, "g": g, "h": h, "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
     theta |= (
         free_core(seed, n, q)._asdict() if rate else explicit(free_core(seed, n, q), 0.9)._asdict()
     )
-    theta |= {
-        "scaffold_in": 0.6 * rng.normal(size=len(lift.owners)),
-        "scaffold_out": 0.6 * rng.normal(size=len(read.owners)),
-    }
+    scaffold_in = 0.6 * rng.normal(size=len(lift.owners))
+    scaffold_out = 0.6 * rng.normal(size=len(read.owners))
+    theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
     theta["x0"] = rng.normal(size=(2, n + p * integrating_output))
+    records = Batch.padded(pairs)
     one = Residuals(
-        records=Batch.padded(pairs),
+        records=records,
         neurons=KINDS,
         lift=lift,
         read=read,
@@ -174,25 +217,31 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_out
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
     flat = pack(theta, free)
     r, j, turn = one.linearised(theta, free)
-    np.testing.assert_allclose(r, one.residual(theta), atol=1e-13)
+    expected = one.residual(theta)
+    np.testing.assert_allclose(r, expected, atol=1e-13)
     steps = 1e-6 * np.eye(len(flat))
     ahead, behind = (
         [one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1)
     )
-    differences = (np.stack(ahead) - np.stack(behind)).T / 2e-6
+    difference = np.stack(ahead) - np.stack(behind)
+    differences = difference.T / 2e-6
     np.testing.assert_allclose(j @ turn, differences, atol=2e-7)
 
 
 def test_the_gradient_is_that_of_the_adjoint() -> None:
     one, theta = problem(5, None)
-    one = replace(one, lift=Pieces(2, 0, 0.1, 1.0), read=Pieces(2, 0, 0.1, 1.0))
-    theta |= {"scaffold_in": np.zeros(0), "scaffold_out": np.zeros(0)}
+    lift = Pieces(2, 0, 0.1, 1.0)
+    read = Pieces(2, 0, 0.1, 1.0)
+    one = replace(one, lift=lift, read=read)
+    scaffold_in = np.zeros(0)
+    scaffold_out = np.zeros(0)
+    theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
     free = (*CORE, *"bcdgh", "bias")
     r, j, _ = one.linearised(theta, free)
     by_adjoint = stepped_gradient(one, theta)
-    np.testing.assert_allclose(
-        2 * j.T @ r, np.concatenate([by_adjoint[name].ravel() for name in free]), rtol=1e-9
-    )
+    actual = 2 * j.T @ r
+    expected = np.concatenate([by_adjoint[name].ravel() for name in free])
+    np.testing.assert_allclose(actual, expected, rtol=1e-9)
 
 
 def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None:
@@ -204,22 +253,31 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
     )  # coordinates and starts are free
     weighed = replace(one, ridge=0.3)
     assert loss(one, theta, free) == pytest.approx(bare)
-    assert loss(weighed, theta, free) == pytest.approx(bare + 0.3 * squares)
-    at = Descent(theta=theta, loss=loss(weighed, theta, free), damping=1e-2)
+    expected = bare + 0.3 * squares
+    assert loss(weighed, theta, free) == pytest.approx(expected)
+    descent_loss = loss(weighed, theta, free)
+    at = Descent(theta=theta, loss=descent_loss, damping=1e-2)
     after = step(weighed, at, free)
-    assert after.loss == pytest.approx(loss(weighed, after.theta, free))
+    expected = loss(weighed, after.theta, free)
+    assert after.loss == pytest.approx(expected)
     assert after.loss < at.loss
 
 
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
     """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a
     damping."""
-    maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
-    one = Residuals(
-        records=Batch.padded([(np.ones((900, 1)), np.arange(900.0)[:, None])]), neurons=(), **maps
-    )  # type: ignore[arg-type]
-    begun = linear_start(one, 1, False, np.random.default_rng(0)) | {"a": np.array([[1.48]])}
-    at = Descent(theta=begun, loss=loss(one, begun, ()), damping=1e6)
+    lift = Pieces(1, 0, 0.1, 1.0)
+    read = Pieces(1, 0, 0.1, 1.0)
+    maps = {"lift": lift, "read": read}
+    pairs = [(np.ones((900, 1)), np.arange(900.0)[:, None])]
+    records = Batch.padded(pairs)
+    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
+    rng = np.random.default_rng(0)
+    theta = linear_start(one, 1, False, rng)
+    a = np.array([[1.48]])
+    begun = theta | {"a": a}
+    descent_loss = loss(one, begun, ())
+    at = Descent(theta=begun, loss=descent_loss, damping=1e6)
     normal = np.square(one.linearised(begun, ("a",))[1]).sum()
     assert np.isfinite(at.loss)
     assert np.isfinite(normal)
@@ -235,9 +293,14 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     hundredth."""
     made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
     data = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
-    maps = {"lift": Pieces(1, 16, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
-    one = Residuals(records=Batch.padded(scaled(data)).cut(2000), neurons=(), **maps)  # type: ignore[arg-type]
-    begun = linear_start(one, 5, False, np.random.default_rng(8))
+    lift = Pieces(1, 16, 0.1, 1.0)
+    read = Pieces(1, 0, 0.1, 1.0)
+    maps = {"lift": lift, "read": read}
+    batch = Batch.padded(scaled(data))
+    records = batch.cut(2000)
+    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
+    rng = np.random.default_rng(8)
+    begun = linear_start(one, 5, False, rng)
     assert loss(one, begun, ()) > 0.05
     assert minimise(one, begun, ("a", "b", "c"), 15).loss < 0.0055
     assert not ended(1.0, 1.0, 1.0)
@@ -254,26 +317,42 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     for v in u:
         y.append([x[0] + rng.normal()])
         x = np.array([0.975 * x[0] + 0.05 * x[1], 0.96 * x[1] + v[0]])
-    y = np.array(y) / np.std(y)
-    maps = {"lift": Pieces(1, 0, 0.1, 1.0), "read": Pieces(1, 0, 0.1, 1.0)}
-    one = Residuals(records=Batch.padded([(u, y)]), neurons=(), **maps)  # type: ignore[arg-type]
+    standard_deviation = np.std(y)
+    y = np.array(y) / standard_deviation
+    lift = Pieces(1, 0, 0.1, 1.0)
+    read = Pieces(1, 0, 0.1, 1.0)
+    maps = {"lift": lift, "read": read}
+    pairs = [(u, y)]
+    records = Batch.padded(pairs)
+    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     begun = linear_start(one, 2, False, rng)
     found = screened_poles(one, begun, True, rng)
     assert loss(one, begun, ()) > 0.5
     assert loss(one, found, ()) < 0.1
-    for mode, true in zip(
-        sorted(np.abs(np.linalg.eigvals(found["a"]))), (0.96, 0.975), strict=True
-    ):
+    eigenvalues = np.linalg.eigvals(found["a"])
+    for mode, true in zip(sorted(np.abs(eigenvalues)), (0.96, 0.975), strict=True):
         assert mode == pytest.approx(true, abs=0.03)
 
 
 def test_the_projection_leaves_slow_modes_slow() -> None:
     """A model inside the rate already keeps its A; one outside is pulled in by what it must and a
     percent."""
-    slow = Core(np.diag([0.985, 0.5]), np.full((2, 1), 1e-4), np.ones((1, 2)))
-    np.testing.assert_allclose(projected(slow, np.full(1, 0.5), 0.999).core.a, slow.a, atol=1e-12)
-    fast = projected(replace_a(slow, 1.1), np.full(1, 0.5), 0.999)
-    assert np.abs(np.linalg.eigvals(fast.core.a)).max() == pytest.approx(0.989, abs=2e-3)
+    a = np.diag([0.985, 0.5])
+    e = np.full((2, 1), 1e-4)
+    f = np.ones((1, 2))
+    slow = Core(a, e, f)
+    slope = np.full(1, 0.5)
+    contracting = projected(slow, slope, 0.999)
+    core = contracting.core
+    actual = core.a
+    np.testing.assert_allclose(actual, slow.a, atol=1e-12)
+    core = replace_a(slow, 1.1)
+    slope = np.full(1, 0.5)
+    fast = projected(core, slope, 0.999)
+    core_a = fast.core.a
+    eigenvalues = np.linalg.eigvals(core_a)
+    spectral_radius = np.abs(eigenvalues).max()
+    assert spectral_radius == pytest.approx(0.989, abs=2e-3)
 
 
 def recorded(model: StructuredSSM, seed: int) -> DataSet:
@@ -281,33 +360,42 @@ def recorded(model: StructuredSSM, seed: int) -> DataSet:
     records = []
     for part in ("training", "validation", "test"):
         u = np.repeat(rng.uniform(-2, 2, (60, 1)), 8, axis=0)
-        records.append((Trajectory(u=u, y=model.simulate(u), step_s=0.1, name=part),))
+        y = model.simulate(u)
+        trajectory = Trajectory(u=u, y=y, step_s=0.1, name=part)
+        records.append((trajectory,))
     channel = (Channel(name="a", unit="V"),)
+    scale = Scale.unit(1, 1)
     return DataSet(
         training=records[0],
         validation=records[1],
         test=records[2],
         inputs=channel,
         outputs=channel,
-        scale=Scale.unit(1, 1),
+        scale=scale,
     )
 
 
 @pytest.fixture(scope="module")
 def data() -> DataSet:
-    blocks = {
-        "a": [[0.9, 0.2], [-0.2, 0.8]],
-        "b": [[0.1], [0.4]],
-        "c": [[1.0, 0.0]],
-        "e": [[-0.6], [0.1]],
-    }
-    blocks |= {"d": [[0.0]], "f": [[1.5, 0.0]], "g": [[0.0]], "h": [[0.0]], "bias": [0.3]}
+    a = [[0.9, 0.2], [-0.2, 0.8]]
+    b = [[0.1], [0.4]]
+    c = [[1.0, 0.0]]
+    e = [[-0.6], [0.1]]
+    blocks = {"a": a, "b": b, "c": c, "e": e}
+    d = [[0.0]]
+    f = [[1.5, 0.0]]
+    g = [[0.0]]
+    h = [[0.0]]
+    blocks |= {"d": d, "f": f, "g": g, "h": h, "bias": [0.3]}
+    scaffold_in = LinearScaffold.identity(1)
+    scaffold_out = LinearScaffold.identity(1)
+    scale = Scale.unit(1, 1)
     true = StructuredSSM(
         **{name: np.array(block) for name, block in blocks.items()},
         neurons=("tanh",),
-        scaffold_in=LinearScaffold.identity(1),
-        scaffold_out=LinearScaffold.identity(1),
-        scale=Scale.unit(1, 1),
+        scaffold_in=scaffold_in,
+        scaffold_out=scaffold_out,
+        scale=scale,
         step_s=0.1,
     )
     return recorded(true, 0)
@@ -336,7 +424,8 @@ def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(
     first = trained(data, tmp_path / "a")
     second = trained(data, tmp_path / "b")
     assert first.to_json() == second.to_json()
-    found = metric(Core(first.a, first.e, first.f), 0.9995)
+    core = Core(first.a, first.e, first.f)
+    found = metric(core, 0.9995)
     assert found is not None
 
 
@@ -344,29 +433,36 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
     data: DataSet, tmp_path: Path
 ) -> None:
     spare = trained(data, tmp_path, neurons=1)
-    idle = replace(
-        spare,
-        e=np.hstack([spare.e, 1e-9 * np.ones((2, 1))]),
-        f=np.vstack([spare.f, [[1.0, 0.0]]]),
-        g=np.zeros((2, 1)),
-        h=np.zeros((1, 2)),
-        bias=np.append(spare.bias, 0.0),
-        neurons=("tanh", "softplus"),
-    )
-    left = pruned(idle, data.training[:1])
+    e = np.hstack([spare.e, 1e-9 * np.ones((2, 1))])
+    f = np.vstack([spare.f, [[1.0, 0.0]]])
+    g = np.zeros((2, 1))
+    h = np.zeros((1, 2))
+    bias = np.append(spare.bias, 0.0)
+    neurons = ("tanh", "softplus")
+    idle = replace(spare, e=e, f=f, g=g, h=h, bias=bias, neurons=neurons)
+    records = data.training[:1]
+    left = pruned(idle, records)
     assert left.neurons == ("tanh",)
-    np.testing.assert_allclose(
-        left.simulate(data.test[0].u), spare.simulate(data.test[0].u), atol=1e-5
-    )
-    through = replace(idle, g=np.array([[0.0], [1.0]]), h=np.array([[0.0, 1e-9]]))
-    assert (
-        pruned(through, data.training[:1]).neurons == idle.neurons
-    )  # its mean slope would be a feedthrough
-    for beside in (
-        replace(idle, h=np.array([[0.0, 1e-9]])),
-        replace(idle, g=np.array([[0.0], [1.0]])),
-    ):
-        assert pruned(beside, data.training[:1]).neurons == ("tanh",)
+    test_u = data.test[0].u
+    actual = left.simulate(test_u)
+    test_u = data.test[0].u
+    expected = spare.simulate(test_u)
+    np.testing.assert_allclose(actual, expected, atol=1e-5)
+    g = np.array([[0.0], [1.0]])
+    h = np.array([[0.0, 1e-9]])
+    through = replace(idle, g=g, h=h)
+    records = data.training[:1]
+    structured_ssm = pruned(through, records)
+    neurons = structured_ssm.neurons
+    assert neurons == idle.neurons  # its mean slope would be a feedthrough
+    h = np.array([[0.0, 1e-9]])
+    changed_idle = replace(idle, h=h)
+    g = np.array([[0.0], [1.0]])
+    for beside in (changed_idle, replace(idle, g=g)):
+        records = data.training[:1]
+        structured_ssm = pruned(beside, records)
+        neurons = structured_ssm.neurons
+        assert neurons == ("tanh",)
 
 
 @pytest.mark.parametrize(
@@ -392,30 +488,35 @@ def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) ->
 
 def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
     """The running sum in training, and one more state of the stored model: the same output."""
-    fit = StructuredFit(
-        StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrating_output=True), data, 0
-    )
+    spec = StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrating_output=True)
+    fit = StructuredFit(spec, data, 0)
     fit.training_step(None, 0)
     model = fit.stored()
     assert model.order == 3
-    assert np.abs(np.linalg.eigvals(model.a)).max() == pytest.approx(1.0)
+    eigenvalues = np.linalg.eigvals(model.a)
+    spectral_radius = np.abs(eigenvalues).max()
+    assert spectral_radius == pytest.approx(1.0)
     assert "hankel_largest" not in bound_facts(
         model
     )  # no infinite-horizon Gramian: withheld, and no refusal
     y = fit.problem.output(fit.theta)[0]
-    np.testing.assert_allclose(
-        data.scale.scaled_output(model.simulate(data.training[0].u)), y, atol=1e-9
-    )
+    training_u = data.training[0].u
+    response = model.simulate(training_u)
+    actual = data.scale.scaled_output(response)
+    np.testing.assert_allclose(actual, y, atol=1e-9)
 
 
 def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
     """Osborne: off the diagonal, rows and columns of `diag(1/d) G diag(d)` are equally long."""
-    gains = np.random.default_rng(0).uniform(0.1, 10.0, (5, 5)) * np.geomspace(1, 100, 5)[:, None]
+    rng = np.random.default_rng(0)
+    gains = rng.uniform(0.1, 10.0, (5, 5)) * np.geomspace(1, 100, 5)[:, None]
     d = _balancing(gains + 50.0 * np.eye(5))
     assert d == pytest.approx(_balancing(gains))
     scaled = gains / d[:, None] * d
     np.fill_diagonal(scaled, 0.0)
-    assert np.linalg.norm(scaled, axis=0) == pytest.approx(np.linalg.norm(scaled, axis=1), rel=1e-6)
+    norm = np.linalg.norm(scaled, axis=0)
+    expected = np.linalg.norm(scaled, axis=1)
+    assert norm == pytest.approx(expected, rel=1e-6)
 
 
 def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
@@ -424,5 +525,7 @@ def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
         poles = np.linalg.eigvals(random_poles(5, rng))
         samples = -1.0 / np.log(np.abs(poles))
         assert (samples > 1 - 1e-9).all()
-        assert (samples < LONGEST * (1 + 1e-9)).all()
-        assert (np.abs(np.angle(poles)) <= 0.5 * np.pi).all()
+        upper_limit = LONGEST * (1 + 1e-9)
+        assert (samples < upper_limit).all()
+        upper_limit = 0.5 * np.pi
+        assert (np.abs(np.angle(poles)) <= upper_limit).all()

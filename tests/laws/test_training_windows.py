@@ -40,9 +40,11 @@ SHOOTING = Windows(samples=40, continuity_weight=2.0)
 def unequal(samples: int = 100) -> DataSet:
     """Two records, the second shorter; neither a multiple of the windows below."""
     data = data_set(noise=0.1, samples=samples, records=2)
-    short = dataclasses.replace(
-        data.training[1], u=data.training[1].u[:-17], y=data.training[1].y[:-17]
-    )
+    training_u = data.training[1].u
+    u = training_u[:-17]
+    training_y = data.training[1].y
+    y = training_y[:-17]
+    short = dataclasses.replace(data.training[1], u=u, y=y)
     return dataclasses.replace(data, training=(data.training[0], short))
 
 
@@ -68,9 +70,11 @@ def test_two_halves_are_the_whole(model: ModelSpec) -> None:
     x0 = torch.randn(3, net.states, dtype=torch.float64)
     (whole, end), (head, middle) = net.advance(u, x0), net.advance(u[:, :23], x0)
     tail, end_of_tail = net.advance(u[:, 23:], middle)
-    torch.testing.assert_close(torch.cat([head, tail], 1), whole, rtol=1e-9, atol=1e-9)
+    actual = torch.cat([head, tail], 1)
+    torch.testing.assert_close(actual, whole, rtol=1e-9, atol=1e-9)
     torch.testing.assert_close(end_of_tail, end, rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(net(u, x0), whole, rtol=1e-12, atol=1e-12)
+    actual = net(u, x0)
+    torch.testing.assert_close(actual, whole, rtol=1e-12, atol=1e-12)
     torch.testing.assert_close(net(u), net(u, torch.zeros_like(x0)), rtol=1e-9, atol=1e-9)
 
 
@@ -92,22 +96,28 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     fit = fit_of(model, data, SHOOTING)
     whole = fit_of(model, data)
     y_hat, defects = fit.run()
-    assert defects.shape == (4, fit.model.states)  # 100 and 83 samples in windows of 40: three each
-    assert defects.abs().max() < 1e-9
-    torch.testing.assert_close(
-        fit.training_records.loss(y_hat), whole.training_records.loss(whole.run()[0])
-    )
+    expected = (4, fit.model.states)
+    assert defects.shape == expected  # 100 and 83 samples in windows of 40: three each
+    largest = defects.abs().max()
+    assert largest < 1e-9
+    actual = fit.training_records.loss(y_hat)
+    expected = whole.training_records.loss(whole.run()[0])
+    torch.testing.assert_close(actual, expected)
 
 
 @pytest.mark.parametrize("start_up", [0, 7])
 @pytest.mark.parametrize("windows", [Windows(samples=30), SHOOTING])
 def test_every_sample_is_scored_once(windows: Windows, start_up: int) -> None:
     data = dataclasses.replace(unequal(), start_up_samples=start_up)
-    cut = fit_of(MODELS["gru"], data, windows).training_records
-    whole = fit_of(MODELS["gru"], data).training_records
+    fit = fit_of(MODELS["gru"], data, windows)
+    cut = fit.training_records
+    fit = fit_of(MODELS["gru"], data)
+    whole = fit.training_records
     scored = [records.y[records.scored.bool()].sort().values for records in (cut, whole)]
     torch.testing.assert_close(*scored, rtol=0, atol=0)
-    torch.testing.assert_close(cut.weight.max(), whole.weight.max())
+    actual = cut.weight.max()
+    expected = whole.weight.max()
+    torch.testing.assert_close(actual, expected)
 
 
 @each_model
@@ -116,12 +126,12 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
     zero defects."""
     fit = fit_of(model, unequal(), SHOOTING, integrated_share=0.3)
     assert fit.starts is not None
-    rng = torch.Generator().manual_seed(1)
+    generator = torch.Generator()
+    rng = generator.manual_seed(1)
     parameters = [p for p in fit.parameters() if p.requires_grad]
     with torch.no_grad():
-        fit.starts.free += 0.3 * torch.randn(
-            fit.starts.free.shape, generator=rng, dtype=torch.float64
-        )
+        free = fit.starts.free
+        fit.starts.free += 0.3 * torch.randn(free.shape, generator=rng, dtype=torch.float64)
     direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
     loss = fit.loss()
     slope = sum(
@@ -136,7 +146,8 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
             for p, d in zip(parameters, direction, strict=True):
                 p -= side * d
         seen.append(float(moved))
-    assert (seen[0] - seen[1]) / 2e-6 == pytest.approx(float(slope), rel=1e-5)
+    difference = seen[0] - seen[1]
+    assert (difference) / 2e-6 == pytest.approx(float(slope), rel=1e-5)
 
 
 def test_the_residuals_of_shooting_are_its_objective() -> None:
@@ -147,7 +158,9 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
         fit.starts.free += 0.5
     flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
     objective = fit.loss()
-    torch.testing.assert_close(fit.residual(flat).square().sum(), objective.detach())
+    actual = fit.residual(flat).square().sum()
+    expected = objective.detach()
+    torch.testing.assert_close(actual, expected)
     assert fit.run()[1].square().sum() > 0.1
 
 
@@ -180,23 +193,25 @@ def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
     moving = tuple(dataclasses.replace(r, u=r.u[60:260], y=r.y[60:260]) for r in data.training)
     data = dataclasses.replace(data, training=moving)
     windows = Windows(samples=50, continuity_weight=1.0)
+    states = ("zero", "estimated")
     fits = {
         state: training(initial_state=state, windows=windows, max_epochs=10).identify(
             spec(), data, 0, tmp_path / state
         )
-        for state in ("zero", "estimated")
+        for state in states
     }
     shown = {state: found.curve[-1]["fit_training_percent"] for state, found in fits.items()}
-    assert mean_fit(fits["estimated"].model, data.test, data) > 97.0
-    assert shown["estimated"] > max(97.0, shown["zero"] + 1.0)
+    model = fits["estimated"].model
+    assert mean_fit(model, data.test, data) > 97.0
+    largest = max(97.0, shown["zero"] + 1.0)
+    assert shown["estimated"] > largest
 
 
 def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
     data = data_set(noise=0.05, samples=120)
     settings = training(windows=SHOOTING, max_epochs=3)
-    one, two = (
-        settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in ("one", "two")
-    )
+    names = ("one", "two")
+    one, two = (settings.identify(MODELS["gru"], data, 3, tmp_path / name).model for name in names)
     assert one.to_json() == two.to_json()
     levenberg = Levenberg(
         steps_per_epoch=2, damping=0.01, longest_step=0.5
@@ -226,10 +241,11 @@ def test_windows_out_of_range_are_refused(changes: dict[str, Any], named: str) -
 
 def test_a_window_that_no_record_can_fill_is_refused(tmp_path: Path) -> None:
     data = unequal()
+    windows = Windows(samples=90)
     with pytest.raises(
         BadRequest, match=r"samples = 90: the record training_1 has only 83 samples"
     ):
-        training(windows=Windows(samples=90)).identify(spec(), data, 0, tmp_path)
+        training(windows=windows).identify(spec(), data, 0, tmp_path)
     late = dataclasses.replace(data, start_up_samples=40)
     with pytest.raises(BadRequest, match="40 start-up samples leave nothing"):
         training(windows=SHOOTING).identify(spec(), late, 0, tmp_path)

@@ -30,8 +30,11 @@ def test_the_folder_is_ours() -> None:
 
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
 def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
-    theirs = plain_settings(composed([f"{group}={choice}", "study=any"]))[group]
-    assert load_tree(group, choice) == dict(theirs)
+    config = composed([f"{group}={choice}", "study=any"])
+    settings = plain_settings(config)
+    theirs = settings[group]
+    tree = load_tree(group, choice)
+    assert tree == dict(theirs)
 
 
 @pytest.mark.parametrize("words", WORDS)
@@ -40,10 +43,12 @@ def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
         "model": "ssm", "training": "default", "synthesis": "auto", "loop": "regulation",
     }  # fmt: skip
     parts = Parts(defaults, words)
-    theirs = plain_settings(composed([*words, "study=any"]))
+    config = composed([*words, "study=any"])
+    theirs = plain_settings(config)
     for name, tree in parts.trees.items():
         assert tree == dict(theirs[name])
-    again = plain_settings(composed([*parts.words_for_command(), "study=any"]))
+    config = composed([*parts.words_for_command(), "study=any"])
+    again = plain_settings(config)
     for name in parts.trees:
         assert again[name] == theirs[name]
 
@@ -60,10 +65,12 @@ def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
     ],
 )
 def test_other_words_are_refused(words: tuple[str, ...], message: str) -> None:
+    choices = {"model": "ssm"}
     with pytest.raises(BadRequest, match=message):
-        Parts({"model": "ssm"}, words)
+        Parts(choices, words)
 
 
 def test_a_missing_value_is_named() -> None:
+    parts = Parts({"data": "recorded"})
     with pytest.raises(BadRequest, match=r"data\.path = \?\?\?: is missing"):
-        Parts({"data": "recorded"}).build("data")
+        parts.build("data")

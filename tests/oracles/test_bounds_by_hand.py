@@ -18,13 +18,18 @@ def test_a_bias_of_minus_one_is_negative() -> None:
     """`s1(v - 1) - s1(-1)` is v/4 up to one and `v - 3/4` beyond; the second neuron turns at 1/2,
     hence at 5/4."""
     one = np.ones((1, 1))
+    weights = (one, one, one)
+    biases = (np.array([-1.0]), np.array([-0.5]))
+    negative_slopes = (np.array([0.25]), np.array([0.5]))
+    positive_slopes = (np.ones(1), np.ones(1))
     net = Network(
-        weights=(one, one, one),
-        biases=(np.array([-1.0]), np.array([-0.5])),
-        negative_slopes=(np.array([0.25]), np.array([0.5])),
-        positive_slopes=(np.ones(1), np.ones(1)),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
-    assert slope_interval(net) == (Fraction(1, 8), Fraction(1))
+    expected = (Fraction(1, 8), Fraction(1))
+    assert slope_interval(net) == expected
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -32,79 +37,105 @@ def test_the_smoothed_copy_that_a_search_climbs_becomes_the_network(seed: int) -
     """Cold, its Jacobian is the network's; warm, it lies between the slopes."""
     rng = np.random.default_rng(seed)
     widths = (4, 5, 3)
+    shapes = ((4, 2), (5, 4), (3, 5), (2, 3))
+    weights = tuple(rng.normal(size=shape) for shape in shapes)
+    biases = tuple(rng.normal(size=h) for h in widths)
+    negative_slopes = tuple(np.full(h, 0.1) for h in widths)
+    positive_slopes = tuple(np.full(h, 1.5) for h in widths)
     net = Network(
-        weights=tuple(rng.normal(size=shape) for shape in ((4, 2), (5, 4), (3, 5), (2, 3))),
-        biases=tuple(rng.normal(size=h) for h in widths),
-        negative_slopes=tuple(np.full(h, 0.1) for h in widths),
-        positive_slopes=tuple(np.full(h, 1.5) for h in widths),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     for v in rng.uniform(-5, 5, size=(20, 2)):
-        np.testing.assert_allclose(
-            worst_case._smooth_jacobian(net, v, 1e-7), net.jacobian(v), rtol=1e-9
-        )
+        actual = worst_case._smooth_jacobian(net, v, 1e-7)
+        expected = net.jacobian(v)
+        np.testing.assert_allclose(actual, expected, rtol=1e-9)
     one = np.ones((1, 1))
+    weights = (one, one)
+    biases = (np.zeros(1),)
+    negative_slopes = (np.array([0.1]),)
+    positive_slopes = (np.array([1.5]),)
     single = Network(
-        weights=(one, one),
-        biases=(np.zeros(1),),
-        negative_slopes=(np.array([0.1]),),
-        positive_slopes=(np.array([1.5]),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     assert worst_case._smooth_jacobian(single, np.zeros(1), 1.0)[0, 0] == pytest.approx(0.8)
 
 
 def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> None:
     """Three modes, a thousandth and a billionth as strongly driven as the first."""
-    linear = StateSpace(
-        a=np.diag([0.5, -0.5, 0.1]),
-        b=np.array([[1.0], [1e-3], [1e-9]]),
-        c=np.ones((1, 3)),
-        d=np.zeros((1, 1)),
-    )
+    a = np.diag([0.5, -0.5, 0.1])
+    b = np.array([[1.0], [1e-3], [1e-9]])
+    c = np.ones((1, 3))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     values = hankel_singular_values(linear)
-    assert values[2] < 1e-8 * values[0] < values[1]
+    upper_limit = 1e-8 * values[0]
+    assert values[2] < upper_limit < values[1]
     with pytest.raises(BadRequest, match="at most 2") as refused:
         balance(linear)
     assert refused.value.value == pytest.approx(values[2], rel=1e-3)
-    assert balance(linear, 2).order == 2
+    order = balance(linear, 2).order
+    assert order == 2
 
 
 def test_the_papers_figure_is_the_product_of_the_extreme_singular_values_and_slopes() -> None:
     """`2 x 0.5 x 0.1` below and `3 x 4 x 1` above; nothing of it is a ball."""
+    weights = (np.diag([2.0, -3.0]), np.diag([0.5, 4.0]))
+    biases = (np.ones(2),)
+    negative_slopes = (np.array([0.1, 0.2]),)
+    positive_slopes = (np.array([1.0, 0.9]),)
     net = Network(
-        weights=(np.diag([2.0, -3.0]), np.diag([0.5, 4.0])),
-        biases=(np.ones(2),),
-        negative_slopes=(np.array([0.1, 0.2]),),
-        positive_slopes=(np.array([1.0, 0.9]),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
-    assert spectral_norm_bound(net) == pytest.approx((0.1, 12.0))
+    expected = (0.1, 12.0)
+    assert spectral_norm_bound(net) == pytest.approx(expected)
 
 
 def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
     """One state, one step: the linear part's Gramian is `b^2 = 4`, the model's `0.2^2` to `0.5^2`
     of it."""
-    local = local_property(np.array([[0.5]]), np.array([[2.0]]), JacobianBall.from_slopes(0.2, 0.5))
+    a = np.array([[0.5]])
+    b = np.array([[2.0]])
+    ball = JacobianBall.from_slopes(0.2, 0.5)
+    local = local_property(a, b, ball)
     assert local.holds
-    assert (local.lower, local.upper) == pytest.approx((0.16, 1.0))
+    expected = (0.16, 1.0)
+    assert (local.lower, local.upper) == pytest.approx(expected)
 
 
 def test_a_falling_map_has_an_inverse() -> None:
     """`-v` between -1 and 1, twice as steep below and half as steep above."""
-    falling = MonotoneScaffold(
-        breakpoints=np.array([[-1.0, 1.0]]), slopes=np.array([[-2.0, -1.0, -0.5]])
-    )
+    breakpoints = np.array([[-1.0, 1.0]])
+    slopes = np.array([[-2.0, -1.0, -0.5]])
+    falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     inverse = inverse_of(falling.portable())
     assert inverse is not None
-    np.testing.assert_allclose(
-        inverse(np.array([[5.0], [0.5], [-2.0]])), [[-3.0], [-0.5], [3.0]], atol=1e-12
-    )
+    scaffold = np.array([[5.0], [0.5], [-2.0]])
+    actual = inverse(scaffold)
+    expected = [[-3.0], [-0.5], [3.0]]
+    np.testing.assert_allclose(actual, expected, atol=1e-12)
 
 
 def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:
     """Its one neuron sees the first channel and moves the second."""
+    weights = (np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]]))
+    biases = (np.array([0.5]),)
+    negative_slopes = (np.array([0.1]),)
+    positive_slopes = (np.ones(1),)
     net = Network(
-        weights=(np.array([[1.0, 0.0]]), np.array([[0.0], [1.0]])),
-        biases=(np.array([0.5]),),
-        negative_slopes=(np.array([0.1]),),
-        positive_slopes=(np.ones(1),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
-    assert inverse_of(PortableMap(linear=np.eye(2), network=net)) is None
+    linear = np.eye(2)
+    portable = PortableMap(linear=linear, network=net)
+    assert inverse_of(portable) is None

@@ -40,11 +40,14 @@ def network(seed: int, channels: int, widths: tuple[int, ...], low: float = 0.1)
     weights = tuple(
         rng.normal(size=(sizes[i + 1], sizes[i])) / np.sqrt(sizes[i]) for i in range(len(sizes) - 1)
     )
+    biases = tuple(rng.normal(size=h) for h in widths)
+    negative_slopes = tuple(np.full(h, low) for h in widths)
+    positive_slopes = tuple(np.ones(h) for h in widths)
     return Network(
         weights=weights,
-        biases=tuple(rng.normal(size=h) for h in widths),
-        negative_slopes=tuple(np.full(h, low) for h in widths),
-        positive_slopes=tuple(np.ones(h) for h in widths),
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
 
 
@@ -56,60 +59,87 @@ def test_the_exact_interval_is_what_a_fine_walk_finds(seed: int, widths: tuple[i
     net = network(seed, 1, widths)
     lower, upper = slope_interval(net)
     v = np.linspace(-8, 8, 40_001)
-    slopes = np.diff(net(v[:, None])[:, 0]) / np.diff(v)
-    assert slopes.min() >= float(lower) - 1e-9
-    assert slopes.max() <= float(upper) + 1e-9
+    differences = np.diff(net(v[:, None])[:, 0])
+    slopes = differences / np.diff(v)
+    smallest = slopes.min()
+    assert smallest >= float(lower) - 1e-9
+    largest = slopes.max()
+    assert largest <= float(upper) + 1e-9
     outside = [net.jacobian(np.array([x]))[0, 0] for x in (-1e6, 1e6)]
-    widest = max(*outside, slopes.max()) - min(*outside, slopes.min())
-    assert widest >= 0.5 * float(
-        upper - lower
+    largest = max(*outside, slopes.max())
+    smallest = min(*outside, slopes.min())
+    widest = largest - smallest
+    lower_limit = 0.5 * float(upper - lower)
+    assert (
+        widest >= lower_limit
     )  # a piece narrower than the walk's step may hide, not half the range
 
 
 def test_both_ends_of_the_exact_interval_are_attained() -> None:
     """Break points at -1 and 1; slopes 0.1 + 1, 2, 1 + 0.1 from left to right, by hand."""
+    weights = (np.array([[1.0], [-1.0]]), np.array([[1.0, -1.0]]))
+    biases = (np.array([1.0, 1.0]),)
+    negative_slopes = (np.array([0.25, 0.25]),)
+    positive_slopes = (np.array([1.0, 1.0]),)
     net = Network(
-        weights=(np.array([[1.0], [-1.0]]), np.array([[1.0, -1.0]])),
-        biases=(np.array([1.0, 1.0]),),
-        negative_slopes=(np.array([0.25, 0.25]),),
-        positive_slopes=(np.array([1.0, 1.0]),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
-    assert slope_interval(net) == (Fraction(5, 4), Fraction(2))
+    expected = (Fraction(5, 4), Fraction(2))
+    assert slope_interval(net) == expected
     bound = jacobian_ball(MlpScaffold(network=net))
-    assert (bound.lower, bound.upper, bound.method) == (1.25, 2.0, "break_points")
+    assert bound.lower == 1.25
+    assert bound.upper == 2.0
+    assert bound.method == "break_points"
 
 
 def test_neurons_that_bend_at_one_point_are_never_both_active() -> None:
     """`relu(w) - relu(-w)` of `w = relu(v) - relu(-v)`: the identity, whose only break point lies
     on an edge."""
     turned = np.array([[1.0, -1.0]])
+    weights = (turned.T, np.vstack([turned, -turned]), turned)
+    biases = (np.zeros(2),) * 2
+    negative_slopes = (np.zeros(2),) * 2
+    positive_slopes = (np.ones(2),) * 2
     net = Network(
-        weights=(turned.T, np.vstack([turned, -turned]), turned),
-        biases=(np.zeros(2),) * 2,
-        negative_slopes=(np.zeros(2),) * 2,
-        positive_slopes=(np.ones(2),) * 2,
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
-    assert slope_interval(net) == (1, 1)
+    expected = (1, 1)
+    assert slope_interval(net) == expected
 
 
 def test_the_papers_lower_bound_is_unsound() -> None:
     """`W1 = [1, 1]^T, W2 = [1, -1]`: the zero map, whose "smallest slope" the norm product puts at
     0.02."""
+    weights = (np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]]))
+    biases = (np.zeros(2),)
+    negative_slopes = (np.full(2, 0.01),)
+    positive_slopes = (np.ones(2),)
     net = Network(
-        weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),
-        biases=(np.zeros(2),),
-        negative_slopes=(np.full(2, 0.01),),
-        positive_slopes=(np.ones(2),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     lower, _ = spectral_norm_bound(net)
     assert lower == pytest.approx(0.02)
-    assert jacobian_ball(MlpScaffold(network=net)).upper == 0.0  # the truth
+    slope_bound = jacobian_ball(MlpScaffold(network=net))
+    upper = slope_bound.upper
+    assert upper == 0.0  # the truth
 
 
 @given(st.integers(0, 10**6), WIDTHS)
 def test_the_spectral_figure_is_sound_from_above(seed: int, widths: tuple[int, ...]) -> None:
-    scaffold = MlpScaffold(network=network(seed, 1, widths))
-    assert jacobian_ball(scaffold).upper <= spectral_norm_bound(scaffold.network)[1] * (1 + 1e-12)
+    mlp_scaffold_network = network(seed, 1, widths)
+    scaffold = MlpScaffold(network=mlp_scaffold_network)
+    upper = jacobian_ball(scaffold).upper
+    upper_limit = spectral_norm_bound(scaffold.network)[1] * (1 + 1e-12)
+    assert upper <= upper_limit
 
 
 @pytest.mark.parametrize("method", [interval_bound, lipsdp_bound])
@@ -117,33 +147,46 @@ def test_the_spectral_figure_is_sound_from_above(seed: int, widths: tuple[int, .
 def test_sampled_jacobians_lie_in_the_ball(
     method: Any, seed: int, channels: int, widths: tuple[int, ...]
 ) -> None:
-    scaffold = MlpScaffold(network=network(seed, channels, widths))
+    mlp_scaffold_network = network(seed, channels, widths)
+    scaffold = MlpScaffold(network=mlp_scaffold_network)
     bound = method(scaffold.network)
     worst = worst_jacobian(scaffold, bound.ball, seed=seed, starts=1)
-    assert worst.distance <= bound.ball.beta * (1 + 1e-9)
+    beta = bound.ball.beta
+    upper_limit = beta * (1 + 1e-9)
+    assert worst.distance <= upper_limit
     if channels == 1:  # every sound ball holds the exact interval
         exact = jacobian_ball(scaffold)
-        assert bound.ball.lower <= exact.lower + 1e-9
-        assert exact.upper - 1e-9 <= bound.ball.upper
+        lower = bound.ball.lower
+        assert lower <= exact.lower + 1e-9
+        upper_limit = bound.ball.upper
+        assert exact.upper - 1e-9 <= upper_limit
 
 
 def test_lipsdp_is_tighter_than_the_norm_product_and_the_search_comes_close() -> None:
-    scaffold = MlpScaffold(network=network(3, 2, (8,)))
+    mlp_scaffold_network = network(3, 2, (8,))
+    scaffold = MlpScaffold(network=mlp_scaffold_network)
     ball = lipsdp_bound(scaffold.network).ball
-    assert ball.upper < spectral_norm_bound(scaffold.network)[1]
-    assert 0.5 < worst_jacobian(scaffold, ball, starts=12).tightness(ball) <= 1
+    upper_limit = spectral_norm_bound(scaffold.network)[1]
+    assert ball.upper < upper_limit
+    worst = worst_jacobian(scaffold, ball, starts=12)
+    assert 0.5 < worst.tightness(ball) <= 1
 
 
 def test_lipsdp_of_one_neuron_is_tight_and_holds_both_slopes() -> None:
     one = np.ones((1, 1))
+    weights = (one, one)
+    biases = (np.zeros(1),)
+    negative_slopes = (np.full(1, 0.1),)
+    positive_slopes = (np.ones(1),)
     net = Network(
-        weights=(one, one),
-        biases=(np.zeros(1),),
-        negative_slopes=(np.full(1, 0.1),),
-        positive_slopes=(np.ones(1),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     centre, radius = lipsdp_ball(net)
-    assert max(1 - centre[0, 0], centre[0, 0] - 0.1) <= radius <= 0.45 * (1 + 1e-5)
+    largest = max(1 - centre[0, 0], centre[0, 0] - 0.1)
+    assert largest <= radius <= 0.45 * (1 + 1e-5)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -155,12 +198,15 @@ def test_lipsdp_proves_a_bound_for_wide_networks(seed: int) -> None:
     interval = interval_bound(net)
     exact = jacobian_ball(MlpScaffold(network=net))
     assert found.lower <= exact.lower <= exact.upper <= found.upper
-    assert found.upper - found.lower <= (interval.upper - interval.lower) * (1 + 1e-3)
+    difference = found.upper - found.lower
+    upper_limit = (interval.upper - interval.lower) * (1 + 1e-3)
+    assert difference <= upper_limit
 
 
 @pytest.mark.parametrize("widths", [(7,), (5, 4), (3, 4, 3)])
 def test_interval_arithmetic_goes_through_every_layer(widths: tuple[int, ...]) -> None:
-    scaffold = MlpScaffold(network=network(1, 1, widths))
+    mlp_scaffold_network = network(1, 1, widths)
+    scaffold = MlpScaffold(network=mlp_scaffold_network)
     interval = interval_bound(scaffold.network)
     exact = jacobian_ball(scaffold)
     assert interval.lower <= exact.lower <= exact.upper <= interval.upper
@@ -172,20 +218,25 @@ def test_the_interval_of_one_neuron_behind_two_inputs_by_hand() -> None:
     one = (np.zeros(1),)
     slope = np.array([[1.0, 1.0], [0.0, 0.0]])
     weights = (np.array([[1.0, 1.0]]), np.array([[1.0], [0.0]]))
+    negative_slopes = (np.full(1, 0.1),)
+    positive_slopes = (np.ones(1),)
     net = Network(
         weights=weights,
         biases=one,
-        negative_slopes=(np.full(1, 0.1),),
-        positive_slopes=(np.ones(1),),
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
     ball = interval_bound(net).ball
     assert ball.alpha == pytest.approx(0.275)
-    distance = np.linalg.norm(0.55 * slope - 0.275 * np.eye(2), 2)
-    assert ball.beta == pytest.approx(distance + 0.45 * np.sqrt(2))
+    difference = 0.55 * slope - 0.275 * np.eye(2)
+    distance = np.linalg.norm(difference, 2)
+    expected = distance + 0.45 * np.sqrt(2)
+    assert ball.beta == pytest.approx(expected)
 
 
 def test_a_solver_that_fails_leaves_the_interval(monkeypatch: pytest.MonkeyPatch) -> None:
-    scaffold = MlpScaffold(network=network(0, 2, (4,)))
+    mlp_scaffold_network = network(0, 2, (4,))
+    scaffold = MlpScaffold(network=mlp_scaffold_network)
     monkeypatch.setattr(lipsdp, "ENLARGED", (-1.0,))  # no multipliers prove nothing
     with pytest.raises(BadRequest, match="do not prove"):
         lipsdp_bound(scaffold.network)
@@ -196,43 +247,59 @@ def test_a_solver_that_fails_leaves_the_interval(monkeypatch: pytest.MonkeyPatch
 def test_the_enclosing_ball_holds_both_ends_exactly(lower: float, width: float) -> None:
     upper = lower + width
     ball = enclosing_ball(Fraction(lower), Fraction(upper))
-    assert Fraction(ball.alpha) - Fraction(ball.beta) <= Fraction(lower)
-    assert Fraction(upper) <= Fraction(ball.alpha) + Fraction(ball.beta)
+    difference = Fraction(ball.alpha) - Fraction(ball.beta)
+    assert difference <= Fraction(lower)
+    upper_limit = Fraction(ball.alpha) + Fraction(ball.beta)
+    assert Fraction(upper) <= upper_limit
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_ball_of_a_matrix_holds_it_in_exact_arithmetic(seed: int) -> None:
     """`beta^2 I - (G - alpha I)^T (G - alpha I)` has a trace and a determinant that are not
     negative."""
-    gain = np.random.default_rng(seed).standard_normal((2, 2))
-    ball = jacobian_ball(LinearScaffold(gain=gain)).ball
+    rng = np.random.default_rng(seed)
+    gain = rng.standard_normal((2, 2))
+    slope_bound = jacobian_ball(LinearScaffold(gain=gain))
+    ball = slope_bound.ball
     a, b, c, d = (
         Fraction(float(entry)) - Fraction(ball.alpha) * (k in (0, 3))
         for k, entry in enumerate(gain.flat)
     )
-    left = Fraction(ball.beta) ** 2 - a * a - c * c
+    difference = Fraction(ball.beta) ** 2 - a * a
+    left = difference - c * c
     across = a * b + c * d
-    right = Fraction(ball.beta) ** 2 - b * b - d * d
+    difference = Fraction(ball.beta) ** 2 - b * b
+    right = difference - d * d
     assert left + right >= 0
     assert left * right - across**2 >= 0
-    assert ball.beta == pytest.approx(np.linalg.norm(gain - ball.alpha * np.eye(2), 2), rel=1e-11)
+    difference = gain - ball.alpha * np.eye(2)
+    expected = np.linalg.norm(difference, 2)
+    assert ball.beta == pytest.approx(expected, rel=1e-11)
 
 
 def test_a_decreasing_map_keeps_its_sign() -> None:
-    falling = MonotoneScaffold(breakpoints=np.array([[0.0]]), slopes=np.array([[-1.0, -0.25]]))
+    breakpoints = np.array([[0.0]])
+    slopes = np.array([[-1.0, -0.25]])
+    falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     bound = jacobian_ball(falling)
-    assert (bound.lower, bound.upper) == (-1.0, -0.25)
+    assert bound.lower == -1.0
+    assert bound.upper == -0.25
     assert bound.ball.alpha < 0
 
 
 def test_a_residual_scaffolding_fills_the_ball_it_was_built_with() -> None:
     inner = network(0, 2, (5,))
     scale = 1 / lipsdp_ball(inner, scalar_centre=True)[1]
-    shrunk = replace(inner, weights=(inner.weights[0], inner.weights[1] * min(scale, 0.05)))
-    scaffold = ResidualScaffold(alpha=0.6, beta=0.4, network=shrunk, multipliers=(np.ones(5),))
+    smallest = min(scale, 0.05)
+    weights = (inner.weights[0], inner.weights[1] * smallest)
+    shrunk = replace(inner, weights=weights)
+    multipliers = (np.ones(5),)
+    scaffold = ResidualScaffold(alpha=0.6, beta=0.4, network=shrunk, multipliers=multipliers)
     bound = jacobian_ball(scaffold)
-    assert (bound.ball.alpha, bound.ball.beta) == (0.6, 0.4)
-    assert worst_jacobian(scaffold, bound.ball, starts=2).tightness(bound.ball) <= 1
+    assert bound.ball.alpha == 0.6
+    assert bound.ball.beta == 0.4
+    worst = worst_jacobian(scaffold, bound.ball, starts=2)
+    assert worst.tightness(bound.ball) <= 1
 
 
 TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -240,19 +307,14 @@ TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 def two_channel(inner, outer=None) -> SSM:
     rng = np.random.default_rng(0)
-    linear = StateSpace(
-        a=np.diag([0.9, -0.5, 0.3]),
-        b=rng.normal(size=(3, 2)),
-        c=rng.normal(size=(2, 3)),
-        d=rng.normal(size=(2, 2)),
-    )
-    return SSM(
-        linear=linear,
-        scaffold_in=inner,
-        scaffold_out=outer or LinearScaffold.identity(2),
-        scale=Scale.unit(2, 2),
-        step_s=0.1,
-    )
+    a = np.diag([0.9, -0.5, 0.3])
+    b = rng.normal(size=(3, 2))
+    c = rng.normal(size=(2, 3))
+    d = rng.normal(size=(2, 2))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    scaffold_out = outer or LinearScaffold.identity(2)
+    scale = Scale.unit(2, 2)
+    return SSM(linear=linear, scaffold_in=inner, scaffold_out=scaffold_out, scale=scale, step_s=0.1)
 
 
 def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
@@ -262,14 +324,12 @@ def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
     first = np.vstack([np.eye(2), 0.2 * rng.normal(size=(2, 2))])
     last = np.hstack([centre / 0.9, 0.1 * rng.normal(size=(2, 2))])
     slopes = (np.full(4, 0.8),), (np.ones(4),)
-    return MlpScaffold(
-        network=Network(
-            weights=(first, last),
-            biases=(rng.normal(size=4),),
-            negative_slopes=slopes[0],
-            positive_slopes=slopes[1],
-        )
+    weights = (first, last)
+    biases = (rng.normal(size=4),)
+    mlp_scaffold_network = Network(
+        weights=weights, biases=biases, negative_slopes=slopes[0], positive_slopes=slopes[1]
     )
+    return MlpScaffold(network=mlp_scaffold_network)
 
 
 SIGNS = MonotoneScaffold(
@@ -287,22 +347,28 @@ def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     """Singular values alone would pass these as they are; the ball around alpha I refuses them
     until absorbed."""
     model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
-    assert getattr(certified_balls(model), f"{side}put").relative_radius >= 1
+    relative_radius = getattr(certified_balls(model), f"{side}put").relative_radius
+    assert relative_radius >= 1
     turned = model.absorbed()
-    assert getattr(certified_balls(turned), f"{side}put").relative_radius < 0.6
-    u = np.random.default_rng(1).normal(size=(200, 2))
-    np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
+    relative_radius = getattr(certified_balls(turned), f"{side}put").relative_radius
+    assert relative_radius < 0.6
+    rng = np.random.default_rng(1)
+    u = rng.normal(size=(200, 2))
+    actual = turned.simulate(u)
+    expected = model.simulate(u)
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("side", ["in", "out"])
 def test_channels_of_different_gain_keep_their_map(side: str) -> None:
     """One channel steeper than one, one flatter, one falling: pieces are turned around for the
     falling one alone."""
-    inner = MonotoneScaffold(
-        breakpoints=np.array([[-0.3, 0.8], [0.2, 0.9]]),
-        slopes=np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]]),
-    )
-    for scaffold in (inner, replace(inner, slopes=np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]]))):
+    breakpoints = np.array([[-0.3, 0.8], [0.2, 0.9]])
+    slopes = np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]])
+    inner = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    slopes = np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]])
+    changed_inner = replace(inner, slopes=slopes)
+    for scaffold in (inner, changed_inner):
         model = (
             two_channel(scaffold)
             if side == "in"
@@ -310,58 +376,82 @@ def test_channels_of_different_gain_keep_their_map(side: str) -> None:
         )
         turned = model.absorbed()
         assert turned.linear is not model.linear
-        u = np.random.default_rng(2).normal(size=(200, 2))
-        np.testing.assert_allclose(turned.simulate(u), model.simulate(u), rtol=1e-9, atol=1e-9)
+        rng = np.random.default_rng(2)
+        u = rng.normal(size=(200, 2))
+        actual = turned.simulate(u)
+        expected = model.simulate(u)
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_reduction_absorbs_unless_told_not_to() -> None:
-    model = two_channel(LinearScaffold(gain=np.array([[0.0, -2.0], [2.0, 0.0]])))
-    assert certified_balls(Reduction(balanced=False).reduce(model)).input.relative_radius == 0
-    assert Reduction(balanced=False, absorb=False).reduce(model) is model
+    gain = np.array([[0.0, -2.0], [2.0, 0.0]])
+    inner = LinearScaffold(gain=gain)
+    model = two_channel(inner)
+    reduction = Reduction(balanced=False)
+    balls = certified_balls(reduction.reduce(model))
+    relative_radius = balls.input.relative_radius
+    assert relative_radius == 0
+    reduction = Reduction(balanced=False, absorb=False)
+    assert reduction.reduce(model) is model
 
 
 def test_a_scalar_gain_is_an_exact_bound() -> None:
-    bound = jacobian_ball(LinearScaffold(gain=np.array([[-0.3]])))
+    gain = np.array([[-0.3]])
+    scaffold = LinearScaffold(gain=gain)
+    bound = jacobian_ball(scaffold)
     assert bound.lower == bound.upper == -0.3
 
 
 def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
-    folding = MonotoneScaffold(
-        breakpoints=np.zeros((2, 1)), slopes=np.array([[-1.0, 1.0], [1.0, 1.0]])
-    )
-    assert certified_balls(two_channel(folding).absorbed()).input.relative_radius >= 1
+    breakpoints = np.zeros((2, 1))
+    slopes = np.array([[-1.0, 1.0], [1.0, 1.0]])
+    folding = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    model = two_channel(folding).absorbed()
+    balls = certified_balls(model)
+    relative_radius = balls.input.relative_radius
+    assert relative_radius >= 1
 
 
 def test_a_scaffolding_that_is_not_square_is_refused() -> None:
+    gain = np.ones((2, 1))
+    scaffold = LinearScaffold(gain=gain)
     with pytest.raises(BadRequest, match="square"):
-        jacobian_ball(LinearScaffold(gain=np.ones((2, 1))))
+        jacobian_ball(scaffold)
 
 
 @given(st.integers(0, 10**6), st.integers(2, 8))
 def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) -> None:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(order, order))
-    a *= 0.9 / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(
-        a=a, b=rng.normal(size=(order, 1)), c=rng.normal(size=(1, order)), d=np.zeros((1, 1))
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    a *= 0.9 / spectral_radius
+    b = rng.normal(size=(order, 1))
+    c = rng.normal(size=(1, order))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     hankel = hankel_singular_values(linear)
-    if hankel[-1] < 1e-6 * hankel[0]:
+    upper_limit = 1e-6 * hankel[0]
+    if hankel[-1] < upper_limit:
         return
     balanced = balance(linear)
     np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
-    for w in (gramian(balanced.a, balanced.b), gramian(balanced.a.T, balanced.c.T)):
-        np.testing.assert_allclose(w, np.diag(hankel), atol=1e-5 * hankel[0])
+    b = balanced.c.T
+    for w in (gramian(balanced.a, balanced.b), gramian(balanced.a.T, b)):
+        expected = np.diag(hankel)
+        atol = 1e-5 * hankel[0]
+        np.testing.assert_allclose(w, expected, atol=atol)
     reduced = balance(linear, order - 1)
     z = np.exp(1j * np.linspace(0, np.pi, 200))
     gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
-    assert max(gaps) <= 2 * hankel[-1] * (1 + 1e-6) + 1e-9
+    upper_limit = 2 * hankel[-1] * (1 + 1e-6) + 1e-9
+    assert max(gaps) <= upper_limit
 
 
 def response(linear: StateSpace, z: complex) -> complex:
-    return (linear.c @ np.linalg.solve(z * np.eye(linear.order) - linear.a, linear.b) + linear.d)[
-        0, 0
-    ]
+    difference = z * np.eye(linear.order) - linear.a
+    solution = np.linalg.solve(difference, linear.b)
+    return (linear.c @ solution + linear.d)[0, 0]
 
 
 class Model:
@@ -379,20 +469,29 @@ class Model:
 
 
 def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
-    unstable = StateSpace(
-        a=np.array([[1.1]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = np.array([[1.1]])
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    unstable = StateSpace(a=a, b=b, c=c, d=d)
     with pytest.raises(BadRequest, match="spectral_radius"):
         balance(unstable)
-    dead = StateSpace(
-        a=np.diag([0.9, 0.5]), b=np.array([[1.0], [1e-12]]), c=np.ones((1, 2)), d=np.zeros((1, 1))
-    )
+    a = np.diag([0.9, 0.5])
+    b = np.array([[1.0], [1e-12]])
+    c = np.ones((1, 2))
+    d = np.zeros((1, 1))
+    dead = StateSpace(a=a, b=b, c=c, d=d)
     largest = f"{hankel_singular_values(dead)[0]:.3g}"
     with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
         balance(dead)
 
-    assert Reduction().reduce(Model(dead)).linear.order == 1
-    assert Reduction(balanced=False).reduce(Model(dead)).linear.order == 2
+    linear = Reduction().reduce(Model(dead)).linear
+    order = linear.order
+    assert order == 1
+    reduction = Reduction(balanced=False)
+    linear = reduction.reduce(Model(dead)).linear
+    order = linear.order
+    assert order == 2
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
@@ -402,9 +501,15 @@ def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
 
     a = np.diag([0.5, -0.5])
     b = np.array([[1.0], [1.0]])
-    linear = StateSpace(a=a, b=b, c=scale * np.array([[1.0, 1e-3]]), d=np.zeros((1, 1)))
-    assert Reduction(drop_below=1e-1).reduce(Model(linear)).linear.order == 1
-    assert Reduction(drop_below=1e-6).reduce(Model(linear)).linear.order == 2
+    c = scale * np.array([[1.0, 1e-3]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    reduction = Reduction(drop_below=1e-1)
+    order = reduction.reduce(Model(linear)).linear.order
+    assert order == 1
+    reduction = Reduction(drop_below=1e-6)
+    order = reduction.reduce(Model(linear)).linear.order
+    assert order == 2
 
 
 @pytest.mark.parametrize(

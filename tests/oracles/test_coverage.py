@@ -57,7 +57,8 @@ def records(
     for amplitude in amplitudes:
         u = amplitude * np.concatenate([one, one, one, np.zeros((PERIOD, 1))])
         y = answer(u) + noise * rng.standard_normal(u.shape)
-        found.append(Trajectory(u=u, y=y, step_s=0.01, name=f"at {amplitude}"))
+        trajectory = Trajectory(u=u, y=y, step_s=0.01, name=f"at {amplitude}")
+        found.append(trajectory)
     return tuple(found)
 
 
@@ -72,14 +73,18 @@ def scaled_model(share: float):
 def premise(answer, **options) -> Premise:
     model = SSM.of(MODEL, 0.01)
     made = records(answer, **options)
-    return measure_premise(model, made[:1], measure_mismatch(model, made), 0, made[1:])
+    validation = made[:1]
+    mismatch = measure_mismatch(model, made)
+    trials = made[1:]
+    return measure_premise(model, validation, mismatch, 0, trials)
 
 
 def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Design:
     asked = RiccatiSynthesis(
         rate_controller=0.3, rate_observer=0.3, input_weight=input_weight, output_noise=0.1
     )
-    made = asked.design(SSM.of(linear_model, 0.01), BALLS)
+    ssm = SSM.of(linear_model, 0.01)
+    made = asked.design(ssm, BALLS)
     assert made.certified
     return made
 
@@ -98,16 +103,19 @@ def test_a_gain_that_is_wrong_needs_as_much_in_every_item(share: float, centre: 
     for item in items:
         if item.model_power.sum() > 1e-9:
             need, _ = OUTPUT_ALONE.need([item])
-            assert need == pytest.approx(abs(share - centre), rel=1e-6)
+            expected = abs(share - centre)
+            assert need == pytest.approx(expected, rel=1e-6)
 
 
 def test_every_line_but_the_mean_is_in_one_band() -> None:
-    items = premise(scaled_model(0.3), amplitudes=(0.1, 1.0)).items(0.0)
+    amplitudes = (0.1, 1.0)
+    items = premise(scaled_model(0.3), amplitudes=amplitudes).items(0.0)
     record = items[0].record
     bands = [item for item in items if item.is_band and item.record == record]
     lines = np.concatenate([band.angles for band in bands])
     angles = 2 * np.pi * np.arange(1, PERIOD // 2 + 1) / PERIOD
-    np.testing.assert_allclose(np.sort(lines), angles)
+    actual = np.sort(lines)
+    np.testing.assert_allclose(actual, angles)
     assert not any(0.0 in item.angles for item in items)
 
 
@@ -116,14 +124,16 @@ def test_an_offset_that_friction_leaves_is_no_mismatch_of_the_disc() -> None:
     needs = []
     for offset in (0.0, 0.3):
         items = premise(lambda u, offset=offset: 1.2 * MODEL.simulate(u)[0] + offset).items(0.0)
-        needs.append(OUTPUT_ALONE.need(items)[0])
+        output_alone = OUTPUT_ALONE.need(items)
+        needs.append(output_alone[0])
     assert needs[1] == pytest.approx(needs[0], rel=1e-6)
 
 
 def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
     noisy = premise(scaled_model(0.3), noise=0.02)
     totals = [item for item in noisy.items(0.0) if item.where.endswith("in total")]
-    assert OUTPUT_ALONE.need(totals[1:])[0] == pytest.approx(0.3, rel=0.1)
+    output_alone = OUTPUT_ALONE.need(totals[1:])
+    assert output_alone[0] == pytest.approx(0.3, rel=0.1)
     small = [item for item in noisy.items(0.0) if item.where.startswith("input of rms 0.0")]
     highest = [item for item in small if "around 3.14" in item.where]
     assert highest[0].seen == 0.0
@@ -136,36 +146,44 @@ def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
     needs = []
     for noise in (0.0, 0.05):
         y = 1.3 * MODEL.simulate(u)[0] + noise * rng.standard_normal(u.shape)
-        made = (Trajectory(u=u, y=y, step_s=0.01),)
-        known = measure_premise(model, made, measure_mismatch(model, made))
+        trajectory = Trajectory(u=u, y=y, step_s=0.01)
+        made = (trajectory,)
+        mismatch = measure_mismatch(model, made)
+        known = measure_premise(model, made, mismatch)
         assert not known.repeating
-        needs.append(OUTPUT_ALONE.need(known.items(0.0))[0])
+        output_alone = OUTPUT_ALONE.need(known.items(0.0))
+        needs.append(output_alone[0])
     assert needs[0] == pytest.approx(0.3, rel=1e-6)
     assert needs[1] > 1.0
 
 
 def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     """Parseval, the filters in their steady state: two routes to one number."""
-    weights = Weights(
-        floor=0.2,
-        output=np.array([[0.7, 1.0], [0.2, 0.1]]),
-        input=np.array([[0.5, 1.0], [0.1, 0.05]]),
-    )
+    output = np.array([[0.7, 1.0], [0.2, 0.1]])
+    weights_input = np.array([[0.5, 1.0], [0.1, 0.05]])
+    weights = Weights(floor=0.2, output=output, input=weights_input)
     centre = -0.25
     kappa = 1.3
-    one = period(np.random.default_rng(1))
+    rng = np.random.default_rng(1)
+    one = period(rng)
     one = one - one.mean()  # the mean is in no item
     u = np.concatenate([one, one, one])
     m = MODEL.simulate(u)[0]
-    plant = StateSpace(a=MODEL.a, b=MODEL.b, c=np.array([[1.1, 0.2]]), d=ZERO)
-    e = plant.simulate(u)[0] - m
+    c = np.array([[1.1, 0.2]])
+    plant = StateSpace(a=MODEL.a, b=MODEL.b, c=c, d=ZERO)
+    response = plant.simulate(u)
+    e = response[0] - m
     sums = running_sum(weights, centre, kappa, u, m, e)
     growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
     made = premise(linear(plant), amplitudes=(1.0,), shape=one)
     total = next(item for item in made.items(centre) if item.where.endswith("in total"))
-    reference = weights.on_output(total.angles) @ total.model_power
-    reference += weights.on_input(total.angles) @ total.input_power
-    assert growth == pytest.approx((total.seen - kappa**2 * reference) / PERIOD, rel=1e-6)
+    powers = weights.on_output(total.angles)
+    reference = powers @ total.model_power
+    powers = weights.on_input(total.angles)
+    reference += powers @ total.input_power
+    difference = total.seen - kappa**2 * reference
+    expected = difference / PERIOD
+    assert growth == pytest.approx(expected, rel=1e-6)
 
 
 def test_a_model_that_is_a_little_wrong_is_covered() -> None:
@@ -178,8 +196,12 @@ def resonance(size: float) -> StateSpace:
     """A mode of ratio 0.995 a sample at 2.26 rad/sample."""
     angle = 2.26
     radius = 0.995
-    turn = radius * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return StateSpace(a=turn, b=np.array([[size], [0.0]]), c=np.array([[1.0, 0.5]]), d=ZERO)
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    turn = radius * np.array([[cosine, -sine], [np.sin(angle), np.cos(angle)]])
+    b = np.array([[size], [0.0]])
+    c = np.array([[1.0, 0.5]])
+    return StateSpace(a=turn, b=b, c=c, d=ZERO)
 
 
 def radius_on(mode: StateSpace) -> float:
@@ -193,7 +215,10 @@ def radius_on(mode: StateSpace) -> float:
         [none, mode.a, mode.b @ gains["k"]],
         [-gains["l"] @ MODEL.c, -gains["l"] @ mode.c, estimate],
     ]
-    return float(np.abs(np.linalg.eigvals(np.block(rows))).max())
+    block_matrix = np.block(rows)
+    eigenvalues = np.linalg.eigvals(block_matrix)
+    spectral_radius = np.abs(eigenvalues).max()
+    return float(spectral_radius)
 
 
 @pytest.mark.parametrize("size", [-0.8, -0.2, -0.1, -0.05, 0.0, 0.05, 0.8])
@@ -208,12 +233,14 @@ def test_a_lightly_damped_mode_that_loses_the_loop_is_not_covered(size: float) -
 
 
 def test_the_loop_is_lost_on_some_of_these_modes() -> None:
-    assert radius_on(resonance(-0.05)) > 1 > radius_on(resonance(0.05))
+    state_space = resonance(-0.05)
+    assert radius_on(state_space) > 1 > radius_on(resonance(0.05))
 
 
 def shape_without_high_frequencies() -> np.ndarray:
     """One period of an input without power above 1.2 rad/sample."""
-    lines = np.fft.rfft(period(np.random.default_rng(1)), axis=0)
+    rng = np.random.default_rng(1)
+    lines = np.fft.rfft(period(rng), axis=0)
     angles = np.linspace(0, np.pi, len(lines))
     lines[angles > 1.2] = 0
     return np.fft.irfft(lines, n=PERIOD, axis=0)
@@ -243,15 +270,21 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
     """A gain that is wrong by a tenth is measured as that in every band."""
     known = premise(scaled_model(0.1))
     model = SSM.of(MODEL, 0.01)
-    part = with_coverage(design(), model, BALLS, known).extra_certificates["coverage"]
+    extra_certificates = with_coverage(design(), model, BALLS, known).extra_certificates
+    part = extra_certificates["coverage"]
     weights = weights_of(part)
     rows = coverage_table(known, weights, part.centre, part.kappa)
-    assert len(rows) == 2 * len(ANGLES)
+    expected = 2 * len(ANGLES)
+    assert len(rows) == expected
     for row in rows:
-        assert row.measured == pytest.approx(abs(0.1 - part.centre), rel=1e-6)
-        assert row.measured / row.proved_radius == pytest.approx(row.need / part.kappa)
+        expected = abs(0.1 - part.centre)
+        assert row.measured == pytest.approx(expected, rel=1e-6)
+        expected = row.need / part.kappa
+        assert row.measured / row.proved_radius == pytest.approx(expected)
     assert sum(row.decides for row in rows) >= 1
-    assert max(row.need for row in rows) <= weights.need(known.items(part.centre))[0]
+    largest = max(row.need for row in rows)
+    upper_limit = weights.need(known.items(part.centre))[0]
+    assert largest <= upper_limit
     assert max(row.need for row in rows) < part.kappa
 
 
@@ -261,7 +294,8 @@ def van_der_pol(u: np.ndarray) -> np.ndarray:
     for k in range(len(u)):
         y[k] = x[0]
         for _ in range(4):
-            x = x + 0.05 * np.array([x[1], (1 - x[0] ** 2) * x[1] - x[0] + u[k, 0]])
+            difference = (1 - x[0] ** 2) * x[1] - x[0]
+            x = x + 0.05 * np.array([x[1], difference + u[k, 0]])
     return y
 
 
@@ -269,14 +303,19 @@ def test_a_plant_with_a_cycle_of_its_own_is_never_covered() -> None:
     known = premise(van_der_pol)
     facts = covered(van_der_pol)
     assert known.reason == NOT_AT_REST
-    assert facts == {"coverage": None, "coverage_reason": NOT_AT_REST}
+    expected = {"coverage": None, "coverage_reason": NOT_AT_REST}
+    assert facts == expected
 
 
 def test_a_model_that_integrates_has_no_premise() -> None:
-    integrating = StateSpace(a=np.diag([1.0, 0.5]), b=np.ones((2, 1)), c=np.ones((1, 2)), d=ZERO)
+    a = np.diag([1.0, 0.5])
+    b = np.ones((2, 1))
+    c = np.ones((1, 2))
+    integrating = StateSpace(a=a, b=b, c=c, d=ZERO)
     model = SSM.of(integrating, 0.01)
     made = records(scaled_model(0.1))
-    shown = replace(measure_mismatch(model, made), left_at_rest=None)
+    mismatch = measure_mismatch(model, made)
+    shown = replace(mismatch, left_at_rest=None)
     assert measure_premise(model, made, shown).missing(0.0) == INTEGRATES
 
 
@@ -285,8 +324,10 @@ def test_an_empty_premise_is_refused() -> None:
     assert nothing.missing(0.0) == EMPTY
     assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
     model = SSM.of(MODEL, 0.01)
-    assert with_coverage(design(), model, BALLS, nothing).extra_certificates == {}
-    assert coverage_facts(design(), model, nothing)["coverage"] is None
+    extra_certificates = with_coverage(design(), model, BALLS, nothing).extra_certificates
+    assert extra_certificates == {}
+    coverage = coverage_facts(design(), model, nothing)["coverage"]
+    assert coverage is None
 
 
 def test_stored_weights_are_not_trusted() -> None:
@@ -303,19 +344,21 @@ def test_stored_weights_are_not_trusted() -> None:
         scaled[-1] *= factor
         return scaled
 
-    wider = replace(
-        part,
-        floor=10 * part.floor,
-        weight_output=times(part.weight_output, 10.0),
-        weight_input=times(part.weight_input, 10.0),
-    )
+    floor = 10 * part.floor
+    weight_output = times(part.weight_output, 10.0)
+    weight_input = times(part.weight_input, 10.0)
+    wider = replace(part, floor=floor, weight_output=weight_output, weight_input=weight_input)
     assert not wider.holds(**wider.variables)
-    same = replace(wider, kappa=part.kappa / 10)
-    forged = replace(made, extra_certificates={"coverage": same})
+    kappa = part.kappa / 10
+    same = replace(wider, kappa=kappa)
+    extra_certificates = {"coverage": same}
+    forged = replace(made, extra_certificates=extra_certificates)
     honest = coverage_facts(made, model, known)
-    assert coverage_facts(forged, model, known)["coverage"] == pytest.approx(honest["coverage"])
+    coverage = coverage_facts(forged, model, known)["coverage"]
+    assert coverage == pytest.approx(honest["coverage"])
     emptied = coverage_facts(made, model, Premise(repeating=(), averaged=()))
-    assert emptied == {"coverage": None, "coverage_reason": EMPTY}
+    expected = {"coverage": None, "coverage_reason": EMPTY}
+    assert emptied == expected
 
 
 def test_a_certificate_reads_back_to_the_same_numbers() -> None:
@@ -332,15 +375,19 @@ def test_a_short_period_has_bands_without_lines() -> None:
     lines = 17  # a period of 32 samples, the shortest that counts: half of the bands hold no line
     rng = np.random.default_rng(0)
     model = rng.normal(size=(2, lines, 1)) + 1j * rng.normal(size=(2, lines, 1))
+    angles = np.linspace(0, np.pi, lines)
+    sides = np.concatenate([[1.0], np.full(lines - 2, 2.0), [1.0]])
+    input_power = np.ones(lines)
+    noise = np.zeros(lines)
     record = MismatchSpectrum(
         name="short",
         amplitude=1.0,
-        angles=np.linspace(0, np.pi, lines),
-        sides=np.concatenate([[1.0], np.full(lines - 2, 2.0), [1.0]]),
+        angles=angles,
+        sides=sides,
         model=model,
         error=0.1 * model,
-        input_power=np.ones(lines),
-        noise=np.zeros(lines),
+        input_power=input_power,
+        noise=noise,
     )
     items = requirements_from_periods(record, 0.0, sure=True)
     assert all(len(item.angles) > 0 for item in items)

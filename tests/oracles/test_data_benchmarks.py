@@ -37,7 +37,8 @@ def arx(records: tuple[Trajectory, ...], input_lags: range, constant: bool) -> n
         for k in range(2, len(r))
     ]
     targets = np.concatenate([r.y[2:, 0] for r in records])
-    return np.linalg.lstsq(np.array(rows), targets, rcond=None)[0]
+    least_squares = np.linalg.lstsq(np.array(rows), targets, rcond=None)
+    return least_squares[0]
 
 
 def regressors(
@@ -53,7 +54,8 @@ def free_run(
 ) -> np.ndarray:
     y = record.y[:, 0].copy()
     for k in range(start, len(y)):
-        y[k] = regressors(record.u[:, 0], y, k, input_lags, constant) @ theta
+        u = record.u[:, 0]
+        y[k] = regressors(u, y, k, input_lags, constant) @ theta
     return y[:, None]
 
 
@@ -78,7 +80,9 @@ def test_the_drives_row_of_arx_is_reproduced(built) -> None:  # type: ignore[no-
         )
         for train, test in zip(data.training, data.test, strict=True)
     )
-    np.testing.assert_allclose(benchmark_rmse(data, y_hat), [0.291, 0.331], atol=0.0025)
+    actual = benchmark_rmse(data, y_hat)
+    expected = [0.291, 0.331]
+    np.testing.assert_allclose(actual, expected, atol=0.0025)
 
 
 def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
@@ -87,36 +91,49 @@ def test_official_splits(built) -> None:  # type: ignore[no-untyped-def]
     servo = built("emps")
     assert [len(r) for r in tanks.training] == [1024]
     assert [len(r) for r in tanks.test] == [1024]
-    assert [len(r) for r in drives.training] == [400, 400]
-    assert [len(r) for r in drives.test] == [100, 100]
+    expected = [400, 400]
+    assert [len(r) for r in drives.training] == expected
+    expected = [100, 100]
+    assert [len(r) for r in drives.test] == expected
     assert servo.step_s == pytest.approx(0.01)
-    assert len(servo.test[0]) == 24841 // 10 - 1
-    assert (tanks.start_up_samples, drives.start_up_samples, servo.start_up_samples) == (5, 10, 2)
+    expected = 24841 // 10 - 1
+    assert len(servo.test[0]) == expected
+    assert tanks.start_up_samples == 5
+    assert drives.start_up_samples == 10
+    assert servo.start_up_samples == 2
 
 
 def test_the_silverbox_is_cut_where_its_loader_cuts_it(built, benchmark_data: Path) -> None:  # type: ignore[no-untyped-def]
     """Multisine: 86,750 samples, three quarters of them before the test; the arrow's first 32,000
     stay in range."""
     data = built("silverbox")
-    raw = loadmat(benchmark_data / "silverbox" / "SNLS80mV.mat")["V2"][0]
-    trained = np.concatenate([record.y[:, 0] for record in (*data.training, *data.validation)])
-    np.testing.assert_array_equal(trained, raw[40650:127400][: round(0.75 * 86750)])
+    snls80mv_path = benchmark_data / "silverbox" / "SNLS80mV.mat"
+    raw = loadmat(snls80mv_path)["V2"][0]
+    records = (*data.training, *data.validation)
+    trained = np.concatenate([record.y[:, 0] for record in records])
+    expected = raw[40650:127400][: round(0.75 * 86750)]
+    np.testing.assert_array_equal(trained, expected)
     tests = [record.y[:, 0] for record in data.test]
-    np.testing.assert_array_equal(tests[0], raw[40650:127400][round(0.75 * 86750) :])
-    np.testing.assert_array_equal(tests[1][:32000], tests[2])
-    assert benchmark_rmse(data, tuple(record.y + 1e-3 for record in data.test)) == pytest.approx(
-        (1.0, 1.0, 1.0)
-    )
+    expected = raw[40650:127400][round(0.75 * 86750) :]
+    np.testing.assert_array_equal(tests[0], expected)
+    actual = tests[1][:32000]
+    np.testing.assert_array_equal(actual, tests[2])
+    y_hat = tuple(record.y + 1e-3 for record in data.test)
+    expected = (1.0, 1.0, 1.0)
+    assert benchmark_rmse(data, y_hat) == pytest.approx(expected)
 
 
 def test_the_servo_velocity_integrates_to_the_measured_position(
     built, benchmark_data: Path
 ) -> None:  # type: ignore[no-untyped-def]
     record = built("emps").test[0]
-    position = loadmat(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")["qm"][:, 0][:24840:10]
-    np.testing.assert_allclose(
-        position[0] + np.cumsum(record.y[:, 0]) * record.step_s, position[1:], atol=1e-12
-    )
+    data_emps_pulses_path = benchmark_data / "emps" / "DATA_EMPS_PULSES.mat"
+    qm = loadmat(data_emps_pulses_path)["qm"]
+    position = qm[:, 0][:24840:10]
+    running_sum = np.cumsum(record.y[:, 0])
+    actual = position[0] + running_sum * record.step_s
+    expected = position[1:]
+    np.testing.assert_allclose(actual, expected, atol=1e-12)
 
 
 def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # type: ignore[no-untyped-def]
@@ -124,31 +141,43 @@ def test_the_position_score_is_that_of_the_position_itself(built) -> None:  # ty
     record = built("emps").test[0]
     wrong = record.y + 1e-3
     position, position_hat = (np.cumsum(v[2:, 0]) * record.step_s for v in (record.y, wrong))
-    expected = 1000 * np.sqrt(np.mean((position - position_hat) ** 2))
+    mean = np.mean((position - position_hat) ** 2)
+    expected = 1000 * np.sqrt(mean)
     assert position_rmse_mm(record, wrong, 2) == pytest.approx(expected, rel=1e-9)
     assert expected == pytest.approx(24.8 / np.sqrt(3), rel=0.01)
 
 
 def test_decimation_keeps_what_a_hold_would_have_applied(benchmark_data: Path) -> None:
     path = str(benchmark_data / "emps" / "DATA_EMPS_PULSES.mat")
+    everies = (1, 10)
     fine, coarse = (
         Recording(path=path, input="vir", output="qm", step_s=0.001, decimate=every).read()
-        for every in (1, 10)
+        for every in everies
     )
-    np.testing.assert_array_equal(coarse.y, fine.y[:24840:10])
-    np.testing.assert_allclose(coarse.u[:, 0], fine.u[:24840, 0].reshape(-1, 10).mean(axis=1))
+    expected = fine.y[:24840:10]
+    np.testing.assert_array_equal(coarse.y, expected)
+    actual = coarse.u[:, 0]
+    expected = fine.u[:24840, 0].reshape(-1, 10).mean(axis=1)
+    np.testing.assert_allclose(actual, expected)
 
 
 def test_scales_and_equilibria_of_records(built) -> None:  # type: ignore[no-untyped-def]
     tanks = built("cascaded_tanks")
     servo = built("emps")
-    np.testing.assert_allclose(tanks.scale.output_equilibrium, tanks.training[0].y.mean(axis=0))
-    np.testing.assert_array_equal(servo.scale.input_equilibrium, [-0.0923])
-    np.testing.assert_array_equal(servo.scale.output_equilibrium, [0.0])
+    actual = tanks.scale.output_equilibrium
+    training_y = tanks.training[0].y
+    expected = training_y.mean(axis=0)
+    np.testing.assert_allclose(actual, expected)
+    actual = servo.scale.input_equilibrium
+    np.testing.assert_array_equal(actual, [-0.0923])
+    actual = servo.scale.output_equilibrium
+    np.testing.assert_array_equal(actual, [0.0])
 
 
 def test_several_experiments_of_different_lengths(built) -> None:  # type: ignore[no-untyped-def]
-    assert [len(r) for r in built("ced", "training.0.last=250").training] == [250, 400]
+    training = built("ced", "training.0.last=250").training
+    expected = [250, 400]
+    assert [len(r) for r in training] == expected
 
 
 class TestWhereRecordsLie:
@@ -166,7 +195,8 @@ class TestWhereRecordsLie:
     ) -> None:
         """The official package keeps MAT files; the yaml names the CSV twin."""
         names = ["u11", "u12", "z11", "z12"]
-        table = CsvReader().read(benchmark_data / "ced" / "DATAUNIF.csv", names)
+        dataunif_path = benchmark_data / "ced" / "DATAUNIF.csv"
+        table = CsvReader().read(dataunif_path, names)
         savemat(
             tmp_path / "DATAUNIF.MAT",
             {n: table.columns[n][:, None] for n in names},
@@ -177,7 +207,11 @@ class TestWhereRecordsLie:
         package = SimpleNamespace(CED=lambda data_file_locations: str(tmp_path / "DATAUNIF.MAT"))  # noqa: ARG005
         monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", package)
         data = from_yaml("data", "ced").build(0)
-        np.testing.assert_array_equal(data.test[0].y[:, 0], table.columns["z11"][400:])
+        test_y = data.test[0].y
+        actual = test_y[:, 0]
+        z11 = table.columns["z11"]
+        expected = z11[400:]
+        np.testing.assert_array_equal(actual, expected)
 
     def test_a_download_that_fails(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         def fails(data_file_locations: bool) -> None:  # noqa: ARG001
@@ -185,7 +219,8 @@ class TestWhereRecordsLie:
 
         monkeypatch.delenv("SSM_STUDY_DATA", raising=False)
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", SimpleNamespace(CED=fails))
+        simple_namespace = SimpleNamespace(CED=fails)
+        monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", simple_namespace)
         with pytest.raises(BadRequest, match="no network"):
             from_yaml("data", "ced").build(0)
 
@@ -195,8 +230,11 @@ def test_the_two_scores_of_the_servo_agree(built) -> None:  # type: ignore[no-un
     integrates to it."""
     position = built("emps_position")
     velocity = built("emps")
-    assert benchmark_rmse(position, (position.test[0].y + 1e-3,))[0] == pytest.approx(1.0)
-    kicked = velocity.test[0].y.copy()
+    test_y = position.test[0].y
+    y_hat = (test_y + 1e-3,)
+    assert benchmark_rmse(position, y_hat)[0] == pytest.approx(1.0)
+    test_y = velocity.test[0].y
+    kicked = test_y.copy()
     kicked[velocity.start_up_samples] += 1e-3 / velocity.step_s
     assert benchmark_rmse(velocity, (kicked,))[0] == pytest.approx(1.0)
 
@@ -213,7 +251,8 @@ def test_a_fold_opens_no_test_file_and_scores_what_it_held_out(built, name: str)
         for k in range(4)
     ]
     for i, record in enumerate(whole.training):
-        np.testing.assert_array_equal(np.concatenate([fold.test[i].y for fold in folds]), record.y)
+        actual = np.concatenate([fold.test[i].y for fold in folds])
+        np.testing.assert_array_equal(actual, record.y)
     for fold in folds:
         assert sum(map(len, (*fold.training, *fold.test))) == sum(map(len, whole.training))
         assert all(a.y is b.y for a, b in zip(fold.validation, fold.training, strict=True))
@@ -231,19 +270,14 @@ def test_the_official_package_splits_and_scores_as_we_do(
     """Its own loaders on the same files: equal samples in both parts. Start-up as it says, but for
     the tanks (50)."""
     official = pytest.importorskip("nonlinear_benchmarks", reason="extra benchmarks")
-    mat_of_csv(
-        benchmark_data / "ced" / "DATAUNIF.csv",
-        ["u11", "u12", "z11", "z12"],
-        tmp_path / "DATAUNIF.MAT",
-    )
+    source = benchmark_data / "ced" / "DATAUNIF.csv"
+    mat_of_csv(source, ["u11", "u12", "z11", "z12"], tmp_path / "DATAUNIF.MAT")
     tanks = tmp_path / "CascadedTanksFiles" / "dataBenchmark.mat"
     names = ["uEst", "uVal", "yEst", "yVal"]
-    mat_of_csv(benchmark_data / "cascaded_tanks" / "dataBenchmark.csv", names, tanks, Ts=4.0)
-    places = {
-        "EMPS": str(benchmark_data / "emps"),
-        "CED": str(tmp_path),
-        "Cascaded_Tanks": str(tmp_path),
-    }
+    source = benchmark_data / "cascaded_tanks" / "dataBenchmark.csv"
+    mat_of_csv(source, names, tanks, Ts=4.0)
+    emps_path = str(benchmark_data / "emps")
+    places = {"EMPS": emps_path, "CED": str(tmp_path), "Cascaded_Tanks": str(tmp_path)}
     monkeypatch.setattr(
         "nonlinear_benchmarks.benchmarks.cashed_download", lambda _, name, **__: places[name]
     )
@@ -253,34 +287,34 @@ def test_the_official_package_splits_and_scores_as_we_do(
         ("Cascaded_Tanks", "cascaded_tanks"),
     ):
         data = built(ours)
-        for theirs, records in zip(
-            as_tuples(getattr(official, name)()), (data.training, data.test), strict=True
-        ):
+        parts = getattr(official, name)()
+        for theirs, records in zip(as_tuples(parts), (data.training, data.test), strict=True):
             for one, record in zip(theirs, records, strict=True):
-                every = round(record.step_s / float(one.sampling_time))
-                np.testing.assert_array_equal(
-                    record.y[:, 0], np.ravel(one.y)[: every * len(record) : every]
-                )
+                sampling_time = float(one.sampling_time)
+                every = round(record.step_s / sampling_time)
+                actual = record.y[:, 0]
+                expected = np.ravel(one.y)[: every * len(record) : every]
+                np.testing.assert_array_equal(actual, expected)
         window = theirs[0].state_initialization_window_length
-        assert (window, data.start_up_samples) == {
-            "EMPS": (20, 0),
-            "CED": (10, 10),
-            "Cascaded_Tanks": (50, 5),
-        }[name]
+        expected = {"EMPS": (20, 0), "CED": (10, 10), "Cascaded_Tanks": (50, 5)}[name]
+        assert (window, data.start_up_samples) == expected
 
 
 def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() -> None:
     """A lag as a record of the package's own type, and as a sequence of the other's."""
     official = pytest.importorskip("nonlinear_benchmarks.utilities", reason="extra benchmarks")
-    page = (Path(__file__).parents[2] / "docs" / "data.md").read_text()
+    parents = Path(__file__).parents
+    docs_path = parents[2] / "docs"
+    data_path = docs_path / "data.md"
+    page = data_path.read_text()
     names: dict = {}
     for block in re.findall(r'^```python title="\w+\.py"\n(.*?)^```', page, re.M | re.S):
         exec(block, names)
-    u = np.random.default_rng(0).uniform(-1, 1, 100).repeat(8)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, 100).repeat(8)
     y = signal.lfilter([0, 0.1], [1, -0.9], u)
-    train, test = (
-        official.Input_output_data(u[part], y[part], 0.1) for part in (slice(500), slice(0, 800))
-    )
+    parts = (slice(500), slice(0, 800))
+    train, test = (official.Input_output_data(u[part], y[part], 0.1) for part in parts)
     overrides = (
         "model=ssm",
         "model.order=1",
@@ -288,13 +322,18 @@ def test_our_models_stand_in_other_people_s_tables_by_the_lines_of_the_page() ->
         "training.max_epochs=20",
         "data.equilibrium=zero",
     )
-    assert names["entry"](train, test, *overrides) < 0.05 * y.std()
-    sequences = [SimpleNamespace(u=u[:500, None], y=y[:500, None], attrs={"fs": 10.0})]
+    upper_limit = 0.05 * y.std()
+    assert names["entry"](train, test, *overrides) < upper_limit
+    attrs = {"fs": 10.0}
+    simple_namespace = SimpleNamespace(u=u[:500, None], y=y[:500, None], attrs=attrs)
+    sequences = [simple_namespace]
     told = {"hyperparameters": {"overrides": overrides}}
     context = SimpleNamespace(get_train_sequences=lambda: iter(sequences), **told)
     predicted = names["build_model"](context)(u[:, None], None, {})
     assert predicted.shape == (800, 1)
-    assert np.abs(predicted[:, 0] - y).max() < 0.1
+    difference = np.abs(predicted[:, 0] - y)
+    largest_difference = difference.max()
+    assert largest_difference < 0.1
 
 
 def as_tuples(parts):  # type: ignore[no-untyped-def]
@@ -312,10 +351,16 @@ def mat_of_csv(source: Path, names: list[str], target: Path, **more: float) -> N
     savemat(target, columns | more, appendmat=False)
 
 
-@pytest.mark.parametrize(("name", "closed"), [("emps", True), ("emps_position", True), ("ced",
-                                                                                        False),
-                                              ("cascaded_tanks", False), ("silverbox",
-                                                                          False)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "closed"),
+    [
+        ("emps", True),
+        ("emps_position", True),
+        ("ced", False),
+        ("cascaded_tanks", False),
+        ("silverbox", False),
+    ],
+)
 def test_of_the_benchmarks_only_the_servo_was_recorded_in_a_closed_loop(
     built, name, closed
 ) -> None:  # type: ignore[no-untyped-def]

@@ -18,7 +18,8 @@ def rows(benchmark: str) -> list[dict[str, str]]:
     with (ROOT / "results" / "reference" / "benchmarks" / f"{TABLES[benchmark]}.csv").open(
         newline=""
     ) as stream:
-        return [row for row in csv.DictReader(stream) if row["benchmark"] == benchmark]
+        dict_reader = csv.DictReader(stream)
+        return [row for row in dict_reader if row["benchmark"] == benchmark]
 
 
 def composed(*overrides: str) -> DictConfig:
@@ -42,10 +43,14 @@ def test_the_table_ranks_by_the_error_over_all_parts(benchmark: str) -> None:
 def test_the_chosen_settings_are_those_that_are_scored(benchmark: str) -> None:
     scored = composed("experiment=benchmarks", f"data={DATA[benchmark]}", "model=ssm")
     best = rows(benchmark)[0]
-    assert scored.model.order == int(best["order"])
-    assert scored.model.hidden_width == int(best["hidden_width"])
-    assert scored.model.slope_lower == float(best["slope_lower"])
-    assert scored.model.scaffold_out._target_.rsplit(".", 1)[-1].lower() == best["scaffold_out"]
+    order = scored.model.order
+    assert order == int(best["order"])
+    hidden_width = scored.model.hidden_width
+    assert hidden_width == int(best["hidden_width"])
+    slope_lower = scored.model.slope_lower
+    assert slope_lower == float(best["slope_lower"])
+    scaffold_out = scored.model.scaffold_out
+    assert scaffold_out._target_.rsplit(".", 1)[-1].lower() == best["scaffold_out"]
 
 
 def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
@@ -53,6 +58,12 @@ def test_the_servo_is_scored_as_it_was_rehearsed() -> None:
     folder = ROOT / "benchmarks" / "rehearsal" / "conf"
     rehearsed = composed("experiment=benchmark_rehearsal", f"hydra.searchpath=[file://{folder}]")
     assert scored.training == rehearsed.training
-    assert (scored.model.ring_radius, scored.model.ring_frequency) == ([0.9, 0.9999], [0.003, 0.1])
-    assert scored.data.training == rehearsed.data.experiments.training
-    assert scored.data.output_equilibrium == [float(rows("emps")[0]["output_equilibrium"])]
+    ring_radius = scored.model.ring_radius
+    assert ring_radius == [0.9, 0.9999]
+    ring_frequency = scored.model.ring_frequency
+    assert ring_frequency == [0.003, 0.1]
+    training = scored.data.training
+    assert training == rehearsed.data.experiments.training
+    output_equilibrium = scored.data.output_equilibrium
+    expected = [float(rows("emps")[0]["output_equilibrium"])]
+    assert output_equilibrium == expected

@@ -18,8 +18,11 @@ Y = np.convolve(U, 0.2 * 0.8 ** np.arange(40))[:ROWS]
 def log(folder: Path, times: np.ndarray, name: str = "time", repeats: int = 1) -> Path:
     """A log with this clock."""
     path = folder / "log.csv"
-    columns = {name: times, "u": np.tile(U, repeats), "y": np.tile(Y, repeats)}
-    pd.DataFrame(columns).to_csv(path, index=False)
+    u = np.tile(U, repeats)
+    y = np.tile(Y, repeats)
+    columns = {name: times, "u": u, "y": y}
+    table = pd.DataFrame(columns)
+    table.to_csv(path, index=False)
     return path
 
 
@@ -33,12 +36,17 @@ def test_a_clock_that_starts_again_makes_two_experiments(
     tmp_path: Path, step_s: float | None
 ) -> None:
     path = log(tmp_path, np.tile(0.01 * np.arange(ROWS), 2), repeats=2)
-    pieces, remark = source(path, step_s=step_s).read_pieces(path)
-    assert [len(piece) for piece in pieces] == [ROWS, ROWS]
+    recorded_data = source(path, step_s=step_s)
+    pieces, remark = recorded_data.read_pieces(path)
+    expected = [ROWS, ROWS]
+    assert [len(piece) for piece in pieces] == expected
     assert pieces[0].step_s == pytest.approx(0.01)
     assert "the clock starts again: 2 experiments" in remark
-    np.testing.assert_array_equal(pieces[1].y[:, 0], Y)
-    assert pieces[1].first > len(pieces[0])  # no simulation runs on across the cut
+    pieces_y = pieces[1].y
+    actual = pieces_y[:, 0]
+    np.testing.assert_array_equal(actual, Y)
+    first = pieces[1].first
+    assert first > len(pieces[0])  # no simulation runs on across the cut
 
 
 def test_experiments_of_different_sampling_times_are_refused(tmp_path: Path) -> None:
@@ -52,8 +60,9 @@ def test_experiments_of_different_sampling_times_are_refused(tmp_path: Path) -> 
 def test_a_log_in_reverse_is_refused(tmp_path: Path, step_s: float | None) -> None:
     """With the step stated it would be fitted backwards in time, and nobody would know."""
     path = log(tmp_path, 0.01 * np.arange(ROWS)[::-1])
+    recorded_data = source(path, step_s=step_s)
     with pytest.raises(BadRequest, match="runs backwards at row 1, counted from 0; sort the rows"):
-        source(path, step_s=step_s).read_pieces(path)
+        recorded_data.read_pieces(path)
 
 
 def test_a_clock_with_rows_out_of_order_is_refused(tmp_path: Path) -> None:
@@ -67,7 +76,8 @@ def test_a_clock_with_rows_out_of_order_is_refused(tmp_path: Path) -> None:
 def test_a_temperature_named_t_is_no_clock(tmp_path: Path) -> None:
     """It cools, and the sampling time is stated."""
     path = log(tmp_path, 90.0 * np.exp(-0.01 * np.arange(ROWS)), name="T")
-    pieces, _ = source(path, step_s=0.01).read_pieces(path)
+    recorded_data = source(path, step_s=0.01)
+    pieces, _ = recorded_data.read_pieces(path)
     assert len(pieces) == 1
 
 
@@ -86,6 +96,7 @@ def test_whole_numbers_without_a_unit_leave_a_doubt(
     tmp_path: Path, name: str, factor: float, settings: dict[str, object], doubted: bool
 ) -> None:
     path = log(tmp_path, factor * np.arange(ROWS), name=name)
-    _, remark = source(path, **settings).read_pieces(path)
+    recorded_data = source(path, **settings)
+    _, remark = recorded_data.read_pieces(path)
     assert ("may count milliseconds" in remark) is doubted
     assert bool(clock_doubts(remark)) is doubted

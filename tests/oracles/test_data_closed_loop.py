@@ -46,10 +46,11 @@ def log(u: np.ndarray, y: np.ndarray) -> Trajectory:
 
 def fitted(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Gain at rest and pole of the first-order model nearest in free run: no code of ours."""
+    bounds = (0, [5, 0.999])
     return scipy.optimize.least_squares(
         lambda p: y - scipy.signal.lfilter([0.0, (1 - p[1]) * p[0]], [1.0, -p[1]], u),
         [0.8, 0.8],
-        bounds=(0, [5, 0.999]),
+        bounds=bounds,
     ).x
 
 
@@ -67,11 +68,16 @@ def written(folder: Path, *columns: np.ndarray) -> str:
 
 def test_the_set_point_of_a_pi_is_found_again() -> None:
     r, u, y = loop(0)
-    found = set_point_of_pi(log(u, y), GAIN, INTEGRAL_S)[:, 0]
+    rows = set_point_of_pi(log(u, y), GAIN, INTEGRAL_S)
+    found = rows[:, 0]
     late = SAMPLES // 10  # what the integral held at the start is forgotten by then
-    assert np.abs((found - r)[late:] - (found - r)[-1]).max() < 1e-9
-    wrong = set_point_of_pi(log(u, y), 2 * GAIN, INTEGRAL_S)[:, 0]
-    assert np.abs((wrong - r)[late:]).max() > 0.1
+    difference = np.abs((found - r)[late:] - (found - r)[-1])
+    largest_difference = difference.max()
+    assert largest_difference < 1e-9
+    rows = set_point_of_pi(log(u, y), 2 * GAIN, INTEGRAL_S)
+    wrong = rows[:, 0]
+    largest = np.abs((wrong - r)[late:]).max()
+    assert largest > 0.1
 
 
 def test_the_bias_of_a_slow_drift_is_gone() -> None:
@@ -81,30 +87,43 @@ def test_the_bias_of_a_slow_drift_is_gone() -> None:
     staged = []
     for seed in range(6):
         r, u, y = loop(seed, integral_s=1e9)
-        by_set_point, share = from_set_points([log(u, y)], [r[:, None]])
+        logs = [log(u, y)]
+        references = [r[:, None]]
+        by_set_point, share = from_set_points(logs, references)
         direct.append(fitted(u, y)[0])
-        staged.append(fitted(by_set_point[0].u[:, 0], y)[0])
+        by_set_point_u = by_set_point[0].u
+        staged.append(fitted(by_set_point_u[:, 0], y)[0])
         assert 0.3 < share < 0.95
     assert max(direct) < 0.92
-    assert abs(np.mean(staged) - 1) < 0.04
-    assert np.abs(np.array(staged) - 1).max() < 0.12
+    mean = np.mean(staged)
+    difference = abs(mean - 1)
+    assert difference < 0.04
+    difference = np.abs(np.array(staged) - 1)
+    largest_difference = difference.max()
+    assert largest_difference < 0.12
 
 
 def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path: Path) -> None:
     path = written(tmp_path, *loop(1, drift=0.0))
     asked = {"path": path, "input": "u", "output": "y", "step_s": STEP_S}
+    controller = [GAIN, INTEGRAL_S]
     plain, named, pi, wrong = (
         RecordedData(**asked, **more).build(0)
         for more in (
             {},
             {"reference": "r"},
-            {"controller": [GAIN, INTEGRAL_S]},
+            {"controller": controller},
             {"controller": [-GAIN, 100.0]},
         )
     )
-    a = named.training[0].u[300:, 0]
-    b = pi.training[0].u[300:, 0]
-    assert np.abs(a - b).max() < 0.05 * np.ptp(a)
+    training_u = named.training[0].u
+    a = training_u[300:, 0]
+    training_u = pi.training[0].u
+    b = training_u[300:, 0]
+    difference = np.abs(a - b)
+    largest_difference = difference.max()
+    upper_limit = 0.05 * np.ptp(a)
+    assert largest_difference < upper_limit
     found = {
         name: fed_back_share(data, 0)
         for name, data in (("plain", plain), ("named", named), ("wrong", wrong))
@@ -113,25 +132,32 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
     assert found["named"] < EARLIER
     assert found["wrong"] > PRESENT
     assert plain.metadata.get("by_set_point") is None
-    assert 0.3 < float(named.metadata["by_set_point"]) < 0.99
-    np.testing.assert_array_equal(plain.training[0].y, named.training[0].y)
+    by_set_point = float(named.metadata["by_set_point"])
+    assert 0.3 < by_set_point < 0.99
+    actual = plain.training[0].y
+    expected = named.training[0].y
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_refusals(tmp_path: Path) -> None:
     r, u, y = loop(2)
-    asked = {"path": written(tmp_path, r, u, y), "input": "u", "output": "y", "step_s": STEP_S}
+    path = written(tmp_path, r, u, y)
+    asked = {"path": path, "input": "u", "output": "y", "step_s": STEP_S}
+    recorded_data_controller = [1.0, 1.0]
     with pytest.raises(BadRequest, match="one is enough; name the set point alone"):
-        RecordedData(**asked, reference="r", controller=[1.0, 1.0])
+        RecordedData(**asked, reference="r", controller=recorded_data_controller)
     for controller in ([0.0, 1.0], [1.0], [1.0, -1.0]):
         with pytest.raises(BadRequest, match="is no PI; give"):
             RecordedData(**asked, controller=controller)
     with pytest.raises(BadRequest, match="are at a limit of the input"):
         set_point_of_pi(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
+    trajectory = Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S)
     with pytest.raises(BadRequest, match="a PI has one each"):
-        set_point_of_pi(
-            Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S), GAIN, INTEGRAL_S
-        )
+        set_point_of_pi(trajectory, GAIN, INTEGRAL_S)
+    logs = [log(u[:300], y[:300])]
+    references = [r[:300, None]]
     with pytest.raises(BadRequest, match="log longer"):
-        from_set_points([log(u[:300], y[:300])], [r[:300, None]])
+        from_set_points(logs, references)
+    recorded_data = RecordedData(**asked, reference="set_point")
     with pytest.raises(BadRequest):
-        RecordedData(**asked, reference="set_point").build(0)
+        recorded_data.build(0)

@@ -13,12 +13,15 @@ from log_kinds import KINDS, kind_named
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_equal_seeds_give_equal_logs(kind):
-    first, again, other = (kind.log(seed, samples=600) for seed in (3, 3, 4))
+    seeds = (3, 3, 4)
+    first, again, other = (kind.log(seed, samples=600) for seed in seeds)
     assert first.equals(again)
     assert not np.array_equal(first["y"], other["y"])
     assert np.isfinite(first.to_numpy()).all()
-    assert np.allclose(np.diff(first["time_s"]), kind.step_s)
-    assert first["y"].std() > 0
+    differences = np.diff(first["time_s"])
+    assert np.allclose(differences, kind.step_s)
+    standard_deviation = first["y"].std()
+    assert standard_deviation > 0
 
 
 def first_lag_that_answers(table):
@@ -27,25 +30,39 @@ def first_lag_that_answers(table):
     change = np.diff(u)
     dy = np.diff(table["y"].to_numpy())
     lags = np.stack([np.roll(change, lag)[40:] for lag in range(40)], axis=1)
-    response = np.linalg.lstsq(lags, dy[40:], rcond=None)[0]
-    return int(np.flatnonzero(np.abs(response) > 0.15 * np.abs(response).max())[0])
+    least_squares = np.linalg.lstsq(lags, dy[40:], rcond=None)
+    response = least_squares[0]
+    largest = np.abs(response).max()
+    lower_limit = 0.15 * largest
+    indices = np.flatnonzero(np.abs(response) > lower_limit)
+    return int(indices[0])
 
 
 def test_delays_are_what_the_names_say():
-    assert first_lag_that_answers(kind_named("same_sample").log(0)) == 0
-    assert first_lag_that_answers(kind_named("direction").log(0)) == 1
-    assert first_lag_that_answers(kind_named("dead_time").log(0)) >= 6
+    table = kind_named("same_sample").log(0)
+    assert first_lag_that_answers(table) == 0
+    table = kind_named("direction").log(0)
+    assert first_lag_that_answers(table) == 1
+    table = kind_named("dead_time").log(0)
+    assert first_lag_that_answers(table) >= 6
 
 
 def test_the_position_is_a_running_sum_that_stands_still_in_the_dead_zone():
     table = kind_named("position_dead_zone").log(1)
-    still = table["u"].abs().rolling(30).max() < 0.15
-    moves = table["y"].diff().abs()
-    assert (table["y"] == table["y"].round()).all()
-    assert moves[still].max() <= 1.0 < moves.max()
+    largest = table["u"].abs().rolling(30).max()
+    still = largest < 0.15
+    differences = table["y"].diff()
+    moves = differences.abs()
+    expected = table["y"].round()
+    assert (table["y"] == expected).all()
+    largest = moves[still].max()
+    assert largest <= 1.0 < moves.max()
 
 
 def test_one_input_of_two_is_missing_and_the_sensor_ends():
-    assert list(kind_named("unmeasured").log(0)) == ["time_s", "u", "y"]
+    expected = ["time_s", "u", "y"]
+    assert list(kind_named("unmeasured").log(0)) == expected
     y = kind_named("saturating").log(0)["y"]
-    assert (y == y.max()).mean() > 0.03
+    expected = y.max()
+    mean = (y == expected).mean()
+    assert mean > 0.03

@@ -46,7 +46,8 @@ def test_what_is_true_is_said_and_what_is_false_is_not(
     assert said in text
     assert unsaid not in text
     assert f"step {kind_named(name).step_s:g} s" in text
-    assert text.endswith(look(path).command)
+    command = look(path).command
+    assert text.endswith(command)
 
 
 def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:
@@ -56,20 +57,28 @@ def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:
     integral = state = 0.0
     set_point = np.repeat(rng.uniform(-1, 1, 40), 50)
     for k in range(1, 2000):
-        u[k] = 4.0 * (set_point[k] - y[k - 1]) + integral  # a computer that acts a sample later
-        integral += 0.05 * (set_point[k] - y[k - 1])
-        state = 0.9 * state + 0.1 * u[k - 1] + 0.03 * rng.standard_normal()
+        difference = set_point[k] - y[k - 1]
+        u[k] = 4.0 * difference + integral  # a computer that acts a sample later
+        difference = set_point[k] - y[k - 1]
+        integral += 0.05 * difference
+        white_noise = rng.standard_normal()
+        state = 0.9 * state + 0.1 * u[k - 1] + 0.03 * white_noise
         y[k] = state
-    pd.DataFrame({"u": u, "y": y}).to_csv(tmp_path / "log.csv", index=False)
-    assert "a closed loop?" in str(look(tmp_path / "log.csv", step_s=0.1))
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    log_look = str(look(tmp_path / "log.csv", step_s=0.1))
+    assert "a closed loop?" in log_look
 
 
 def test_a_sweep_of_sines_is_no_closed_loop() -> None:
     """Its next value follows from its own past, of which the outputs are another account."""
     time = np.arange(1000)
     u = sum(np.sin(2 * np.pi * f * time / 500 + f**2) for f in range(10, 60, 5))
-    y = np.convolve(u, 0.95 ** np.arange(60) * np.sin(0.3 * np.arange(60)))[:1000]
-    y = y + 0.02 * np.random.default_rng(0).standard_normal(1000)
+    sine = np.sin(0.3 * np.arange(60))
+    y = np.convolve(u, 0.95 ** np.arange(60) * sine)[:1000]
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal(1000)
+    y = y + 0.02 * white_noise
     assert share_from_earlier_outputs(u, y) < FED_BACK
 
 
@@ -81,7 +90,8 @@ def test_the_command_draws_and_prints(
     assert main(["look", "my log.csv"]) == 0
     printed = capsys.readouterr().out
     assert "data.path=\"'my log.csv'\" data.input=u data.output=y" in printed
-    assert (tmp_path / "my log_look.png").stat().st_size > 10_000
+    st_size = (tmp_path / "my log_look.png").stat().st_size
+    assert st_size > 10_000
     text = Path("my log.csv").read_text().replace(",", ";").replace(".", ",")
     Path("german.txt").write_text(text)
     layout = ["--separator", "semicolons", "--decimal", ",", "--header", "true"]
@@ -93,7 +103,10 @@ def test_the_command_draws_and_prints(
 
 def test_a_log_that_cannot_be_read_yet_says_what_is_missing(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
-    pd.DataFrame({"u": [0.0, 1.0, 2.0] * 40, "y": np.arange(120.0) ** 2}).to_csv(path, index=False)
+    u = [0.0, 1.0, 2.0] * 40
+    y = np.arange(120.0) ** 2
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(path, index=False)
     text = str(look(path))
     assert "the sampling time is unknown" in text
     assert "noise" not in text  # 120 rows
@@ -112,10 +125,13 @@ def test_a_log_that_cannot_be_read_yet_says_what_is_missing(tmp_path: Path) -> N
 def test_named_columns_are_not_measured_too(tmp_path: Path) -> None:
     """They are named without their units, by number, or in other letters."""
     path = tmp_path / "log.csv"
-    table = kind_named("direction").log(0, samples=400).rename(columns={"u": "Heat [%]"})
+    columns = {"u": "Heat [%]"}
+    table = kind_named("direction").log(0, samples=400).rename(columns=columns)
     table.assign(**{"Out (C)": np.arange(400.0) % 7}).to_csv(path, index=False)
     for name in ("Heat", "heat", "Heat [%]", str(list(table).index("Heat [%]"))):
-        others = [one for one in look(path, input=name, output="y").sentences if "too:" in one]
+        log_look = look(path, input=name, output="y")
+        sentences = log_look.sentences
+        others = [one for one in sentences if "too:" in one]
         assert others[0].startswith("measured too: Out (C);")
 
 
@@ -126,9 +142,11 @@ def test_a_slow_lag_is_no_integrator(lag_samples: int) -> None:
     u = np.repeat(rng.uniform(-1, 1, 100), 40)
     y = np.zeros(4000)
     for k in range(1, 4000):
-        y[k] = y[k - 1] + (u[k - 1] - y[k - 1]) / lag_samples
+        difference = u[k - 1] - y[k - 1]
+        y[k] = y[k - 1] + difference / lag_samples
     assert not input_shares(u, y).is_integrator
-    assert input_shares(u, np.cumsum(u)).is_integrator
+    running_sum = np.cumsum(u)
+    assert input_shares(u, running_sum).is_integrator
 
 
 def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
@@ -136,58 +154,76 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     u = np.repeat(rng.uniform(-1, 1, 100), 80)
     x = np.convolve(u, 1 / 60 * np.exp(-np.arange(400) / 60))[: len(u)]
     y = np.convolve(x, 1 / 60 * np.exp(-np.arange(400) / 60))[: len(u)]
-    y += 0.01 * rng.standard_normal(len(y))
+    white_noise = rng.standard_normal(len(y))
+    y += 0.01 * white_noise
     assert first_response_lag(u, y) is None
-    assert "slow" in answer_sentence(u, y, input_shares(u, y))
+    shares = input_shares(u, y)
+    assert "slow" in answer_sentence(u, y, shares)
 
 
 def test_a_column_that_counts_is_no_signal(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     u = rng.standard_normal(500)
-    columns = {"t": 0.01 * np.arange(500), "n": np.arange(500), "u": u, "angle": np.cumsum(u)}
-    pd.DataFrame(columns)[["t", "n", "angle", "u"]].to_csv(tmp_path / "log.csv", index=False)
+    t = 0.01 * np.arange(500)
+    n = np.arange(500)
+    angle = np.cumsum(u)
+    columns = {"t": t, "n": n, "u": u, "angle": angle}
+    table = pd.DataFrame(columns)
+    table[["t", "n", "angle", "u"]].to_csv(tmp_path / "log.csv", index=False)
     shown = look(tmp_path / "log.csv")
-    assert (shown.input, shown.output) == ("u", "angle")
-    pd.DataFrame(columns)[["t", "n", "u"]].to_csv(tmp_path / "counter.csv", index=False)
-    assert look(tmp_path / "counter.csv").output is None
+    assert shown.input == "u"
+    assert shown.output == "angle"
+    table = pd.DataFrame(columns)
+    table[["t", "n", "u"]].to_csv(tmp_path / "counter.csv", index=False)
+    output = look(tmp_path / "counter.csv").output
+    assert output is None
 
 
 def test_the_first_column_of_a_matrix_is_its_clock_if_it_runs_evenly(tmp_path: Path) -> None:
-    signals = np.random.default_rng(0).standard_normal((500, 2))
+    rng = np.random.default_rng(0)
+    signals = rng.standard_normal((500, 2))
     clock = 0.02 * np.arange(500)[:, None]
     scipy.io.savemat(tmp_path / "log.mat", {"gain": 3.0, "data": np.hstack([clock, signals])})
-    text = str(look(tmp_path / "log.mat", input="data:2", output="data:3"))
+    log_look = look(tmp_path / "log.mat", input="data:2", output="data:3")
+    text = str(log_look)
     assert "clock data:1 (no unit: seconds); step 0.02 s" in text
     counted = np.hstack([np.arange(500)[:, None], signals])
     scipy.io.savemat(tmp_path / "rows.mat", {"data": counted})
-    assert "no clock found" in str(look(tmp_path / "rows.mat", input="data:2", output="data:3"))
+    log_look = str(look(tmp_path / "rows.mat", input="data:2", output="data:3"))
+    assert "no clock found" in log_look
 
 
 @pytest.mark.parametrize("title", ["t_now", "time rel", "sensor_timestamp"])
 def test_a_clocks_word_beside_others_names_a_clock_that_never_stands(
     tmp_path: Path, title: str
 ) -> None:
-    u = np.random.default_rng(0).standard_normal(500)
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(500)
     clock = 0.1 * np.arange(500)
-    pd.DataFrame({"u": u, title: clock, "y": np.cumsum(u)}).to_csv(
-        tmp_path / "log.csv", index=False
-    )
-    assert f"clock {title} (no unit: seconds); step 0.1 s" in str(look(tmp_path / "log.csv"))
+    y = np.cumsum(u)
+    table = pd.DataFrame({"u": u, title: clock, "y": y})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    log_look = str(look(tmp_path / "log.csv"))
+    assert f"clock {title} (no unit: seconds); step 0.1 s" in log_look
     clock[10] = clock[9]
-    pd.DataFrame({"u": u, title: clock, "y": np.cumsum(u)}).to_csv(
-        tmp_path / "log.csv", index=False
-    )
-    assert "no clock found" in str(look(tmp_path / "log.csv"))
+    y = np.cumsum(u)
+    table = pd.DataFrame({"u": u, title: clock, "y": y})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    log_look = str(look(tmp_path / "log.csv"))
+    assert "no clock found" in log_look
 
 
 def test_a_set_point_is_no_input(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     heater = rng.uniform(0, 100, 500)
     wanted = np.repeat([40.0, 50.0], 250)
-    columns = {"Time": 5.0 * np.arange(500), "T1": np.cumsum(heater), "Q1": heater, "TSP1": wanted}
-    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    running_sum = np.cumsum(heater)
+    columns = {"Time": 5.0 * np.arange(500), "T1": running_sum, "Q1": heater, "TSP1": wanted}
+    table = pd.DataFrame(columns)
+    table.to_csv(tmp_path / "log.csv", index=False)
     shown = look(tmp_path / "log.csv")
-    assert (shown.input, shown.output) == ("Q1", "T1")
+    assert shown.input == "Q1"
+    assert shown.output == "T1"
     assert "data.reference=TSP1" in str(shown)
 
 
@@ -203,9 +239,13 @@ def test_a_loop_that_answers_within_the_sample_is_not_called_feedthrough(
     for k in range(1, 3000):
         speed = 0.9 * speed + 0.02 * u[k - 1]
         position += speed
-        y[k] = position + 0.02 * rng.standard_normal()
-        u[k] = 0.5 * (set_point[k] - y[k]) - gain_d * (y[k] - y[k - 1])
-    text = "\n".join(describe_dynamics([Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)]))
+        white_noise = rng.standard_normal()
+        y[k] = position + 0.02 * white_noise
+        difference = set_point[k] - y[k]
+        u[k] = 0.5 * difference - gain_d * (y[k] - y[k - 1])
+    trajectory = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
+    records = [trajectory]
+    text = "\n".join(describe_dynamics(records))
     assert "which of them answers is not to be seen" in text
     assert "feedthrough" not in text
     assert ("a closed loop?" in text) is is_loop  # a gain alone is hardly to be told from the plant

@@ -33,10 +33,12 @@ def test_version_5(
 ) -> None:
     matrix = data.draw(arrays(np.dtype(kind), shape))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
-    savemat(path, {"matrix_1": matrix, "b": np.arange(3.0)}, do_compression=compressed)
+    b = np.arange(3.0)
+    savemat(path, {"matrix_1": matrix, "b": b}, do_compression=compressed)
     mine = parse(path)
     theirs = loadmat(path)
-    assert list(mine) == ["matrix_1", "b"]
+    expected = ["matrix_1", "b"]
+    assert list(mine) == expected
     np.testing.assert_array_equal(mine["matrix_1"], theirs["matrix_1"])
     np.testing.assert_array_equal(mine["b"], theirs["b"])
 
@@ -47,12 +49,17 @@ def test_version_4(
 ) -> None:
     matrix = data.draw(arrays(np.dtype(kind), (3, 2)))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
-    others = {"c": np.ones(2) * 1j, "s": "text", "e": scipy.sparse.eye_array(2, format="csc")}
-    savemat(path, {"x": matrix, **others, "y": np.arange(4.0)}, format="4")
+    c = np.ones(2) * 1j
+    e = scipy.sparse.eye_array(2, format="csc")
+    others = {"c": c, "s": "text", "e": e}
+    y = np.arange(4.0)
+    savemat(path, {"x": matrix, **others, "y": y}, format="4")
     mine = parse(path)
     np.testing.assert_array_equal(mine["x"], matrix)
-    np.testing.assert_array_equal(mine["y"], [np.arange(4.0)])
-    assert [mine[name] for name in others] == ["complex", "text", "a sparse matrix"]
+    expected = [np.arange(4.0)]
+    np.testing.assert_array_equal(mine["y"], expected)
+    expected = ["complex", "text", "a sparse matrix"]
+    assert [mine[name] for name in others] == expected
 
 
 def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
@@ -65,23 +72,20 @@ def test_version_4_of_another_byte_order(tmp_path: Path) -> None:
             with pytest.raises(BadRequest, match=r"not a complete MAT file: .*byte ordering"):
                 MatReader().read(tmp_path / "a.mat", ["x"])
         else:
-            np.testing.assert_array_equal(
-                MatReader().read(tmp_path / "a.mat", ["x"]).columns["x"], numbers
-            )
+            columns = MatReader().read(tmp_path / "a.mat", ["x"]).columns
+            actual = columns["x"]
+            np.testing.assert_array_equal(actual, numbers)
 
 
 def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
-    savemat(
-        tmp_path / "a.mat",
-        {"s": {"f": 1.0}, "c": np.array(["ab", 1.0], dtype=object), "t": "text", "z": 1j},
-    )
+    s = {"f": 1.0}
+    c = np.array(["ab", 1.0], dtype=object)
+    savemat(tmp_path / "a.mat", {"s": s, "c": c, "t": "text", "z": 1j})
     values = parse(tmp_path / "a.mat")
-    assert {name: value for name, value in values.items() if isinstance(value, str)} == {
-        "c{1}": "text",
-        "t": "text",
-        "z": "complex",
-    }
-    assert (values["s.f"], values["c{2}"]) == (1.0, 1.0)
+    expected = {"c{1}": "text", "t": "text", "z": "complex"}
+    assert {name: value for name, value in values.items() if isinstance(value, str)} == expected
+    assert values["s.f"] == 1.0
+    assert values["c{2}"] == 1.0
 
 
 def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> None:
@@ -90,7 +94,8 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     u = np.arange(30.0)
     fields = np.array([(u[:, None], 0.1)], dtype=[("InputData", "O"), ("Ts", "O")])
     iddata = scipy.io.matlab.MatlabObject(fields, "iddata")
-    savemat(tmp_path / "a.mat", {"z": iddata, "u": u, "m": np.ones((30, 2))})
+    m = np.ones((30, 2))
+    savemat(tmp_path / "a.mat", {"z": iddata, "u": u, "m": m})
 
     def element(kind: int, data: bytes) -> bytes:
         return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
@@ -100,12 +105,16 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
     with (tmp_path / "a.mat").open("ab") as stream:
         stream.write(element(14, opaque))
     table = MatReader().read(tmp_path / "a.mat", ["z.InputData", "u", "m:2"])
-    np.testing.assert_array_equal(table.columns["z.InputData"], u)
+    actual = table.columns["z.InputData"]
+    np.testing.assert_array_equal(actual, u)
     with pytest.raises(BadRequest, match=r"\(variable\) = tt: is an object"):
         MatReader().read(tmp_path / "a.mat", ["tt"])
     contents = MatReader().contents(tmp_path / "a.mat")
-    assert list(contents.columns) == ["z.InputData", "u", "m:1", "m:2"]
-    assert set(contents.skipped) == {"tt", "z.Ts"}
+    columns = list(contents.columns)
+    expected = ["z.InputData", "u", "m:1", "m:2"]
+    assert columns == expected
+    expected = {"tt", "z.Ts"}
+    assert set(contents.skipped) == expected
 
 
 @pytest.mark.data
@@ -134,17 +143,22 @@ def test_the_sampling_time_that_an_object_states(tmp_path: Path) -> None:
     sampling time."""
     rng = np.random.default_rng(0)
     u = rng.standard_normal((400, 1))
-    log = {"InputData": u, "OutputData": np.cumsum(u, axis=0), "Ts": 20.0}
+    running_sum = np.cumsum(u, axis=0)
+    log = {"InputData": u, "OutputData": running_sum, "Ts": 20.0}
     path = tmp_path / "log.mat"
     fields: dict[str, object] = {"path": str(path), "input": "id.InputData"}
     fields["output"] = "id.OutputData"
     for unit, step_s in (("seconds", 20.0), ("milliseconds", 0.02), ("", 20.0)):
         scipy.io.savemat(path, {"id": log | {"TimeUnit": unit}})
-        pieces, remark = RecordedData(**fields).read_pieces(path)
+        recorded_data = RecordedData(**fields)
+        pieces, remark = recorded_data.read_pieces(path)
         assert pieces[0].step_s == pytest.approx(step_s)
         assert f"its Ts is {step_s:g} s" in remark
+    recorded_data = RecordedData(**fields, step_s=0.1)
     with pytest.raises(BadRequest, match=r"the times of log.mat show 20 s"):
-        RecordedData(**fields, step_s=0.1).read_pieces(path)
-    scipy.io.savemat(path, {"id": log, "other": log | {"Ts": 1.0}})
+        recorded_data.read_pieces(path)
+    other = log | {"Ts": 1.0}
+    scipy.io.savemat(path, {"id": log, "other": other})
+    recorded_data = RecordedData(**(fields | {"output": "other.OutputData"}))
     with pytest.raises(BadRequest, match="the sampling time is unknown"):
-        RecordedData(**(fields | {"output": "other.OutputData"})).read_pieces(path)
+        recorded_data.read_pieces(path)

@@ -51,16 +51,19 @@ def test_a_file_of_version_7_3_is_read(tmp_path: Path) -> None:
     source = RecordedData(path=str(path), input="u", output="log.y", time="t")
     (piece,), remark = source.read_pieces(path)
     assert piece.step_s == pytest.approx(0.01)
-    np.testing.assert_array_equal(piece.u[:, 0], U)
-    np.testing.assert_array_equal(piece.y[:, 0], Y)
+    actual = piece.u[:, 0]
+    np.testing.assert_array_equal(actual, U)
+    actual = piece.y[:, 0]
+    np.testing.assert_array_equal(actual, Y)
     columns = MatReader().read(path, ["data:1", "data:2"]).columns
     np.testing.assert_array_equal(columns["data:2"], Y)
     skipped = MatReader().contents(path).skipped
-    assert skipped == {
+    expected = {
         "note": "is text, not real numbers",
         "stamp": "is an object, not real numbers",
         "z": "is complex, not real numbers",
     }
+    assert skipped == expected
     assert "step 0.01 s" in remark
 
 
@@ -76,7 +79,8 @@ def test_a_file_of_version_7_3_is_refused_in_a_sentence(
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(BadRequest, match="not a complete MAT file"):
         source.read_pieces(path)
-    monkeypatch.setitem(__import__("sys").modules, "h5py", None)
+    modules = __import__("sys").modules
+    monkeypatch.setitem(modules, "h5py", None)
     with pytest.raises(BadRequest, match="save it with -v7, or pip install h5py"):
         source.read_pieces(path)
 
@@ -90,9 +94,15 @@ def test_a_workbook_is_read(tmp_path: Path) -> None:
     rows = [["time", "u", "y"], ["", "V", "rpm"]]
     rows += [list(row) for row in zip(times, U, measured, strict=True)]
     path = tmp_path / "log.xlsx"
-    pd.DataFrame(rows, dtype=object).to_excel(path, header=False, index=False)
-    pieces, remark = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
-    assert [len(piece) for piece in pieces] == [100, 99]
+    table = pd.DataFrame(rows, dtype=object)
+    table.to_excel(path, header=False, index=False)
+    recorded_data = RecordedData(path=str(path), input="u", output="y")
+    pieces, remark = recorded_data.read_pieces(path)
+    expected = [100, 99]
+    assert [len(piece) for piece in pieces] == expected
     assert pieces[0].step_s == 60.0
-    np.testing.assert_allclose(pieces[1].y[:, 0], Y[101:])
+    pieces_y = pieces[1].y
+    actual = pieces_y[:, 0]
+    expected = Y[101:]
+    np.testing.assert_allclose(actual, expected)
     assert "clock time (dates)" in remark

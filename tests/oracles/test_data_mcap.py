@@ -25,9 +25,8 @@ from ssm_study.signals import Channel
 
 def group(topic: str, values: np.ndarray, step_s: float = 0.01) -> SignalGroup:
     channels = tuple(Channel(name=f"signal_{k}", unit="rad/s") for k in range(values.shape[1]))
-    return SignalGroup(
-        topic=topic, time_s=np.arange(len(values)) * step_s, channels=channels, values=values
-    )
+    time_s = np.arange(len(values)) * step_s
+    return SignalGroup(topic=topic, time_s=time_s, channels=channels, values=values)
 
 
 @given(
@@ -39,7 +38,8 @@ def test_every_double_survives(
     values: np.ndarray, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("mcap") / "a.mcap"
-    write_mcap(path, (group("/output", values),), {"plant": "DCMotor"})
+    groups = (group("/output", values),)
+    write_mcap(path, groups, {"plant": "DCMotor"})
     (back,), metadata = read_mcap(path)
     assert np.ascontiguousarray(back.values).tobytes() == values.tobytes()
     assert metadata == {"plant": "DCMotor"}
@@ -47,14 +47,15 @@ def test_every_double_survives(
 
 def test_groups_units_and_times_survive(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    groups = (
-        group("/input", rng.standard_normal((500, 1))),
-        group("/states/true", rng.standard_normal((300, 4)), 0.02),
-    )
+    white_noise = rng.standard_normal((500, 1))
+    signal_group = group("/input", white_noise)
+    white_noise = rng.standard_normal((300, 4))
+    groups = (signal_group, group("/states/true", white_noise, 0.02))
     write_mcap(tmp_path / "a.mcap", groups, {"plant": "DCMotor", "seed": "0"})
     back, metadata = read_mcap(tmp_path / "a.mcap")
     for wanted, found in zip(groups, back, strict=True):
-        assert (wanted.topic, wanted.channels) == (found.topic, found.channels)
+        assert wanted.topic == found.topic
+        assert wanted.channels == found.channels
         np.testing.assert_array_equal(wanted.values, found.values)
         np.testing.assert_allclose(found.time_s, wanted.time_s, atol=0.5e-9)
     assert metadata["seed"] == "0"
@@ -62,19 +63,26 @@ def test_groups_units_and_times_survive(tmp_path: Path) -> None:
 
 def test_the_reference_reader_agrees(tmp_path: Path) -> None:
     """Schemas decode, log times are the sampling clock's, messages come in order of time."""
-    values = np.random.default_rng(1).standard_normal((50, 3))
-    write_mcap(tmp_path / "a.mcap", (group("/output", values), group("/input", -values)), {})
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((50, 3))
+    signal_group = group("/output", values)
+    groups = (signal_group, group("/input", -values))
+    write_mcap(tmp_path / "a.mcap", groups, {})
     with (tmp_path / "a.mcap").open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        decoder_factories = [DecoderFactory()]
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=decoder_factories)
         messages = list(reader.iter_decoded_messages(log_time_order=False))
-        names = {schema.name for schema in reader.get_summary().schemas.values()}
+        summary = reader.get_summary()
+        schemas = summary.schemas.values()
+        names = {schema.name for schema in schemas}
     assert names == {"ssm_study.Output", "ssm_study.Input"}
     times = [message.log_time for _, _, message, _ in messages]
     assert times == sorted(times)
     outputs = [
         (m.log_time, d.signal_0, d.signal_2) for _, c, m, d in messages if c.topic == "/output"
     ]
-    assert outputs == [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
+    expected = [(10_000_000 * k, values[k, 0], values[k, 2]) for k in range(50)]
+    assert outputs == expected
 
 
 def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
@@ -86,40 +94,55 @@ def test_groups_below_one_name_share_their_messages(tmp_path: Path) -> None:
         for i in (0, 1)
         for name in ("input", "output")
     ]
-    late = group("/case_1/late", rng.standard_normal((400, 40)), 0.02)  # on a clock of its own
+    white_noise = rng.standard_normal((400, 40))
+    late = group("/case_1/late", white_noise, 0.02)  # on a clock of its own
     write_mcap(tmp_path / "a.mcap", (*groups[:2], *groups[2:], late), {})
-    back = {one.topic: one for one in read_mcap(tmp_path / "a.mcap")[0]}
+    mcap = read_mcap(tmp_path / "a.mcap")
+    back = {one.topic: one for one in mcap[0]}
     for wanted in (*groups, late):
-        assert (back[wanted.topic].channels, len(back)) == (wanted.channels, 5)
-        np.testing.assert_array_equal(back[wanted.topic].values, wanted.values)
-        np.testing.assert_allclose(back[wanted.topic].time_s, wanted.time_s, atol=0.5e-9)
+        assert back[wanted.topic].channels == wanted.channels
+        assert len(back) == 5
+        actual = back[wanted.topic].values
+        np.testing.assert_array_equal(actual, wanted.values)
+        actual = back[wanted.topic].time_s
+        np.testing.assert_allclose(actual, wanted.time_s, atol=0.5e-9)
     with (tmp_path / "a.mcap").open("rb") as stream:
-        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        decoder_factories = [DecoderFactory()]
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=decoder_factories)
         seen = [d for _, c, _, d in reader.iter_decoded_messages() if c.topic == "/case_0"]
-        channels = {c.topic: c.metadata for c in reader.get_summary().channels.values()}
-    assert [d.output.signal_0 for d in seen] == list(groups[1].values[:, 0])
-    assert set(channels) == {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
+        summary = reader.get_summary()
+        signals = summary.channels.values()
+        channels = {c.topic: c.metadata for c in signals}
+    expected = list(groups[1].values[:, 0])
+    assert [d.output.signal_0 for d in seen] == expected
+    expected = {"/case_0", "/case_1/input", "/case_1/output", "/case_1/late"}
+    assert set(channels) == expected
     assert channels["/case_0"]["unit.input.signal_0"] == "rad/s"
     names = [
         "/case_0.output.signal_0",
         "/case_0/input.signal_0",
     ]  # as Foxglove plots them, and as topic.field
     columns = McapReader().read(tmp_path / "a.mcap", names).columns
-    np.testing.assert_array_equal(
-        [columns[name] for name in names], [groups[1].values[:, 0], groups[0].values[:, 0]]
-    )
+    actual = [columns[name] for name in names]
+    expected = [groups[1].values[:, 0], groups[0].values[:, 0]]
+    np.testing.assert_array_equal(actual, expected)
     sizes = []
     for topic in ("/case_0/{}", "/{}_alone"):
         names = [topic.format(name) for name in ("input", "output", "measured", "estimate")]
         write_mcap(tmp_path / "b.mcap", tuple(group(name, groups[0].values) for name in names), {})
-        sizes.append((tmp_path / "b.mcap").stat().st_size)
-    assert sizes[0] < sizes[1] / 2
+        st_size = (tmp_path / "b.mcap").stat().st_size
+        sizes.append(st_size)
+    upper_limit = sizes[1] / 2
+    assert sizes[0] < upper_limit
 
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    values = np.random.default_rng(2).standard_normal((2000, 3))
-    write_mcap(tmp_path / "a.mcap", (group("/output", values),), {"plant": "DCMotor"})
+    rng = np.random.default_rng(2)
+    values = rng.standard_normal((2000, 3))
+    groups = (group("/output", values),)
+    metadata = {"plant": "DCMotor"}
+    write_mcap(tmp_path / "a.mcap", groups, metadata)
     return tmp_path / "a.mcap"
 
 
@@ -146,25 +169,27 @@ def test_no_flipped_bit_changes_a_number_silently(recording: Path) -> None:
             refused += 1
             continue
         np.testing.assert_array_equal(found.values, true.values)
-        assert (metadata, found.channels) == (about, true.channels)
+        assert metadata == about
+        assert found.channels == true.channels
         np.testing.assert_array_equal(found.time_s, true.time_s)
     assert refused > 200  # the rest hit the index at the end, which is not needed to read
 
 
 def test_a_name_that_is_no_identifier_is_refused() -> None:
+    time_s = np.arange(2.0)
+    channel = Channel(name="a b", unit="V")
+    channels = (channel,)
+    signal_group_values = np.ones((2, 1))
     with pytest.raises(BadRequest, match="unique identifier"):
-        SignalGroup(
-            topic="/y",
-            time_s=np.arange(2.0),
-            channels=(Channel(name="a b", unit="V"),),
-            values=np.ones((2, 1)),
-        )
+        SignalGroup(topic="/y", time_s=time_s, channels=channels, values=signal_group_values)
 
 
 def test_an_existing_recording_is_replaced_whole_or_not_at_all(recording: Path) -> None:
     before = recording.read_bytes()
+    signal_group = group("/a", np.ones((2, 1)))
+    groups = (signal_group, group("/a", np.ones((2, 1))))
     with pytest.raises(BadRequest, match="share a topic"):
-        write_mcap(recording, (group("/a", np.ones((2, 1))), group("/a", np.ones((2, 1)))), {})
+        write_mcap(recording, groups, {})
     assert recording.read_bytes() == before
 
 
@@ -173,24 +198,28 @@ def test_a_full_disk_is_the_systems_own_error(
 ) -> None:
     """Known as a fault of the machine, so that the same command tries again; and it fills no
     terminal."""
-    values = np.random.default_rng(0).standard_normal((4000, 2))
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((4000, 2))
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(
         resource.RLIMIT_FSIZE, (10_000, hard)
     )  # bytes of a file: writes beyond fail as on a full disk
     try:
+        groups = (group("/output", values),)
         with pytest.raises(OSError, match="File too large"):
-            write_mcap(tmp_path / "a.mcap", (group("/output", values),), {})
+            write_mcap(tmp_path / "a.mcap", groups, {})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert not (tmp_path / "a.mcap").exists()
-    assert capfd.readouterr() == ("", "")
+    output = capfd.readouterr()
+    assert output == ("", "")
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     """A few kilobytes that would unpack to a gigabyte: what the chunk claims does not matter, its
     frame says it."""
-    press = zstandard.ZstdCompressor().compressobj(size=2**30)
+    zstd_compressor = zstandard.ZstdCompressor()
+    press = zstd_compressor.compressobj(size=2**30)
     packed = b"".join([*(press.compress(bytes(2**20)) for _ in range(2**10)), press.flush()])
     for claimed in (2**30, 100):
         path = tmp_path / f"{claimed}.mcap"
@@ -204,7 +233,9 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
         before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         with pytest.raises(BadRequest, match="unpacks to more than 256 MiB; split the recording"):
             read_mcap(path)
-        assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # kilobytes
+        ru_maxrss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        difference = ru_maxrss - before
+        assert difference < 2**17  # kilobytes
 
 
 def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[bytes]) -> None:
@@ -217,7 +248,8 @@ def logged(writer: Writer, topic: str, field: dict[str, object], contents: list[
     whole = file.message_type.add(name=topic)
     if field:
         whole.field.add(number=1, **field)
-    data = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+    file_descriptor_set = descriptor_pb2.FileDescriptorSet(file=[file])
+    data = file_descriptor_set.SerializeToString()
     channel = writer.register_channel(
         f"/{topic}", "protobuf", writer.register_schema(f"theirs.{topic}", "protobuf", data)
     )
@@ -237,4 +269,6 @@ def test_topics_of_others_without_numbers_are_passed_over(tmp_path: Path) -> Non
         logged(writer, "Path", listed, [(b"\x0a\x09" + point) * k for k in (1, 2, 0)])
         writer.finish()
     (found,), _ = read_mcap(tmp_path / "a.mcap")
-    assert (found.topic, found.values.tolist()) == ("/Speed", [[2.5]] * 3)
+    assert found.topic == "/Speed"
+    expected = [[2.5]] * 3
+    assert found.values.tolist() == expected

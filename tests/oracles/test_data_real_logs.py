@@ -46,18 +46,22 @@ KNOWN_SETTINGS = ("model.feedthrough=true", "model.integrating_output=true")
 @pytest.fixture(scope="module")
 def looks() -> dict[str, LogLook]:
     """Each log once, its input and output named as its source names them."""
-    return {name: look(FOLDER / name, input=u, output=y) for name, (u, y) in SIGNALS.items()}
+    signals = SIGNALS.items()
+    return {name: look(FOLDER / name, input=u, output=y) for name, (u, y) in signals}
 
 
 @pytest.mark.parametrize("name", SIGNALS)
 def test_the_plain_command_reads_it(name: str) -> None:
     """Input and output alone are named; the step is the machine's, and no value is invented."""
     u, y = SIGNALS[name]
-    data = RecordedData(path=str(FOLDER / name), input=u, output=y).build(0)
+    path = str(FOLDER / name)
+    recorded_data = RecordedData(path=path, input=u, output=y)
+    data = recorded_data.build(0)
     assert data.step_s == pytest.approx(STEP_S[name], rel=3e-4)
     records = (*data.training, *data.validation, *data.test)
     total = sum(len(record) for record in records)
-    assert total == pytest.approx(SAMPLES.get(name, total), rel=0.002)
+    expected = SAMPLES.get(name, total)
+    assert total == pytest.approx(expected, rel=0.002)
     assert all(np.isfinite(record.u).all() for record in records)
 
 
@@ -76,8 +80,10 @@ def test_input_and_output_are_guessed(name: str, looks: dict[str, LogLook]) -> N
     """The ship is left out: of its eleven nameless columns the input alone can be told."""
     guessed = look(FOLDER / name)
     assert (guessed.input, guessed.output) == SIGNALS[name]
-    assert guessed.command == looks[name].command
+    expected = looks[name].command
+    assert guessed.command == expected
 
 
 def test_the_rudder_is_guessed_among_nameless_columns() -> None:
-    assert look(FOLDER / "tanker_zigzag_10.dat").input == "9"
+    log_look = look(FOLDER / "tanker_zigzag_10.dat")
+    assert log_look.input == "9"

@@ -40,9 +40,8 @@ def rehearsed(benchmark_data: Path, monkeypatch: pytest.MonkeyPatch):  # type: i
 
 def moves(samples: int) -> np.ndarray:
     """A reference there and back, with rests: 0.1 m in 1.5 s."""
-    return 0.05 * (
-        1 - np.cos(np.clip(2 * np.pi * (np.arange(samples) * STEP_S % 4.0) / 3.0, 0, 2 * np.pi))
-    )
+    cosine = np.cos(np.clip(2 * np.pi * (np.arange(samples) * STEP_S % 4.0) / 3.0, 0, 2 * np.pi))
+    return 0.05 * (1 - cosine)
 
 
 @pytest.mark.parametrize("volt", [2.0, 0.3, -0.3, -2.0])
@@ -52,29 +51,36 @@ def test_a_step_is_what_an_integrator_finds(volt: float) -> None:
 
     def motion(_: float, state: np.ndarray) -> list[float]:
         friction = SERVO.coulomb * np.tanh(state[1] / 1e-6)
-        return [state[1], (35.0 * volt + 3.0 - 200.0 * state[1] - friction) / 95.0]
+        difference = 35.0 * volt + 3.0 - 200.0 * state[1] - friction
+        return [state[1], difference / 95.0]
 
     route = solve_ivp(motion, (0.0, 0.5), [0.01, 0.05], method="Radau", rtol=1e-9, atol=1e-11)
     q, v = SERVO.step(0.01, 0.05, volt, 0.5)
-    np.testing.assert_allclose([q, v], route.y[:, -1], atol=2e-6)
-    assert (v == 0.0) == (abs(35.0 * volt + 3.0) <= 20.0)
+    actual = [q, v]
+    expected = route.y[:, -1]
+    np.testing.assert_allclose(actual, expected, atol=2e-6)
+    expected = abs(35.0 * volt + 3.0) <= 20.0
+    assert (v == 0.0) == expected
 
 
 def test_it_sticks_exactly_and_steps_add_up() -> None:
-    assert SERVO.step(0.2, 0.0, 0.4, 1.0) == (0.2, 0.0)
+    servo = SERVO.step(0.2, 0.0, 0.4, 1.0)
+    assert servo == (0.2, 0.0)
     q = 0.0
     v = -0.1
     for _ in range(100):
         q, v = SERVO.step(q, v, 2.0, 0.01)
-    np.testing.assert_allclose((q, v), SERVO.step(0.0, -0.1, 2.0, 1.0), rtol=1e-12)
+    actual = (q, v)
+    expected = SERVO.step(0.0, -0.1, 2.0, 1.0)
+    np.testing.assert_allclose(actual, expected, rtol=1e-12)
 
 
 def test_the_parameters_of_a_simulated_servo_are_found_again() -> None:
     volt, position = tracked(SERVO, moves(8000), np.zeros(8000), GAINS, STEP_S)
     found = fitted(volt, position, STEP_S, 35.0)
-    np.testing.assert_allclose(
-        (found.mass, found.viscous, found.coulomb), (95.0, 200.0, 20.0), rtol=0.02
-    )
+    actual = (found.mass, found.viscous, found.coulomb)
+    expected = (95.0, 200.0, 20.0)
+    np.testing.assert_allclose(actual, expected, rtol=0.02)
     assert found.offset == pytest.approx(-3.0, abs=0.3)
 
 
@@ -85,21 +91,30 @@ def test_the_servo_of_the_record_is_the_published_one(rehearsed) -> None:  # typ
     fine = source._record()
     reference = source._record(output="qg").y[:, 0]
     servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, source.force_per_volt)
-    np.testing.assert_allclose(
-        (servo.mass, servo.viscous, servo.coulomb), (95.1, 203.5, 20.4), rtol=0.02
-    )
+    actual = (servo.mass, servo.viscous, servo.coulomb)
+    expected = (95.1, 203.5, 20.4)
+    np.testing.assert_allclose(actual, expected, rtol=0.02)
     volt, _ = tracked(servo, reference, np.zeros(len(fine)), (source.kp, source.kv), fine.step_s)
-    assert np.sqrt(np.mean((volt - fine.u[:, 0]) ** 2)) < 0.1  # of 1.54 V
+    difference = volt - fine.u[:, 0]
+    mean = np.mean(difference**2)
+    assert np.sqrt(mean) < 0.1  # of 1.54 V
 
 
 def test_a_rehearsal_opens_no_test_file_and_asks_more_than_the_training_record(rehearsed) -> None:  # type: ignore[no-untyped-def]
     source = rehearsed("experiments.test.0.path=nowhere.mat", "rehearsals=2")
     data = source.build(0)
-    assert [path.name for path in source.files()] == ["DATA_EMPS.mat"]
-    assert [len(record) for record in data.test] == [len(data.training[0])] * 2
+    paths = source.files()
+    names = [path.name for path in paths]
+    assert names == ["DATA_EMPS.mat"]
+    expected = [len(data.training[0])] * 2
+    assert [len(record) for record in data.test] == expected
     assert all(np.abs(r.u).max() > 1.1 * np.abs(data.training[0].u).max() for r in data.test)
-    assert not np.array_equal(data.test[0].u, data.test[1].u)
-    np.testing.assert_array_equal(source.build(1).test[1].y, data.test[1].y)
+    test_u = data.test[0].u
+    assert not np.array_equal(test_u, data.test[1].u)
+    test = source.build(1).test
+    actual = test[1].y
+    expected = data.test[1].y
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_no_rehearsal_is_refused() -> None:

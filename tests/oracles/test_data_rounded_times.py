@@ -30,10 +30,13 @@ def test_the_period_is_found_or_none(
 ) -> None:
     """The true period lies among the possible ones, and the one taken is within what is stated."""
     times = in_digits(start_s * period_s + period_s * np.arange(samples), digits)
-    possible_s = possible_periods_s(times, 0.6 * written_resolution(times))
+    error_s = 0.6 * written_resolution(times)
+    possible_s = possible_periods_s(times, error_s)
     assert possible_s is not None
-    assert possible_s[0] <= period_s * (1 + 1e-9)
-    assert possible_s[1] >= period_s * (1 - 1e-9)
+    upper_limit = period_s * (1 + 1e-9)
+    assert possible_s[0] <= upper_limit
+    lower_limit = period_s * (1 - 1e-9)
+    assert possible_s[1] >= lower_limit
     found = rounded_period_s(times)
     if found is not None:
         assert found[0] == pytest.approx(period_s, rel=2e-3)
@@ -50,8 +53,12 @@ def test_a_round_period_is_found_exactly() -> None:
 def test_times_that_no_even_clock_explains() -> None:
     """A row that is missing, a clock that changes its period, and a time that stands twice."""
     even = 0.135 * np.arange(2000)
-    assert rounded_period_s(in_digits(np.delete(even, 700), 3)) is None
-    assert rounded_period_s(in_digits(np.where(even > 20, 1.2 * even - 4, even), 3)) is None
+    times = np.delete(even, 700)
+    time_s = in_digits(times, 3)
+    assert rounded_period_s(time_s) is None
+    times = np.where(even > 20, 1.2 * even - 4, even)
+    time_s = in_digits(times, 3)
+    assert rounded_period_s(time_s) is None
     twice = np.sort(np.append(0.01 * np.arange(1000), 3.0))
     assert rounded_period_s(twice) is None
 
@@ -60,24 +67,31 @@ def test_too_few_digits_leave_the_period_open(tmp_path: Path) -> None:
     """Sixty rows in whole seconds: periods of one per cent more or less explain them as well."""
     rows = [f"{int(0.3 * k)},{k % 7},{k % 5}" for k in range(60)]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(["t,u,y", *rows]))
+    text = "\n".join(["t,u,y", *rows])
+    path.write_text(text)
+    recorded_data = RecordedData(path=str(path), input="u", output="y")
     with pytest.raises(BadRequest, match=r"times were rounded; use data.step_s"):
-        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        recorded_data.read_pieces(path)
 
 
 def test_a_file_without_names_that_counts_its_rows(tmp_path: Path) -> None:
     """A row is taken to last one second, said so; a table with names (an index) is refused."""
     rows = [f"{k},{(7 * k) % 13},{(5 * k) % 11}" for k in range(80)]
     path = tmp_path / "log.csv"
-    path.write_text("\n".join(rows))
-    pieces, remark = RecordedData(path=str(path), input=1, output=2).read_pieces(path)
+    text = "\n".join(rows)
+    path.write_text(text)
+    recorded_data = RecordedData(path=str(path), input=1, output=2)
+    pieces, remark = recorded_data.read_pieces(path)
     assert pieces[0].step_s == 1.0
     assert "column 0 counts the rows, and a row is taken to last one second" in remark
-    stated, _ = RecordedData(path=str(path), input=1, output=2, step_s=0.1).read_pieces(path)
+    recorded_data = RecordedData(path=str(path), input=1, output=2, step_s=0.1)
+    stated, _ = recorded_data.read_pieces(path)
     assert stated[0].step_s == 0.1
-    path.write_text("\n".join([",u,y", *rows]))
+    text = "\n".join([",u,y", *rows])
+    path.write_text(text)
+    recorded_data = RecordedData(path=str(path), input="u", output="y")
     with pytest.raises(BadRequest, match="the first column counts the rows"):
-        RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        recorded_data.read_pieces(path)
 
 
 def test_a_column_that_stands_twice_and_a_separator_at_the_end(tmp_path: Path) -> None:
@@ -85,11 +99,16 @@ def test_a_column_that_stands_twice_and_a_separator_at_the_end(tmp_path: Path) -
     separator; a trace of keys and values is no table."""
     path = tmp_path / "log.csv"
     rows = [f"{0.1 * k:.1f},{k % 7},{k % 5},{k % 5}," for k in range(80)]
-    path.write_text("\n".join(["t,u,y,y,", *rows]))
+    text = "\n".join(["t,u,y,y,", *rows])
+    path.write_text(text)
     source = RecordedData(path=str(path), input="u", output="y")
-    assert len(source.read_pieces(path)[0][0]) == 80
-    assert [column.name for column in look(path).columns] == ["t", "u", "y"]
-    path.write_text("\n".join(["t,u,y,y,", *rows[:-1], "7.9,2,4,3,"]))
+    pieces = source.read_pieces(path)
+    assert len(pieces[0][0]) == 80
+    columns = look(path).columns
+    names = [column.name for column in columns]
+    assert names == ["t", "u", "y"]
+    text = "\n".join(["t,u,y,y,", *rows[:-1], "7.9,2,4,3,"])
+    path.write_text(text)
     with pytest.raises(BadRequest, match="the header has it 2 times"):
         source.read_pieces(path)
     path.write_text("[key]; [value]\nName; trace\n" + "\n".join(f"; {k}; 25" for k in range(60)))
@@ -104,7 +123,9 @@ def test_a_space_between_date_and_time_is_no_separator(tmp_path: Path) -> None:
             f"2026-01-01 {k // 60:02}:{k % 60:02}:00{mark}{k % 7}{mark}{k % 5}" for k in range(90)
         ]
         path = tmp_path / "log.txt"
-        path.write_text("\n".join([f"time{mark}u{mark}y", *rows]))
-        pieces, _ = RecordedData(path=str(path), input="u", output="y").read_pieces(path)
+        text = "\n".join([f"time{mark}u{mark}y", *rows])
+        path.write_text(text)
+        recorded_data = RecordedData(path=str(path), input="u", output="y")
+        pieces, _ = recorded_data.read_pieces(path)
         assert pieces[0].step_s == 60.0
         assert len(pieces[0]) == 90

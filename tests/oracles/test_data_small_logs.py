@@ -15,8 +15,10 @@ MINUTE = 60.0
 
 
 def read(name: str, **settings: object):  # type: ignore[no-untyped-def]
-    fields: dict[str, object] = {"path": str(FOLDER / name), "input": "u", "output": "y"}
-    return RecordedData(**(fields | settings)).build(0)  # type: ignore[arg-type]
+    path = str(FOLDER / name)
+    fields: dict[str, object] = {"path": path, "input": "u", "output": "y"}
+    recorded_data = RecordedData(**(fields | settings))
+    return recorded_data.build(0)  # type: ignore[arg-type]
 
 
 def whole(data, side: str) -> np.ndarray:  # type: ignore[no-untyped-def]
@@ -64,8 +66,12 @@ def test_the_right_step_and_columns(
 ) -> None:
     data = read(name, **settings)
     assert data.step_s == pytest.approx(step_s, rel=1e-9)
-    np.testing.assert_allclose(whole(data, "u"), truth[:, 0], atol=1e-4)
-    np.testing.assert_allclose(whole(data, "y"), truth[:, 1], atol=1e-4)
+    actual = whole(data, "u")
+    expected = truth[:, 0]
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
+    actual = whole(data, "y")
+    expected = truth[:, 1]
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
     assert "step" in data.metadata["reading"]
 
 
@@ -79,16 +85,21 @@ def test_missing_values_cut_the_record(name: str, rows: int, truth: np.ndarray) 
     assert f"cut at {missing} rows with missing values" in said
     for record in (*data.training, *data.validation, *data.test):
         rows_there = slice(record.first, record.first + len(record))
-        np.testing.assert_allclose(record.y[:, 0], truth[rows_there, 1], atol=1e-4)
+        actual = record.y[:, 0]
+        expected = truth[rows_there, 1]
+        np.testing.assert_allclose(actual, expected, atol=1e-4)
 
 
 def test_holes_of_the_clock_cut_the_record(truth: np.ndarray) -> None:
     """The step is that between the holes; every recorded row is there and none is invented."""
     data = read("gap.csv")
     assert data.step_s == pytest.approx(0.01, rel=1e-9)
-    np.testing.assert_allclose(whole(data, "y"), truth[:, 1], atol=1e-4)
+    actual = whole(data, "y")
+    expected = truth[:, 1]
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
     assert "cut at 2 holes of 2 s in all" in data.metadata["reading"]
-    assert len({record.first for record in data.training}) > 1
+    firsts = {record.first for record in data.training}
+    assert len(firsts) > 1
 
 
 def test_a_rest_within_the_start_up_window_is_no_record_of_the_mismatch() -> None:
@@ -115,8 +126,11 @@ def test_a_file_whose_first_row_is_numbers_has_no_names(truth: np.ndarray) -> No
     both = {"step_s": 0.01, "input": 0, "output": 1}
     one = read("zero_one.csv", **both)
     assert whole(one, "y")[0] == 1.0
-    np.testing.assert_allclose(whole(one, "y")[1:], truth[:, 1], atol=1e-4)
-    apart = {"output_path": str(FOLDER / "zero_out.csv"), "input": 0, "output": 0}
+    actual = whole(one, "y")[1:]
+    expected = truth[:, 1]
+    np.testing.assert_allclose(actual, expected, atol=1e-4)
+    output_path = str(FOLDER / "zero_out.csv")
+    apart = {"output_path": output_path, "input": 0, "output": 0}
     two = read("zero_in.csv", step_s=0.01, **apart)
     assert whole(two, "u")[0] == 0.0
     assert whole(two, "y")[0] == -1.5

@@ -36,26 +36,31 @@ def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
         *(by_fold(log, fold, 5) for fold in range(5)),
     ):
         pieces = [piece for part in parts for piece in part]
-        np.testing.assert_array_equal(
-            np.sort(np.concatenate([piece.u[:, 0] for piece in pieces])), log.u[:, 0]
-        )
-        assert [piece.first for piece in pieces] == [piece.u[0, 0] for piece in pieces]
+        actual = np.sort(np.concatenate([piece.u[:, 0] for piece in pieces]))
+        expected = log.u[:, 0]
+        np.testing.assert_array_equal(actual, expected)
+        firsts = [piece.first for piece in pieces]
+        expected = [piece.u[0, 0] for piece in pieces]
+        assert firsts == expected
 
 
 def test_named_intervals_are_cut_out_and_the_rest_trains():
-    training, validation, test = by_intervals(
-        record(100), {"validation": [[2.0, 3.0]], "test": [[0.0, 1.0], [9.0, 10.0]]}
-    )
-    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in training] == [(10, 19), (30, 89)]
-    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in validation] == [(20, 29)]
-    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in test] == [(0, 9), (90, 99)]
+    named = {"validation": [[2.0, 3.0]], "test": [[0.0, 1.0], [9.0, 10.0]]}
+    training, validation, test = by_intervals(record(100), named)
+    expected = [(10, 19), (30, 89)]
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in training] == expected
+    expected = [(20, 29)]
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in validation] == expected
+    expected = [(0, 9), (90, 99)]
+    assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in test] == expected
 
 
 @given(st.integers(40, 400), st.integers(2, 8))
 def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
     cuts = [by_fold(record(samples), fold, folds) for fold in range(folds)]
     tested = np.concatenate([piece.u[:, 0] for _, _, test in cuts for piece in test])
-    np.testing.assert_array_equal(tested, np.arange(samples))
+    expected = np.arange(samples)
+    np.testing.assert_array_equal(tested, expected)
     assert all(len(test) == len(validation) == 1 for _, validation, test in cuts)
     assert all(abs(len(test[0]) - samples / folds) < 1 for _, _, test in cuts)
 
@@ -65,27 +70,37 @@ def test_what_a_fold_leaves_and_holds_out_is_the_record(samples, folds):
     for fold in range(folds):
         kept, out = without_fold(record(samples), fold, folds)
         pieces = np.sort(np.concatenate([piece.u[:, 0] for piece in (*kept, out)]))
-        np.testing.assert_array_equal(pieces, np.arange(samples))
-        assert abs(len(out) - samples / folds) <= 1
+        expected = np.arange(samples)
+        np.testing.assert_array_equal(pieces, expected)
+        difference = abs(len(out) - samples / folds)
+        assert difference <= 1
 
 
 def test_stretches_between_rests_count_where_each_repeats_itself():
     rest = np.zeros(40)
-    period = np.random.default_rng(0).uniform(-1, 1, size=40)
+    rng = np.random.default_rng(0)
+    period = rng.uniform(-1, 1, size=40)
     twice = np.concatenate([rest, period, period, rest, 2 * period, 2 * period, rest])
-    moved = Trajectory(u=twice[:, None], y=twice[:, None], step_s=0.1)
-    assert [len(piece) for piece in periodic_segments(moved, 0)] == [
-        140,
-        141,
-    ]  # half a rest, two periods, a rest
+    u = twice[:, None]
+    y = twice[:, None]
+    moved = Trajectory(u=u, y=y, step_s=0.1)
+    pieces = periodic_segments(moved, 0)
+    expected = [140, 141]
+    assert [len(piece) for piece in pieces] == expected  # half a rest, two periods, a rest
     once = np.concatenate([rest, period, rest, 2 * period, 2 * period, rest])
-    assert not periodic_segments(Trajectory(u=once[:, None], y=once[:, None], step_s=0.1), 0)
+    u = once[:, None]
+    y = once[:, None]
+    trajectory = Trajectory(u=u, y=y, step_s=0.1)
+    assert not periodic_segments(trajectory, 0)
     assert not periodic_segments(moved[40:], 0)  # begins in motion
 
 
 def test_the_last_of_five_folds_is_the_cut_in_time():
-    for fold, time in zip(by_fold(record(100), 4, 5), by_time(record(100), 0.2, 0.2), strict=True):
-        np.testing.assert_array_equal(fold[0].u, time[0].u)
+    pieces = by_fold(record(100), 4, 5)
+    for fold, time in zip(pieces, by_time(record(100), 0.2, 0.2), strict=True):
+        actual = fold[0].u
+        expected = time[0].u
+        np.testing.assert_array_equal(actual, expected)
 
 
 @pytest.mark.parametrize(
@@ -102,57 +117,61 @@ def test_the_last_of_five_folds_is_the_cut_in_time():
     ],
 )
 def test_intervals_that_cannot_be_are_refused(wrong):
+    validation = [[5.0, 6.0]]
+    named = {"validation": validation, "test": wrong}
     with pytest.raises(BadRequest, match=r"data\.test"):
-        by_intervals(record(100), {"validation": [[5.0, 6.0]], "test": wrong})
+        by_intervals(record(100), named)
 
 
 def log(path, y: np.ndarray) -> RecordedData:
-    np.savetxt(
-        path,
-        np.column_stack([np.sin(np.arange(len(y))), y]),
-        delimiter=",",
-        header="u,y",
-        comments="",
-    )
+    sine = np.sin(np.arange(len(y)))
+    np.savetxt(path, np.column_stack([sine, y]), delimiter=",", header="u,y", comments="")
     return RecordedData(path=str(path), input="u", output="y", step_s=0.1, start_up_samples=10)
 
 
 def test_the_default_says_which_it_took(tmp_path):
     rng = np.random.default_rng(0)
-    alike = log(tmp_path / "alike.csv", rng.standard_normal(1000)).build(0)
+    white_noise = rng.standard_normal(1000)
+    alike = log(tmp_path / "alike.csv", white_noise).build(0)
     assert alike.metadata["split"] == "in the order of time"
     assert len(alike.training) == 1
-    moved = log(
-        tmp_path / "moved.csv", rng.standard_normal(1000) + 4 * (np.arange(1000) > 800)
-    ).build(0)
+    white_noise = rng.standard_normal(1000)
+    moved = log(tmp_path / "moved.csv", white_noise + 4 * (np.arange(1000) > 800)).build(0)
     assert "interleaved blocks, because its end" in moved.metadata["split"]
-    assert (len(moved.training), len(moved.validation), len(moved.test)) == (6, 2, 2)
+    assert len(moved.training) == 6
+    assert len(moved.validation) == 2
+    assert len(moved.test) == 2
     (tmp_path / "folds").mkdir()
-    held_out = replace(
-        log(tmp_path / "folds" / "log.csv", rng.standard_normal(1000)), fold=2
-    ).build(0)
-    assert held_out.metadata["split"].startswith("into 5 folds, of which number 2 tests")
-    assert (len(held_out.training), len(held_out.validation[0]), len(held_out.test[0])) == (
-        2,
-        200,
-        200,
-    )
-    assert end_is_unlike(by_time(record(500), 0.2, 0.2))
+    log_path = tmp_path / "folds" / "log.csv"
+    white_noise = rng.standard_normal(1000)
+    held_out = replace(log(log_path, white_noise), fold=2).build(0)
+    split = held_out.metadata["split"]
+    assert split.startswith("into 5 folds, of which number 2 tests")
+    assert len(held_out.training) == 2
+    assert len(held_out.validation[0]) == 200
+    assert len(held_out.test[0]) == 200
+    parts = by_time(record(500), 0.2, 0.2)
+    assert end_is_unlike(parts)
     first, odd = (
         Trajectory(u=y, y=y, step_s=0.1)
         for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1)))
     )
-    assert not end_is_unlike(([first], [odd], [first]))
-    assert end_is_unlike(([odd], [first], [first]))
-    nothing = {"validation": [[0.0, 50.0]], "test": [[50.0, 100.0]]}
+    parts = ([first], [odd], [first])
+    assert not end_is_unlike(parts)
+    parts = ([odd], [first], [first])
+    assert end_is_unlike(parts)
+    validation = [[0.0, 50.0]]
+    test = [[50.0, 100.0]]
+    nothing = {"validation": validation, "test": test}
+    path = str(tmp_path / "alike.csv")
+    recorded_data = RecordedData(path=path, input="u", output="y", step_s=0.1, **nothing)
     with pytest.raises(BadRequest, match="no record is left to train on"):
-        RecordedData(
-            path=str(tmp_path / "alike.csv"), input="u", output="y", step_s=0.1, **nothing
-        ).build(0)
+        recorded_data.build(0)
     with pytest.raises(BadRequest, match="split"):
         RecordedData(path="a", input="u", output="y", split="random")
+    test = [[0.0, 1.0]]
     with pytest.raises(BadRequest, match="validation"):
-        RecordedData(path="a", input="u", output="y", test=[[0.0, 1.0]])
+        RecordedData(path="a", input="u", output="y", test=test)
 
 
 def test_the_rest_is_the_mean_of_the_training_records_alone(tmp_path):
@@ -160,4 +179,6 @@ def test_the_rest_is_the_mean_of_the_training_records_alone(tmp_path):
     trained = replace(log(tmp_path / "log.csv", np.arange(1000.0)), split="time").build(0)
     for data in (made, trained):
         shown = np.concatenate([one.y for one in data.training])
-        np.testing.assert_allclose(data.scale.output_equilibrium, shown.mean(axis=0), rtol=1e-12)
+        actual = data.scale.output_equilibrium
+        expected = shown.mean(axis=0)
+        np.testing.assert_allclose(actual, expected, rtol=1e-12)

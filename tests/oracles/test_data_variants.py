@@ -50,7 +50,8 @@ def test_quotes_tell_a_comma_between_numbers_from_one_within(
     changes = {"separator": separator, "names": "plain", "clock": "ms", "quoted": True}
     plain = {"holes": 1, "missing": 0, "encoding": "utf-8"}
     variant = replace(MILLISECONDS, **changes, **plain)  # type: ignore[arg-type]
-    assert outcome(variant, tmp_path) == ("read", "")
+    expected = ("read", "")
+    assert outcome(variant, tmp_path) == expected
 
 
 def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
@@ -59,7 +60,8 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
     """The check itself is checked: milliseconds taken for seconds are noticed."""
     assert outcome(MILLISECONDS, tmp_path)[0] == "read"
     monkeypatch.setattr(clock_column, "clock_unit", lambda *_: 1.0)
-    assert outcome(MILLISECONDS, tmp_path) == ("wrong", "step 10")
+    expected = ("wrong", "step 10")
+    assert outcome(MILLISECONDS, tmp_path) == expected
 
 
 def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) -> None:
@@ -70,9 +72,15 @@ def test_numbers_that_are_names_and_places_of_different_columns(tmp_path: Path) 
     path = tmp_path / "log.csv"
     path.write_text(f"1,2,3\n{rows}\n")
     fields: dict[str, object] = {"path": str(path), "input": 1, "output": 2, "step_s": 0.1}
+    recorded_data = RecordedData(**fields)
     with pytest.raises(BadRequest, match=r"is the name of column 0 .*data\.header=true"):
-        RecordedData(**fields).read_pieces(path)
-    named = RecordedData(**(fields | {"input": 2, "output": 3, "header": True})).read_pieces(path)
-    assert named[0][0].u[1, 0] == 7.5
-    counted = RecordedData(**fields, header=False).read_pieces(path)
-    assert counted[0][0].u[:2, 0].tolist() == [2.0, 0.5]
+        recorded_data.read_pieces(path)
+    recorded_data = RecordedData(**(fields | {"input": 2, "output": 3, "header": True}))
+    named = recorded_data.read_pieces(path)
+    named_u = named[0][0].u
+    assert named_u[1, 0] == 7.5
+    recorded_data = RecordedData(**fields, header=False)
+    counted = recorded_data.read_pieces(path)
+    counted_u = counted[0][0].u
+    expected = [2.0, 0.5]
+    assert counted_u[:2, 0].tolist() == expected

@@ -38,17 +38,15 @@ SCALE = Scale(
 
 def slow_model() -> SSM:
     """A lag that a disturbance moves more than the input does."""
-    system = StateSpace(
-        a=np.array([[SLOW]]), b=np.array([[0.01]]), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = np.array([[SLOW]])
+    b = np.array([[0.01]])
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     identity = LinearScaffold.identity(1)
+    b_d = np.array([[0.05]])
     return SSM(
-        linear=system,
-        scaffold_in=identity,
-        scaffold_out=identity,
-        scale=SCALE,
-        step_s=0.1,
-        b_d=np.array([[0.05]]),
+        linear=system, scaffold_in=identity, scaffold_out=identity, scale=SCALE, step_s=0.1, b_d=b_d
     )
 
 
@@ -65,8 +63,10 @@ def dataset() -> DataSet:
     """That log, cut in order of time."""
     training, validation, test = by_time(log_of_slow_model(), 0.2, 0.2)
     rest = (np.zeros(1), np.zeros(1), np.full(1, 3.0))
-    channels = tuple((Channel(name=name, unit=""),) for name in ("u", "y", "d"))
-    return assemble((training, validation, test), rest, channels, 20)
+    names = ("u", "y", "d")
+    channels = tuple((Channel(name=name, unit=""),) for name in names)
+    parts = (training, validation, test)
+    return assemble(parts, rest, channels, 20)
 
 
 def test_the_past_of_a_piece_is_driven_by_its_disturbance() -> None:
@@ -92,25 +92,33 @@ def test_folds_have_the_disturbance_of_their_own_samples() -> None:
     for fold in folds_of(data):
         for record in (*fold.training, *fold.test):
             first = record.first
-            np.testing.assert_array_equal(record.d, whole.d[first : first + len(record)])
+            expected = whole.d[first : first + len(record)]
+            np.testing.assert_array_equal(record.d, expected)
 
 
 def test_linear_candidates_are_told_the_disturbance() -> None:
     """With it a first-order model is exact; with it left out most of the output is missed."""
     data = dataset()
-    told = linear_trial(folds_of(data), 1, 1).errors
+    trial = linear_trial(folds_of(data), 1, 1)
+    told = trial.errors
+    training = tuple(replace(one, d=None) for one in data.training)
+    validation = tuple(replace(one, d=None) for one in data.validation)
+    test = tuple(replace(one, d=None) for one in data.test)
+    disturbance_scale = np.zeros(0)
+    disturbance_equilibrium = np.zeros(0)
+    scale = replace(
+        data.scale,
+        disturbance_scale=disturbance_scale,
+        disturbance_equilibrium=disturbance_equilibrium,
+    )
     without = replace(
-        data,
-        disturbances=(),
-        training=tuple(replace(one, d=None) for one in data.training),
-        validation=tuple(replace(one, d=None) for one in data.validation),
-        test=tuple(replace(one, d=None) for one in data.test),
-        scale=replace(
-            data.scale, disturbance_scale=np.zeros(0), disturbance_equilibrium=np.zeros(0)
-        ),
+        data, disturbances=(), training=training, validation=validation, test=test, scale=scale
     )
     assert told.max() < 1.0
-    assert linear_trial(folds_of(without), 1, 1).errors.mean() > 30.0
+    trial = linear_trial(folds_of(without), 1, 1)
+    errors = trial.errors
+    mean = errors.mean()
+    assert mean > 30.0
     assert not nearly_integrates(data)
 
 
@@ -119,14 +127,21 @@ def test_a_linear_model_of_the_choice_has_a_path_for_the_disturbance(direct: boo
     """The disturbance is no input of it, or it would be commanded."""
     data = dataset()
     model = linear_model(data, 1, direct=direct)
-    assert model.linear.b.shape == model.linear.d.shape == (1, 1)
+    linear_b = model.linear.b
+    expected = model.linear.d.shape
+    assert linear_b.shape == expected == (1, 1)
     whole = log_of_slow_model()
-    error = whole.y - model.simulate(whole.u, None, whole.d)
-    error_without = whole.y - model.simulate(whole.u)
+    response = model.simulate(whole.u, None, whole.d)
+    error = whole.y - response
+    response = model.simulate(whole.u)
+    error_without = whole.y - response
     settled = slice(400, None)  # the start is forgotten
-    assert np.linalg.norm(error[settled]) < 0.3 * np.linalg.norm(error_without[settled])
+    norm = np.linalg.norm(error[settled])
+    upper_limit = 0.3 * np.linalg.norm(error_without[settled])
+    assert norm < upper_limit
     late = model.delayed(2)
-    np.testing.assert_array_equal(late.b_d[:1], model.b_d)
+    actual = late.b_d[:1]
+    np.testing.assert_array_equal(actual, model.b_d)
 
 
 @pytest.mark.parametrize("samples", [1, 3])
@@ -134,10 +149,12 @@ def test_neurons_and_a_load_behind_a_dead_time(samples: int) -> None:
     """The load acts at once, the input late: the delayed model is the model on a shifted input."""
     system = drawn(3, radius=0.8)
     rng = np.random.default_rng(0)
+    bias = np.zeros(system.neurons)
+    neurons = ("tanh",) * system.neurons
     model = StructuredSSM(
         **vars(system),
-        bias=np.zeros(system.neurons),  # at rest at the equilibrium, as before the record
-        neurons=("tanh",) * system.neurons,
+        bias=bias,  # at rest at the equilibrium, as before the record
+        neurons=neurons,
         scaffold_in=LinearScaffold.identity(1),
         scaffold_out=LinearScaffold.identity(1),
         scale=SCALE,
@@ -148,7 +165,8 @@ def test_neurons_and_a_load_behind_a_dead_time(samples: int) -> None:
     d = rng.normal(size=(60, 1))
     late = np.concatenate([np.zeros((samples, 1)), u[:-samples]])
     delayed = model.delayed(samples).simulate(u, d=d)
-    np.testing.assert_allclose(delayed, model.simulate(late, d=d), atol=1e-10)
+    expected = model.simulate(late, d=d)
+    np.testing.assert_allclose(delayed, expected, atol=1e-10)
 
 
 def test_the_estimator_is_told_the_load(tmp_path: Path) -> None:
@@ -162,6 +180,8 @@ def test_the_estimator_is_told_the_load(tmp_path: Path) -> None:
     assert fit > 85.0
     assert estimator.score(test.voltage, test.speed) < fit - 20.0
     predicted = estimator.predict(test.voltage, disturbance=test.torque)
-    np.testing.assert_array_equal(predicted, estimator.model_.predict(test.voltage, test.torque))
+    expected = estimator.model_.predict(test.voltage, test.torque)
+    np.testing.assert_array_equal(predicted, expected)
+    disturbance = test.torque[:-1]
     with pytest.raises(BadRequest, match="the input has 300 samples"):
-        estimator.score(test.voltage, test.speed, disturbance=test.torque[:-1])
+        estimator.score(test.voltage, test.speed, disturbance=disturbance)

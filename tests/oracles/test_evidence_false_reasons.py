@@ -38,7 +38,9 @@ def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
     rest = np.zeros(1)
     channel = Channel(name="a", unit="")
     parts = (pieces[0::3], pieces[1::3], pieces[2::3])
-    return assemble(parts, (rest, rest), ((channel,), (replace(channel, name="b"),)), 0)
+    changed_channel = replace(channel, name="b")
+    channels = ((channel,), (changed_channel,))
+    return assemble(parts, (rest, rest), channels, 0)
 
 
 def with_runs(data: DataSet, model, error: float) -> Case:
@@ -54,30 +56,33 @@ def with_runs(data: DataSet, model, error: float) -> Case:
 def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints():
     """Five levels, each block within one: about its own mean every block is fitted by -900 %."""
     y = np.repeat([0.0, 1.0, -1.0, 0.5, -0.5, 0.2, 0.9, -0.7, 0.3], 100)
-    y = y + 0.002 * RNG.standard_normal(900)
+    rng = RNG.standard_normal(900)
+    y = y + 0.002 * rng
     data = blocks(y, y, list(range(100, 900, 100)))
-    judged = with_runs(data, case(LEVELS, answer(LEVELS)).model, 0.02)
+    model = case(LEVELS, answer(LEVELS)).model
+    judged = with_runs(data, model, 0.02)
     headline = judged.test.fit_percent
     assert headline > 90
-    assert (
-        min(headline, judged.validation.fit_percent)
-        <= fit.pooled_fit(judged)
-        <= max(headline, judged.validation.fit_percent)
-    )
+    fit_percent = judged.validation.fit_percent
+    smallest = min(headline, fit_percent)
+    assert smallest <= fit.pooled_fit(judged) <= max(headline, judged.validation.fit_percent)
     assert fit.poor_fit(judged) == []
     assert fit.owed_to_input(judged) < fit.OWED
 
 
 def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers():
     moving = scipy.signal.lfilter([0.1], [1, -0.9], LEVELS[:900])
-    moving[300:] = 0.5 + 0.001 * RNG.standard_normal(600)
+    rng = RNG.standard_normal(600)
+    moving[300:] = 0.5 + 0.001 * rng
     judged = with_runs(blocks(LEVELS[:900], moving, [300, 600]), case(WHITE, WHITE).model, 0.005)
     (found,) = fit.poor_fit(judged)
     assert found.level == "doubt"
     assert "of the output's range" in found.sentence
     assert f"the test record by {judged.test.fit_percent:.1f} %" in found.sentence
     hopeless = with_runs(blocks(LEVELS[:900], moving, [300, 600]), judged.model, 1.0)
-    assert [finding.level for finding in fit.poor_fit(hopeless)] == ["cannot judge"]
+    findings = fit.poor_fit(hopeless)
+    levels = [finding.level for finding in findings]
+    assert levels == ["cannot judge"]
 
 
 def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
@@ -95,7 +100,8 @@ def test_a_coarse_sensor_behind_an_input_that_stands_still_repeats_itself_by_cha
 
 def rectified(u: np.ndarray) -> np.ndarray:
     """Speed of a machine that turns one way and stands still half of the time."""
-    return scipy.signal.lfilter([0.1], [1, -0.9], np.maximum(u - 0.2, 0)).round(3)
+    filtered_signal = scipy.signal.lfilter([0.1], [1, -0.9], np.maximum(u - 0.2, 0))
+    return filtered_signal.round(3)
 
 
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
@@ -104,7 +110,8 @@ def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
     findings = list(records._limits(case(LEVELS, clipped)))
     assert sentences(findings).count("it saturates") == 2
-    assert {finding.level for finding in findings} == {"doubt"}
+    levels = {finding.level for finding in findings}
+    assert levels == {"doubt"}
 
 
 def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_elsewhere_saturates():
@@ -119,13 +126,15 @@ def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_else
 
 
 def test_a_position_at_its_farthest_does_not_saturate():
-    u = 255 * np.sin(2 * np.pi * np.arange(6000) / 800)
+    sine = np.sin(2 * np.pi * np.arange(6000) / 800)
+    u = 255 * sine
     assert not list(records._limits(case(u, motor_position(u, 60))))
 
 
 def test_changes_count_across_the_cuts_of_a_log():
     """Steps every 100 samples, cut at the steps: each piece alone holds its input still."""
-    u = np.repeat(RNG.uniform(-1, 1, 36), 100)
+    rng = RNG.uniform(-1, 1, 36)
+    u = np.repeat(rng, 100)
     data = blocks(u, u, list(range(100, 3600, 100)))
     assert records.input_changes(data) == 11
     once = np.repeat(
@@ -136,9 +145,11 @@ def test_changes_count_across_the_cuts_of_a_log():
 
 def motor_position(u: np.ndarray, dead: float) -> np.ndarray:
     """A motor's lag behind a dead zone, integrated and rounded as an encoder does."""
-    drive = np.sign(u) * np.maximum(np.abs(u) - dead, 0)
+    difference = np.abs(u) - dead
+    drive = np.sign(u) * np.maximum(difference, 0)
     speed = scipy.signal.lfilter([0, 0.2], [1, -0.8], np.where(drive < 0, 0.7 * drive, drive))
-    return np.round(0.05 * np.cumsum(speed))
+    running_sum = np.cumsum(speed)
+    return np.round(0.05 * running_sum)
 
 
 SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
@@ -147,13 +158,15 @@ SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
 @pytest.mark.parametrize("dead", [0, 60])
 @pytest.mark.parametrize("u", [SWEEP, 255 * LEVELS], ids=["sweep", "levels"])
 def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
-    told = sentences(feedback.findings(case(u, motor_position(u, dead))))
+    findings = feedback.findings(case(u, motor_position(u, dead)))
+    told = sentences(findings)
     assert "runs away" not in told
 
 
 def test_where_a_mode_seems_to_grow_the_integrator_is_recommended():
     log = case(SWEEP, motor_position(SWEEP, 60))
-    assert min(feedback.own_mode(log.data, lags) for lags in feedback.LAGS) > 1
+    smallest = min(feedback.own_mode(log.data, lags) for lags in feedback.LAGS)
+    assert smallest > 1
     assert feedback.growth(log.data)[1] < feedback.GROWS
 
 
@@ -167,7 +180,9 @@ def test_what_runs_away_still_grows_with_itself(pole):
 
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
 def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
-    y = scipy.signal.lfilter([0.3], [1, -0.7], u) + 0.02 * RNG.standard_normal(len(u))
+    filtered_signal = scipy.signal.lfilter([0.3], [1, -0.7], u)
+    rng = RNG.standard_normal(len(u))
+    y = filtered_signal + 0.02 * rng
     log = case(u, y)
     assert feedback.fed_back_share(log.data, 0) > feedback.PRESENT
     (found,) = feedback.findings(log)
@@ -180,9 +195,12 @@ def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
 def test_small_logs_that_answer_within_the_sample(path):
     table = pd.read_csv(path)
     data = blocks(table["u"].to_numpy(), table["y"].to_numpy(), [2000, 2500])
-    told = sentences(feedback.findings(with_runs(data, case(WHITE, WHITE).model, 0.1)))
+    model = case(WHITE, WHITE).model
+    findings = feedback.findings(with_runs(data, model, 0.1))
+    told = sentences(findings)
     assert "closed-loop" not in told
-    assert ("model.feedthrough=true" in told) == ("same_sample" in path.name)
+    expected = "same_sample" in path.name
+    assert ("model.feedthrough=true" in told) == expected
 
 
 @pytest.mark.skipif(not SHARED.is_dir(), reason="the folder of small logs is not there")
@@ -191,8 +209,10 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     table = pd.read_csv(path)
     u, y = (table[name].to_numpy(float) for name in "uy")
     length = len(u)
-    data = blocks(u, y - y[0], [length * 6 // 10, length * 8 // 10])
-    told = sentences(feedback.runs_away(data, closed=False, integrated=False))
+    difference = y - y[0]
+    data = blocks(u, difference, [length * 6 // 10, length * 8 // 10])
+    findings = feedback.runs_away(data, closed=False, integrated=False)
+    told = sentences(findings)
     assert "runs away" not in told
     if "sweep" in path.name:
         assert "use model.integrating_output=true" in told
@@ -203,17 +223,21 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     """A speed that is either 51 or 0, read by whole numbers, under an input that climbs and falls:
     it neither saturates nor runs away, is in no loop and integrates nothing."""
     path = SHARED / "static.csv"
-    read = RecordedData(path=str(path), input="us", output="rpm", step_s=1.0).build(0)
-    assert sum(len(part[0]) for part in (read.training, read.validation, read.test)) == 1440
+    recorded_data = RecordedData(path=str(path), input="us", output="rpm", step_s=1.0)
+    read = recorded_data.build(0)
+    parts = (read.training, read.validation, read.test)
+    assert sum(len(part[0]) for part in parts) == 1440
     table = pd.read_csv(path)
     u = table["us"].to_numpy() - 1250.0
     data = blocks(u, table["rpm"].to_numpy(float) - 35.0, [864, 1152])
-    log = with_runs(data, case(WHITE, WHITE).model, 0.1)
+    model = case(WHITE, WHITE).model
+    log = with_runs(data, model, 0.1)
     assert not list(feedback.findings(log))
     searches = (records._range, records._levels, records._same)
     assert not [sentence for search in searches for sentence in search(log)]
     assert not list(records._limits(log))
-    seen = str(look(path, step_s=1.0))
+    log_look = look(path, step_s=1.0)
+    seen = str(log_look)
     assert "its level explains 91% of the output" in seen
     assert "closed loop" not in seen
     assert "integrator" not in seen
@@ -222,19 +246,23 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
 @pytest.mark.parametrize("seed", range(6))
 def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
     """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""
-    sums = list(feedback.runs_away(kind_of_log(tmp_path, "position_dead_zone", seed), closed=False))
-    assert [finding.level for finding in sums] == ["doubt"]
+    data_set = kind_of_log(tmp_path, "position_dead_zone", seed)
+    sums = list(feedback.runs_away(data_set, closed=False))
+    levels = [finding.level for finding in sums]
+    assert levels == ["doubt"]
     assert "integrates its input" in sums[0].sentence
     assert "model.integrating_output=true" in sums[0].sentence
 
 
 @pytest.mark.parametrize("name", ["slow_coarse", "bilinear", "dead_time", "saturating", "drifting"])
 def test_what_settles_does_not_integrate(tmp_path: Path, name: str):
-    assert not list(feedback.runs_away(kind_of_log(tmp_path, name, 0), closed=False))
+    data_set = kind_of_log(tmp_path, name, 0)
+    assert not list(feedback.runs_away(data_set, closed=False))
 
 
 def kind_of_log(folder: Path, name: str, seed: int) -> DataSet:
     """A log of `benchmarks/log_kinds.py`, read as a run reads it."""
     path = folder / "log.csv"
     kind_named(name).log(seed).to_csv(path, index=False)
-    return RecordedData(path=str(path), input="u", output="y", start_up_samples=20).build(0)
+    recorded_data = RecordedData(path=str(path), input="u", output="y", start_up_samples=20)
+    return recorded_data.build(0)

@@ -25,10 +25,13 @@ U = RNG.uniform(-1, 1, 300).repeat(5)
 
 def swinging(radius: float) -> StateSpace:
     """A resonance at `ANGLE` a sample whose swing keeps `radius` of itself."""
-    turn = radius * np.array([[np.cos(ANGLE), -np.sin(ANGLE)], [np.sin(ANGLE), np.cos(ANGLE)]])
-    return StateSpace(
-        a=turn, b=np.array([[0.0], [0.1]]), c=np.array([[1.0, 0.0]]), d=np.zeros((1, 1))
-    )
+    cosine = np.cos(ANGLE)
+    sine = np.sin(ANGLE)
+    turn = radius * np.array([[cosine, -sine], [np.sin(ANGLE), np.cos(ANGLE)]])
+    b = np.array([[0.0], [0.1]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    return StateSpace(a=turn, b=b, c=c, d=d)
 
 
 def integrating(pole: float) -> StateSpace:
@@ -37,26 +40,34 @@ def integrating(pole: float) -> StateSpace:
 
 
 def case(y: np.ndarray, system: StateSpace, cut=by_time, log: int = 1) -> Case:
-    record = Trajectory(u=U[:, None], y=y[:, None], step_s=0.1, log=log)
+    u = U[:, None]
+    record = Trajectory(u=u, y=y[:, None], step_s=0.1, log=log)
     parts = in_blocks(record) if cut is in_blocks else by_time(record, 0.2, 0.2)
     channels = tuple((Channel(name=name, unit=""),) for name in "uy")
-    data = assemble(parts, (np.zeros(1), np.zeros(1)), channels, SKIP)
+    rest = (np.zeros(1), np.zeros(1))
+    data = assemble(parts, rest, channels, SKIP)
     model = replace(linear_model(0), linear=system)
-    free = {
-        name: Simulation.of(model, getattr(data, name), SKIP) for name in ("validation", "test")
-    }
+    names = ("validation", "test")
+    free = {name: Simulation.of(model, getattr(data, name), SKIP) for name in names}
     return Case(data=data, model=model, **free)
 
 
 def measured(system: StateSpace, noise: float, start: np.ndarray) -> np.ndarray:
-    y = system.simulate(U[:, None], start)[0][:, 0]
-    return y + noise * np.std(y) * RNG.standard_normal(SAMPLES)
+    response = system.simulate(U[:, None], start)
+    y = response[0][:, 0]
+    standard_deviation = np.std(y)
+    rng = RNG.standard_normal(SAMPLES)
+    return y + noise * standard_deviation * rng
 
 
 def drifting_phase(noise: float) -> np.ndarray:
     """A swing of constant size whose phase walks: no input says where it is."""
-    phase = ANGLE * np.arange(SAMPLES) + np.cumsum(0.08 * RNG.standard_normal(SAMPLES))
-    return np.cos(phase) + noise * RNG.standard_normal(SAMPLES)
+    rng = RNG.standard_normal(SAMPLES)
+    running_sum = np.cumsum(0.08 * rng)
+    phase = ANGLE * np.arange(SAMPLES) + running_sum
+    cosine = np.cos(phase)
+    rng = RNG.standard_normal(SAMPLES)
+    return cosine + noise * rng
 
 
 @pytest.mark.parametrize("cut", [by_time, in_blocks])
@@ -88,7 +99,9 @@ def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
 def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
     refused = 0
     for seed in range(100):
-        walk = np.cumsum(0.1 * U + np.random.default_rng(seed).standard_normal(SAMPLES))
+        rng = np.random.default_rng(seed)
+        white_noise = rng.standard_normal(SAMPLES)
+        walk = np.cumsum(0.1 * U + white_noise)
         found = feedback.runs_away(case(walk, integrating(0.999)).data, closed=False)
         refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
@@ -105,7 +118,8 @@ def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refu
 def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
     system = swinging(0.9)
     found = own_motion.shares_predicted(case(measured(system, noise, np.zeros(2)), system))
-    assert found == pytest.approx((share, share), abs=0.1 if noise else 1e-4)
+    expected = (share, share)
+    assert found == pytest.approx(expected, abs=0.1 if noise else 1e-4)
 
 
 def test_pieces_of_no_common_log_say_nothing():

@@ -31,21 +31,29 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
     rest = np.zeros(1)
     channel = Channel(name="a", unit="")
+    changed_channel = replace(channel, name="b")
+    channels = ((channel,), (changed_channel,))
+    metadata = {"source": source}
     data = assemble(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
-        ((channel,), (replace(channel, name="b"),)), 0, metadata={"source": source},
+        channels, 0, metadata=metadata,
     )  # fmt: skip
-    lag = StateSpace(
-        a=np.array([[slow]]), b=np.array([[0.1]]), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = np.array([[slow]])
+    b = np.array([[0.1]])
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    lag = StateSpace(a=a, b=b, c=c, d=d)
     model = replace(linear_model(0), linear=lag)
-    parts = {name: Simulation.of(model, getattr(data, name), 0) for name in ("validation", "test")}
+    names = ("validation", "test")
+    parts = {name: Simulation.of(model, getattr(data, name), 0) for name in names}
     return Case(data=data, model=model, **parts)
 
 
 def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
     y = scipy.signal.lfilter([0, 0.1], [1, -0.9], np.concatenate([np.zeros(late), u])[: len(u)])
-    return y + noise * np.random.default_rng(1).standard_normal(len(u))
+    rng = np.random.default_rng(1)
+    white_noise = rng.standard_normal(len(u))
+    return y + noise * white_noise
 
 
 @pytest.mark.parametrize("late", [0, 1, 3, 7, 12])
@@ -101,7 +109,10 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
     """`|0.1 / (exp(j w) - 0.9)|` at steps of pi / 125 from the first on: pieces of 250 samples, of
     0.1 s."""
     angles, gain = scipy.signal.freqz([0.1], [1, -0.9], np.linspace(0, np.pi, 126)[1:])
-    ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
+    largest = np.abs(gain).max()
+    lower_limit = 0.1 * largest
+    largest = angles[np.abs(gain) >= lower_limit].max()
+    ends_hz = largest / (2 * np.pi) / 0.1
     (said,) = (
         found.sentence
         for found in findings(case(WHITE, answer(WHITE, noise=3.0)))
@@ -113,14 +124,20 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
 def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
     """`0.1 / (z - 0.9) - 0.1 / (z - 0.5)`: the states cancel with their phases."""
     noisy = case(WHITE, answer(WHITE, noise=3.0))
-    two = StateSpace(
-        a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1))
-    )
-    told = findings(replace(noisy, model=replace(noisy.model, linear=two)))
+    a = np.diag([0.9, 0.5])
+    b = np.full((2, 1), 0.1)
+    c = np.array([[1.0, -1.0]])
+    d = np.zeros((1, 1))
+    two = StateSpace(a=a, b=b, c=c, d=d)
+    changed_noisy = replace(noisy, model=replace(noisy.model, linear=two))
+    told = findings(changed_noisy)
     angles, gain = scipy.signal.freqz(
         [0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:]
     )
-    ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
+    largest = np.abs(gain).max()
+    lower_limit = 0.1 * largest
+    largest = angles[np.abs(gain) >= lower_limit].max()
+    ends_hz = largest / (2 * np.pi) / 0.1
     (said,) = (found.sentence for found in told if "band" in found.sentence)
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
 
@@ -129,12 +146,16 @@ def test_pieces_shorter_than_the_model_s_response_say_nothing():
     """A response longer than a piece counts as noise in it: pieces of 250 samples, a response of
     460."""
     hidden = case(WHITE, answer(WHITE, noise=1.0))
-    slow = replace(hidden.model, linear=replace(hidden.model.linear, a=np.array([[0.995]])))
-    assert findings(replace(hidden, model=slow)) == []
+    a = np.array([[0.995]])
+    linear = replace(hidden.model.linear, a=a)
+    slow = replace(hidden.model, linear=linear)
+    changed_hidden = replace(hidden, model=slow)
+    assert findings(changed_hidden) == []
 
 
 def test_a_band_that_is_not_excited_is_a_doubt():
-    slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), RNG.standard_normal(6000))
+    rng = RNG.standard_normal(6000)
+    slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), rng)
     assert any(
         "excite it there" in found.sentence
         for found in findings(case(slow, answer(slow, noise=0.02)))
@@ -148,15 +169,17 @@ def test_a_test_input_where_training_has_no_power_is_a_doubt():
     slow = scipy.signal.lfilter(b, a, WHITE)
     for scale in (0.1, 1.0):  # a share knows no unit
         u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
+        validation = made.data.validation
         told = records.findings(
-            made := case(u, answer(u)), measure_mismatch(made.model, made.data.validation)
+            made := case(u, answer(u)), measure_mismatch(made.model, validation)
         )
         (said,) = (
             found.sentence for found in told if "lies where training has none" in found.sentence
         )
         assert 60 < float(said.split(" %")[0]) < 80
+    validation = made.data.validation
     told = records.findings(
-        made := case(WHITE, answer(WHITE)), measure_mismatch(made.model, made.data.validation)
+        made := case(WHITE, answer(WHITE)), measure_mismatch(made.model, validation)
     )
     assert not any("lies where training has none" in found.sentence for found in told)
 
@@ -167,14 +190,20 @@ def test_coherence_is_the_share_of_power_that_the_inputs_explain():
     u = RNG.standard_normal((100_000, 2))
     n = RNG.standard_normal((100_000, 1))
     y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
-    np.testing.assert_allclose(coherence([(u, y)], 64), 2 / 3, atol=0.05)
+    parts = [(u, y)]
+    actual = coherence(parts, 64)
+    np.testing.assert_allclose(actual, 2 / 3, atol=0.05)
 
 
 def test_where_the_input_rests_in_one_record_the_others_tell():
     u = RNG.standard_normal((20_000, 1))
-    resting = (np.zeros((2000, 1)), 1e-3 * RNG.standard_normal((2000, 1)))
-    np.testing.assert_allclose(coherence([(u, u), resting], 64), 1, atol=1e-3)
-    np.testing.assert_allclose(coherence([resting], 64), 0, atol=1e-9)
+    rng = RNG.standard_normal((2000, 1))
+    resting = (np.zeros((2000, 1)), 1e-3 * rng)
+    parts = [(u, u), resting]
+    actual = coherence(parts, 64)
+    np.testing.assert_allclose(actual, 1, atol=1e-3)
+    actual = coherence([resting], 64)
+    np.testing.assert_allclose(actual, 0, atol=1e-9)
 
 
 def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -201,9 +230,11 @@ def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
     scored = [part[500 + LAGS :] for part in (y[4000:5000], y[5000:])]
     power = sum(float((part**2).sum()) for part in scored)
     parts = [part - part.mean() for part in (y[4000:5000], y[5000:])]
-    varied = sum(map(len, scored)) * float((np.concatenate(parts) ** 2).mean())
+    mean = float((np.concatenate(parts) ** 2).mean())
+    varied = sum(map(len, scored)) * mean
     owed = owed_to_input(case(WHITE, y, slow=0.3))
-    assert owed == pytest.approx(power / 4 / varied, rel=1e-4)
+    expected = power / 4 / varied
+    assert owed == pytest.approx(expected, rel=1e-4)
 
 
 REFERENCES = {
@@ -228,13 +259,15 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
 @pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(pole, noise):
-    asked = LEVELS.repeat(10)[:6000]
+    levels = LEVELS.repeat(10)
+    asked = levels[:6000]
     rng = np.random.default_rng(1)
     x = 0.0
     log = np.zeros((6000, 2))
     for k in range(6000):
         y = x + noise * rng.standard_normal()
-        log[k] = asked[k] - y, y
+        difference = asked[k] - y
+        log[k] = difference, y
         x = pole * x + 0.3 * log[k, 0]
     doubted, refused = feedback.findings(case(*log.T))
     assert doubted.level == "doubt"
@@ -256,9 +289,9 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
     assert feedback.fed_back_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
+    upper_limit = feedback.EARLIER / 2
     assert (
-        feedback.fed_back_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
-        < feedback.EARLIER / 2
+        feedback.fed_back_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < upper_limit
     )
 
 
@@ -266,11 +299,11 @@ def test_a_model_with_neurons_is_judged():
     """One that has nothing to do with the log: no judgement of the plant."""
     data = case(LEVELS, answer(LEVELS)).data
     other = model()
-    validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
-    assert (
-        judge(data, other, validation, test, measure_mismatch(other, data.validation)).level
-        == CANNOT_JUDGE
-    )
+    parts = (data.validation, data.test)
+    validation, test = (Simulation.of(other, part, 0) for part in parts)
+    mismatch = measure_mismatch(other, data.validation)
+    level = judge(data, other, validation, test, mismatch).level
+    assert level == CANNOT_JUDGE
 
 
 def test_inputs_that_oppose_each_other_have_their_own_response():
@@ -279,7 +312,8 @@ def test_inputs_that_oppose_each_other_have_their_own_response():
     a = np.array([[0.9]])
     c = np.ones((1, 1))
     for b in ([[1.0]], [[1.0, -1.0]]):
-        linear = StateSpace(a=a, b=np.array(b), c=c, d=np.zeros((1, len(b[0]))))
+        d = np.zeros((1, len(b[0])))
+        linear = StateSpace(a=a, b=np.array(b), c=c, d=d)
         assert linear.response_samples() == 23  # the first answers at sample 1
 
 
@@ -288,7 +322,8 @@ def test_a_short_record_is_said_to_have_the_lags_it_has():
     record = late.validation.records[0][:60]
     drifted = record.y + np.linspace(-1, 1, 60)[:, None]
     part = replace(late.validation, records=(record,), simulated=(drifted,))
-    (found,) = whiteness(replace(late, validation=part))
+    changed_late = replace(late, validation=part)
+    (found,) = whiteness(changed_late)
     assert "of 14 lags" in found.sentence
 
 
@@ -311,9 +346,11 @@ def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last
     found = case(WHITE, answer(WHITE))
     end = found.data.training[0]
     assert list(records._same(found)) == []
-    taken = replace(
-        found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),))
-    )
+    u = end.u[-kept:]
+    y = end.y[-kept:]
+    changed_end = replace(end, u=u, y=y)
+    test = (changed_end,)
+    taken = replace(found, data=replace(found.data, test=test))
     (said,) = records._same(taken)
     assert said.startswith("100 % of the test record is part of the training records")
 
@@ -322,9 +359,8 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     """With little noise the present output explains less than the limit, and so do those of two
     samples ago."""
     u, y = in_loop(REFERENCES["steps"], 0.007, 1)
-    present, before, two_ago = (
-        feedback.fed_back_share(case(u, y).data, first) for first in (0, 1, 2)
-    )
+    firsts = (0, 1, 2)
+    present, before, two_ago = (feedback.fed_back_share(case(u, y).data, first) for first in firsts)
     assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present
     (found,) = feedback.findings(case(u, y))
     assert "as in a closed-loop log" in found.sentence

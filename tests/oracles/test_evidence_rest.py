@@ -29,7 +29,8 @@ THEN_REST = np.concatenate([LEVELS[:5400], np.zeros(600)])
 
 def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     log = case(u, y)
-    shown: Mismatch = measure_mismatch(log.model, log.data.validation)
+    validation = log.data.validation
+    shown: Mismatch = measure_mismatch(log.model, validation)
     return [
         found.sentence
         for found in findings(log, shown)
@@ -47,16 +48,21 @@ def test_an_output_that_stays_off_after_the_last_motion_is_a_doubt(stick):
     u[5300:5400] = 0.25
     u[5200:5300] = -0.1
     for k, pushed in enumerate(u):
-        stem = pushed if abs(pushed - stem) > stick else stem
+        difference = abs(pushed - stem)
+        stem = pushed if difference > stick else stem
         out[k] = stem
     assert bool(said(u, answer(out))) == (stick > 0)
     log = case(u, answer(out))
-    rest = Trajectory(u=np.zeros((600, 1)), y=np.linspace(-1.5, 0, 600)[:, None] ** 3, step_s=0.1)
-    shown = measure_mismatch(log.model, log.data.validation, 0, (*log.data.test, rest))
-    assert shown.stuck == pytest.approx(
-        (0.25 / log.model.scale.output_scale[0],) if stick else (), abs=0.01
-    )
-    assert shown.farthest == pytest.approx(1.5**3 / log.model.scale.output_scale[0])
+    y = np.linspace(-1.5, 0, 600)[:, None] ** 3
+    rest = Trajectory(u=np.zeros((600, 1)), y=y, step_s=0.1)
+    validation = log.data.validation
+    test = log.data.test
+    shown = measure_mismatch(log.model, validation, 0, (*test, rest))
+    expected = (0.25 / log.model.scale.output_scale[0],) if stick else ()
+    assert shown.stuck == pytest.approx(expected, abs=0.01)
+    output_scale = log.model.scale.output_scale
+    expected = 1.5**3 / output_scale[0]
+    assert shown.farthest == pytest.approx(expected)
     assert (shown.offset > 0) == (stick > 0)
 
 
@@ -77,16 +83,18 @@ def fitted_log(
     np.savetxt(
         folder / "log.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments=""
     )
-    data = RecordedData(
-        path=str(folder / "log.csv"), input="u", output="y", step_s=0.1, start_up_samples=20
-    ).build(0)
+    path = str(folder / "log.csv")
+    recorded_data = RecordedData(path=path, input="u", output="y", step_s=0.1, start_up_samples=20)
+    data = recorded_data.build(0)
     known = case(LEVELS, answer(LEVELS), slow).model
     model = replace(known, scale=data.scale)
-    parts = {name: Simulation.of(model, getattr(data, name), 20) for name in ("validation", "test")}
+    names = ("validation", "test")
+    parts = {name: Simulation.of(model, getattr(data, name), 20) for name in names}
     log = Case(data=data, model=model, **parts)
     shown = measure_mismatch(model, data.validation, 20, data.mismatch_records)
     told = [found.sentence for found in findings(log, shown)]
-    return log, shown, " ".join(one for one in told if "rest input" in one)
+    text = " ".join(one for one in told if "rest input" in one)
+    return log, shown, text
 
 
 @pytest.mark.parametrize("slow", [0.9, 0.98])
@@ -94,10 +102,13 @@ def test_the_log_made_for_the_purpose_shows_that_the_output_rests(tmp_path, slow
     """Its returns are cut apart, and its mean is not its rest; also where the model is slower than
     the plant."""
     log, shown, told = fitted_log(tmp_path, EXCITED, answer(EXCITED), slow)
-    assert np.any(np.abs(log.data.scale.scaled_input(np.array([0.1]))) > 1e-3)
+    scale = log.data.scale
+    u = np.array([0.1])
+    assert np.any(np.abs(scale.scaled_input(u)) > 1e-3)
     assert shown.left_at_rest is not None
     assert shown.left_at_rest < AT_REST
-    assert (shown.stuck, told) == ((), "")
+    assert shown.stuck == ()
+    assert told == ""
 
 
 def test_a_log_that_ends_moving_or_rests_once_is_told_so(tmp_path):
@@ -139,12 +150,14 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     narrower than that."""
     log = case(LEVELS, answer(LEVELS))
     k = np.arange(600)[:, None]
-    y = log.model.scale.output_scale * (
-        hunts * np.sin(0.2 * k) + 0.001 * np.random.default_rng(0).standard_normal(k.shape)
-    )
-    shown = measure_mismatch(
-        log.model, log.data.validation, 0, (Trajectory(u=0.0 * k, y=y, step_s=0.1),)
-    )
+    output_scale = log.model.scale.output_scale
+    sine = np.sin(0.2 * k)
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal(k.shape)
+    y = output_scale * (hunts * sine + 0.001 * white_noise)
+    validation = log.data.validation
+    trajectory = Trajectory(u=0.0 * k, y=y, step_s=0.1)
+    shown = measure_mismatch(log.model, validation, 0, (trajectory,))
     assert shown.rests
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
     told = " ".join(found.sentence for found in findings(log, shown))
@@ -158,9 +171,14 @@ def test_a_faint_swing_that_motion_sets_off_counts(hunts):
     log = case(THEN_REST, answer(THEN_REST, noise=0.001))
     last = log.data.test[-1]
     k = np.arange(len(last))[:, None]
-    y = last.y + log.model.scale.output_scale * (last.u == 0) * hunts * np.sin(0.9 * k)
-    decay = Trajectory(u=np.zeros((600, 1)), y=np.exp(-np.arange(600) / 20)[:, None], step_s=0.1)
-    shown = measure_mismatch(log.model, (*log.data.validation, replace(last, y=y)), 0, (decay,))
+    output_scale = log.model.scale.output_scale
+    sine = np.sin(0.9 * k)
+    y = last.y + output_scale * (last.u == 0) * hunts * sine
+    u = np.zeros((600, 1))
+    decay = Trajectory(u=u, y=np.exp(-np.arange(600) / 20)[:, None], step_s=0.1)
+    validation = log.data.validation
+    changed_last = replace(last, y=y)
+    shown = measure_mismatch(log.model, (*validation, changed_last), 0, (decay,))
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
 
 
@@ -169,15 +187,19 @@ def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
     rest either."""
     slowly = scipy.signal.lfilter([0, 0.01], [1, -0.99], EXCITED)
     _, shown, told = fitted_log(tmp_path, EXCITED, slowly, slow=0.99)
-    assert (shown.left_at_rest, shown.stuck) == (None, ())
+    assert shown.left_at_rest is None
+    assert shown.stuck == ()
     assert UNKNOWN in told
 
 
 @pytest.mark.parametrize(("start", "said"), [(0.25, [0.0]), (0.1, [])])
 def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     """Where the first sample after the step lies decides."""
-    record = Trajectory(u=np.eye(41, 1), y=start * np.eye(41, 1, -1), step_s=0.1)
-    still, offsets = after_returns(Scale.unit(1, 1), [record], 1000)
+    u = np.eye(41, 1)
+    y = start * np.eye(41, 1, -1)
+    record = Trajectory(u=u, y=y, step_s=0.1)
+    scale = Scale.unit(1, 1)
+    still, offsets = after_returns(scale, [record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -186,8 +208,11 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
 def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     """Two short returns at another input than the equilibrium's, where the output rests at one."""
     y = np.where(np.arange(41) < 2, start, 1.0)[:, None]
-    record = Trajectory(u=1.0 + np.eye(41, 1), y=y, step_s=0.1)
-    still, offsets = after_returns(Scale.unit(1, 1), [record, record], 1000)
+    u = 1.0 + np.eye(41, 1)
+    record = Trajectory(u=u, y=y, step_s=0.1)
+    scale = Scale.unit(1, 1)
+    records = [record, record]
+    still, offsets = after_returns(scale, records, 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -199,7 +224,8 @@ def test_short_returns_that_end_apart_and_move_no_more_are_a_doubt(tmp_path, sti
     stem = 0.1
     out = np.zeros(len(EXCITED))
     for k, pushed in enumerate(EXCITED):
-        stem = pushed if abs(pushed - stem) > stick else stem
+        difference = abs(pushed - stem)
+        stem = pushed if difference > stick else stem
         out[k] = stem
     _, shown, told = fitted_log(tmp_path, EXCITED, answer(out), slow=0.995)
     assert (shown.left_at_rest is None) == (stick > 0)
@@ -214,25 +240,29 @@ def test_no_view_is_taken_of_returns_on_which_the_model_was_trained(tmp_path):
     excited = EXCITED.copy()
     excited[120:1000] *= np.linspace(0.9, 0.8, 880)
     log, shown, _ = fitted_log(tmp_path, excited, answer(excited))
-    assert len(log.data.mismatch_records) == 3
-    alone = measure_mismatch(log.model, log.data.validation, 20)
-    assert (shown.gain, shown.spread, len(shown.views)) == (
-        alone.gain,
-        alone.spread,
-        len(alone.views),
-    )
+    mismatch_records = log.data.mismatch_records
+    assert len(mismatch_records) == 3
+    validation = log.data.validation
+    alone = measure_mismatch(log.model, validation, 20)
+    assert shown.gain == alone.gain
+    assert shown.spread == alone.spread
+    expected = len(alone.views)
+    assert len(shown.views) == expected
 
 
 @pytest.mark.parametrize("times", [1.1, 1.5])
 def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     log = case(LEVELS, answer(LEVELS))
-    farthest = np.full((60, 1), times * np.abs(log.data.training[0].y).max())
-    trial = Trajectory(u=np.zeros((60, 1)), y=farthest, step_s=0.1)
+    training = log.data.training
+    training_y = training[0].y
+    largest = np.abs(training_y).max()
+    farthest = np.full((60, 1), times * largest)
+    u = np.zeros((60, 1))
+    trial = Trajectory(u=u, y=farthest, step_s=0.1)
     begun = replace(log, data=replace(log.data, mismatch_records=(trial,)))
-    told = [
-        found.sentence
-        for found in findings(begun, measure_mismatch(log.model, log.data.validation))
-    ]
+    validation = log.data.validation
+    mismatch = measure_mismatch(log.model, validation)
+    told = [found.sentence for found in findings(begun, mismatch)]
     assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
     assert any("times as far out" in sentence for sentence in told) == (times > 1.2)
 
@@ -242,12 +272,14 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     """The difference of a mean of variance v from the mean of n others has the variance v + v /
     n."""
     rng = np.random.default_rng(0)
-    noise = 0.01 * rng.standard_normal((400, 1))
-    outputs = [level + noise for level in rng.uniform(-1, 1, count)]
+    white_noise = rng.standard_normal((400, 1))
+    noise = 0.01 * white_noise
+    levels = rng.uniform(-1, 1, count)
+    outputs = [level + noise for level in levels]
     tail, variance = _tail(outputs[0])
     means = np.array([_tail(y)[0].mean() for y in outputs])
     others = np.array([np.delete(means, i).mean() for i in range(count)])
     doubt = SURE * np.sqrt(float(variance[0]) / len(tail) * (1 + 1 / (count - 1)))
-    assert _distances_from_rest(outputs, centred=False) == pytest.approx(
-        np.abs(means - others) - doubt
-    )
+    difference = np.abs(means - others)
+    expected = difference - doubt
+    assert _distances_from_rest(outputs, centred=False) == pytest.approx(expected)

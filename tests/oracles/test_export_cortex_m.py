@@ -55,11 +55,9 @@ def emulated(kind: str, real: str, unit: str, folder: Path) -> str:
         "-semihosting-config",
         "enable=on,target=native",
     ]
+    replay_path = folder / "c" / "replay.elf"
     done = subprocess.run(
-        [*board, "-kernel", folder / "c" / "replay.elf"],
-        capture_output=True,
-        text=True,
-        timeout=120,
+        [*board, "-kernel", replay_path], capture_output=True, text=True, timeout=120
     )
     return f"{kind}, {real}, {unit}: exit {done.returncode}, {done.stdout.strip()}"
 
@@ -68,7 +66,8 @@ CASES = [(kind, real, unit) for kind in KINDS for real in ("double", "float") fo
 
 
 def test_the_log_shows_no_difference() -> None:
-    lines = LOG.read_text().splitlines()[1:]
+    log = LOG.read_text()
+    lines = log.splitlines()[1:]
     assert len(lines) == len(CASES)
     for line, (kind, real, unit) in zip(lines, CASES, strict=True):
         assert line == f"{kind}, {real}, {unit}: exit 0, 0 of 200 inputs differ, the largest by 0"

@@ -30,14 +30,16 @@ SAMPLES = 150
 
 def signals(model: SSM, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Measurements that go far, and set points that inputs well within the limits hold."""
-    levels = (
-        np.random.default_rng(seed)
-        .uniform(-1, 1, (2, SAMPLES // 15, model.scale.outputs))
-        .repeat(15, axis=1)
-    )
+    rng = np.random.default_rng(seed)
+    outputs = model.scale.outputs
+    levels = rng.uniform(-1, 1, (2, SAMPLES // 15, outputs)).repeat(15, axis=1)
     lifted = model.scaffold_in(levels[1])
-    rest = np.linalg.solve(np.eye(model.order) - model.linear.a, model.linear.b)
-    return model.scale.physical_output(1000 * levels[0]), model.read(lifted @ rest.T, lifted)
+    linear_a = model.linear.a
+    difference = np.eye(model.order) - linear_a
+    linear_b = model.linear.b
+    rest = np.linalg.solve(difference, linear_b)
+    w = 1000 * levels[0]
+    return model.scale.physical_output(w), model.read(lifted @ rest.T, lifted)
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -79,15 +81,19 @@ def test_the_header_counts_the_multiplications_of_a_sample(
 ) -> None:
     """With pieces and matrices, with set points and without; while a limit acts there are fewer."""
     made = device(tmp_path, kind=kind, channels=channels, integral=True)
-    free = replace(made, lower=made.lower - 1e9, upper=made.upper + 1e9)
-    assert free.multiplications == products(free, tmp_path / "c")
+    lower = made.lower - 1e9
+    upper = made.upper + 1e9
+    free = replace(made, lower=lower, upper=upper)
+    expected = products(free, tmp_path / "c")
+    assert free.multiplications == expected
 
 
 @pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
 def test_the_header_counts_the_bytes_of_its_constants(tmp_path: Path, real: str, size: int) -> None:
-    header = (
+    controller_path = (
         written(device(tmp_path, kind="mlp", real=real), tmp_path / "c") / "controller.h"
-    ).read_text()
+    )
+    header = controller_path.read_text()
     tables = re.findall(rf"static const {real} \w+\[\d+\] = \{{(.*?)\}};", header, re.DOTALL)
     numbers = sum(len(table.split(",")) for table in tables)
     assert f"CONSTANT_BYTES {numbers * size} " in header
@@ -103,8 +109,13 @@ def test_the_law_is_the_python_loop(
     """At rest points of the model, found by root search there and by the inverse's pieces here;
     limits act in both."""
     made = device(tmp_path, kind=kind, channels=channels, integral=integral)
-    model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))
-    law = ObserverFeedback.of(model, Design.load(tmp_path / "run" / "certificate.json"))
+    model_path = tmp_path / "run" / "model.json"
+    text = model_path.read_text()
+    content = json.loads(text)
+    model = SSM.from_json(content)
+    certificate_path = tmp_path / "run" / "certificate.json"
+    design = Design.load(certificate_path)
+    law = ObserverFeedback.of(model, design)
     y, r = signals(model, channels)
     targets = law.targets(r)
     points = set_points(model, r)
@@ -113,10 +124,13 @@ def test_the_law_is_the_python_loop(
     memory = made.start(y[0])[None]
     expected = []
     for seen, target in zip(y, targets, strict=True):
-        expected.append(np.clip(law.input(memory, seen[None], target), made.lower, made.upper))
+        inputs = law.input(memory, seen[None], target)
+        expected.append(np.clip(inputs, made.lower, made.upper))
         memory = law.advance(memory, expected[-1], seen[None], target)
     applied = made.replay(y, r)
-    assert np.abs(applied - np.concatenate(expected)).max() < 1e-7
+    difference = np.abs(applied - np.concatenate(expected))
+    largest_difference = difference.max()
+    assert largest_difference < 1e-7
     assert ((applied == made.lower) | (applied == made.upper)).any()
     assert ((applied > made.lower) & (applied < made.upper)).any()
 
@@ -125,48 +139,68 @@ def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_pa
     """The rest point at the limit is held; back within reach the input leaves the limit at once."""
     made = device(tmp_path, kind="monotone", integral=True)
     c = made.controller
-    far = made.nearest_equilibrium(c.scale.physical_output(np.array([50.0])))
+    w = np.array([50.0])
+    r = c.scale.physical_output(w)
+    far = made.nearest_equilibrium(r)
     assert c.scale.physical_input(far["v"]) in (made.lower, made.upper)
     rest = c.scale.physical_output(far["w"])
     x = far["x"]
     for _ in range(200):  # held at what it can reach, measured without error
-        u, x = made.track(x, rest, c.scale.physical_output(np.array([50.0])))
-    assert np.abs(x - far["x"]).max() < 1e-9
-    u, _ = made.track(x, rest, c.scale.output_equilibrium)
-    assert np.abs(u - c.scale.physical_input(far["v"])) > 0.1 * c.scale.input_scale
+        w = np.array([50.0])
+        r = c.scale.physical_output(w)
+        u, x = made.track(x, rest, r)
+    difference = np.abs(x - far["x"])
+    largest_difference = difference.max()
+    assert largest_difference < 1e-9
+    r = c.scale.output_equilibrium
+    u, _ = made.track(x, rest, r)
+    difference = np.abs(u - c.scale.physical_input(far["v"]))
+    assert difference > 0.1 * c.scale.input_scale
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("channels", [1, 2])
 def test_the_inverse_undoes_the_map(kind: str, channels: int) -> None:
-    portable = random_scaffold(np.random.default_rng(4), kind, channels).portable()
+    rng = np.random.default_rng(4)
+    scaffold = random_scaffold(rng, kind, channels)
+    portable = scaffold.portable()
     inverse = inverse_of(portable)
-    slopes = np.diff(portable(np.linspace(-9, 9, 5000)[:, None] * np.ones(channels)), axis=0)
+    portable_map = portable(np.linspace(-9, 9, 5000)[:, None] * np.ones(channels))
+    slopes = np.diff(portable_map, axis=0)
     if kind in ("mlp", "residual") and (channels == 2 or slopes.min() * slopes.max() < 0):
         assert inverse is None, "channels are coupled, or the map turns"
         return
     assert inverse is not None
-    v = np.random.default_rng(0).standard_normal((200, channels)) * 4
+    rng = np.random.default_rng(0)
+    white_noise = rng.standard_normal((200, channels))
+    v = white_noise * 4
     w = portable(v)
     back = inverse(w)
-    assert np.abs(back - v).max() < 1e-9
+    difference = np.abs(back - v)
+    largest_difference = difference.max()
+    assert largest_difference < 1e-9
 
 
 def test_a_map_with_a_flat_piece_has_no_inverse() -> None:
-    scaffold = random_scaffold(np.random.default_rng(1), "monotone", 1)
-    flat = replace(scaffold, slopes=scaffold.slopes * (np.arange(6) != 2))
-    assert inverse_of(flat.portable()) is None
+    rng = np.random.default_rng(1)
+    scaffold = random_scaffold(rng, "monotone", 1)
+    slopes = scaffold.slopes * (np.arange(6) != 2)
+    flat = replace(scaffold, slopes=slopes)
+    portable = flat.portable()
+    assert inverse_of(portable) is None
 
 
 @pytest.fixture(scope="module")
 def certified(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    plant = control.StateSpace(
-        [[0.95, 0.1], [0.0, 0.8]], [[0.02], [0.3]], [[1.0, 0.0]], [[0.0]], 0.1
-    )
+    a = [[0.95, 0.1], [0.0, 0.8]]
+    b = [[0.02], [0.3]]
+    c = [[1.0, 0.0]]
+    d = [[0.0]]
+    plant = control.StateSpace(a, b, c, d, 0.1)
     rates = ("synthesis.rate_controller=0.3", "synthesis.rate_observer=0.4")
-    return st.control(plant, "synthesis=riccati", *rates).save(
-        tmp_path_factory.mktemp("certified") / "run"
-    )
+    design = st.control(plant, "synthesis=riccati", *rates)
+    run_path = tmp_path_factory.mktemp("certified") / "run"
+    return design.save(run_path)
 
 
 def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
@@ -176,19 +210,23 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     controller = load(certified)
     none = np.array([np.inf])
     exact = deployed_rates(Device.of(controller, "double", -none, none), design)
-    assert exact == {"state_feedback": 0.3, "observer": 0.4}
+    expected = {"state_feedback": 0.3, "observer": 0.4}
+    assert exact == expected
     single = Device.of(controller, "float", -none, none)
     rounded = deployed_rates(single, design)
-    a, b, k = (
-        np.asarray(x, dtype=float)
-        for x in (single.controller.a, single.controller.b, single.controller.k)
-    )
+    controller_a = single.controller.a
+    controller_b = single.controller.b
+    controller_k = single.controller.k
+    a, b, k = (np.asarray(x, dtype=float) for x in (controller_a, controller_b, controller_k))
     assert not np.array_equal(a, controller.a)
     assert 0 < rounded["state_feedback"] <= 0.3
-    radius = np.abs(np.linalg.eigvals(a + b @ k)).max()
+    eigenvalues = np.linalg.eigvals(a + b @ k)
+    radius = np.abs(eigenvalues).max()
     assert radius < np.sqrt(1 - rounded["state_feedback"])
-    spoilt = replace(single, controller=replace(single.controller, k=-3 * single.controller.k))
-    assert deployed_rates(spoilt, design)["state_feedback"] is None
+    controller_k = single.controller.k
+    spoilt = replace(single, controller=replace(single.controller, k=-3 * controller_k))
+    state_feedback = deployed_rates(spoilt, design)["state_feedback"]
+    assert state_feedback is None
 
 
 def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path) -> None:
@@ -198,19 +236,21 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
     none = np.array([np.inf])
     part = design.state_feedback
     device = Device.of(load(certified), "double", -none, none)
-    faster = replace(design, state_feedback=replace(part, rate=0.99), extra_certificates={})
+    state_feedback = replace(part, rate=0.99)
+    faster = replace(design, state_feedback=state_feedback, extra_certificates={})
     found = deployed_rates(device, faster)["state_feedback"]
     assert 0.3 < found < 0.99
     for rate, proved in ((found, True), (found + 0.99 / 4096, False)):
-        stored = replace(design, state_feedback=replace(part, rate=rate), extra_certificates={})
-        assert (deployed_rates(device, stored)["state_feedback"] == rate) is proved
+        state_feedback = replace(part, rate=rate)
+        stored = replace(design, state_feedback=state_feedback, extra_certificates={})
+        state_feedback = deployed_rates(device, stored)["state_feedback"]
+        assert (state_feedback == rate) is proved
 
 
 def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) -> None:
     """In single precision a few of its units; in double nothing is said."""
-    single, double = (
-        c_sources(certified, real=real)["controller.h"] for real in ("float", "double")
-    )
+    reals = ("float", "double")
+    single, double = (c_sources(certified, real=real)["controller.h"] for real in reals)
     assert "Rounding to" not in double
     (told,) = re.findall(
         r"Rounding to float moves the loop on the model by at most (\S+) output scales", single
@@ -252,9 +292,8 @@ def test_export_writes_what_was_asked(tmp_path: Path, smoke_run: Path) -> None:
 def test_two_controllers_in_one_program(tmp_path: Path) -> None:
     for name, kind in (("inner", "mlp"), ("outer", "monotone")):
         written(device(tmp_path / name, kind=kind), tmp_path / "c", name=name)
-    (tmp_path / "c" / "both.c").write_text(
-        '#include "inner.h"\n#include "outer.h"\nint main(void) { return 0; }\n'
-    )
+    both_path = tmp_path / "c" / "both.c"
+    both_path.write_text('#include "inner.h"\n#include "outer.h"\nint main(void) { return 0; }\n')
     assert compiled(tmp_path / "c", "-std=c99", sources=("both.c",)) == ""
 
 

@@ -48,18 +48,23 @@ def holds(
     alpha, beta = ball
     r = np.sqrt(1 - rate)
     closed = (a + alpha * b @ k) / r
-    if np.abs(np.linalg.eigvals(closed)).max() >= 1:
+    eigenvalues = np.linalg.eigvals(closed)
+    spectral_radius = np.abs(eigenvalues).max()
+    if spectral_radius >= 1:
         return False
     z = np.exp(1j * np.linspace(0, np.pi, 20_001))
-    resolvent = np.linalg.solve(z[:, None, None] * np.eye(len(a)) - closed, b / r)
-    return bool(np.abs(beta * (k @ resolvent)).max() < 1)
+    difference = z[:, None, None] * np.eye(len(a)) - closed
+    resolvent = np.linalg.solve(difference, b / r)
+    largest = np.abs(beta * (k @ resolvent)).max()
+    return bool(largest < 1)
 
 
 def test_the_rates_of_the_float_code_hold_for_the_numbers_in_its_header(
     smoke_run: Path, tmp_path: Path
 ) -> None:
     export(smoke_run, tmp_path / "c", real="float")
-    header = (tmp_path / "c" / "controller.h").read_text()
+    controller_path = tmp_path / "c" / "controller.h"
+    header = controller_path.read_text()
     claimed = re.search(r"in float: state feedback ([\d.]+), observer ([\d.]+)\.", header)
     assert claimed is not None
     tables = tables_of(header)

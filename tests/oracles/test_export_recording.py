@@ -17,8 +17,10 @@ RUNS = {"order4-seed0-0a1b2c3d4e": 30, "order4-seed1-9f8e7d6c5b": 40}  # name: s
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
     """Two runs with two cases each, one run that failed, and a folder that is no run."""
-    for seed, (name, samples) in enumerate(RUNS.items()):
-        values = np.random.default_rng(seed).standard_normal((2, 2, samples, 1))
+    runs = RUNS.items()
+    for seed, (name, samples) in enumerate(runs):
+        rng = np.random.default_rng(seed)
+        values = rng.standard_normal((2, 2, samples, 1))
         time_s = 0.01 * np.arange(samples)
         groups = [
             SignalGroup(
@@ -31,20 +33,27 @@ def study(tmp_path: Path) -> Path:
             for what, one in zip(("input", "output"), values[k], strict=True)
         ]
         (tmp_path / name).mkdir()
-        write_record(tmp_path / name, {"run": name, "status": "ok"})
-        write_mcap(tmp_path / name / one_recording.LOOP, tuple(groups), {})
+        record = {"run": name, "status": "ok"}
+        write_record(tmp_path / name, record)
+        path = tmp_path / name / one_recording.LOOP
+        write_mcap(path, tuple(groups), {})
     (tmp_path / "failed").mkdir()
-    write_record(tmp_path / "failed", {"run": "failed", "status": "failed"})
+    record = {"run": "failed", "status": "failed"}
+    write_record(tmp_path / "failed", record)
     (tmp_path / "figures").mkdir()
     return tmp_path
 
 
 def test_every_signal_of_every_run_is_read_back_under_its_run(study: Path) -> None:
-    groups, about = read_mcap(one_recording.export_mcap(study))
-    assert about == {f"run_{name[-10:]}": name for name in RUNS}
+    path = one_recording.export_mcap(study)
+    groups, about = read_mcap(path)
+    expected = {f"run_{name[-10:]}": name for name in RUNS}
+    assert about == expected
     found = {group.topic: group for group in groups}
     for name in RUNS:
-        for own in read_mcap(study / name / one_recording.LOOP)[0]:
+        path = study / name / one_recording.LOOP
+        mcap = read_mcap(path)
+        for own in mcap[0]:
             copied = found.pop(f"/run_{name[-10:]}{own.topic}")
             assert (copied.values == own.values).all()
             assert (copied.time_s == own.time_s).all()
@@ -55,9 +64,12 @@ def test_every_signal_of_every_run_is_read_back_under_its_run(study: Path) -> No
 def test_runs_whose_names_end_alike_are_all_there(study: Path) -> None:
     for name, short in zip(RUNS, ("a-1", "b-1"), strict=True):
         (study / name).rename(study / short)
-    groups, about = read_mcap(one_recording.export_mcap(study))
-    assert about == {"run_a-1": "a-1", "run_b-1": "b-1"}
-    assert len({group.topic for group in groups}) == len(groups) == 8
+    path = one_recording.export_mcap(study)
+    groups, about = read_mcap(path)
+    expected = {"run_a-1": "a-1", "run_b-1": "b-1"}
+    assert about == expected
+    topics = {group.topic for group in groups}
+    assert len(topics) == len(groups) == 8
 
 
 def test_refusals(

@@ -52,15 +52,19 @@ MAIN_LIMITED_C = MAIN_C.replace(
 
 
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
-    model = model_from_json(json.loads((run / "model.json").read_text()))
+    text = (run / "model.json").read_text()
+    content = json.loads(text)
+    model = model_from_json(content)
     design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
     memory = law.start(1)
     m = model.scale.inputs
-    target = np.concatenate([np.zeros(model.order + m), model.scale.output_equilibrium])
+    output_equilibrium = model.scale.output_equilibrium
+    target = np.concatenate([np.zeros(model.order + m), output_equilibrium])
     u = np.empty((len(y), m))
     for k, seen in enumerate(y):
-        u[k] = np.clip(law.input(memory, seen[None], target)[0], -limit, limit)
+        inputs = law.input(memory, seen[None], target)
+        u[k] = np.clip(inputs[0], -limit, limit)
         memory = law.advance(memory, u[k][None], seen[None], target)
     return u
 
@@ -84,7 +88,8 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     session = runtime.InferenceSession(
         folder / "controller.onnx", providers=["CPUExecutionProvider"]
     )
-    state = np.zeros((1, session.get_inputs()[1].shape[1]))
+    inputs = session.get_inputs()
+    state = np.zeros((1, inputs[1].shape[1]))
     u = []
     for seen in y:
         given, state = session.run(["u", "next_state"], {"y": seen[None], "state": state})
@@ -94,10 +99,13 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
 
 def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
     control = pytest.importorskip("control", reason="the extra `export` is not installed")
-    system = runpy.run_path(str(folder / "controller.py"))["controller"]
-    return control.input_output_response(
+    controller_path = str(folder / "controller.py")
+    path = runpy.run_path(controller_path)
+    system = path["controller"]
+    outputs = control.input_output_response(
         system, np.arange(len(y)) * system.dt, y.T, squeeze=False
-    ).outputs.T
+    ).outputs
+    return outputs.T
 
 
 # Tolerances.
@@ -113,37 +121,46 @@ def test_export_replays_the_python_loop(
         tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral
     )
     export(run, tmp_path / "out")
-    y = 3 + 5 * np.random.default_rng(7).standard_normal((SAMPLES, channels))
+    rng = np.random.default_rng(7)
+    white_noise = rng.standard_normal((SAMPLES, channels))
+    y = 3 + 5 * white_noise
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01  # a controller that does nothing would agree with anything
     for replay, tolerance in REPLAYS.items():
         replayed = replay(tmp_path / "out", y)
-        size = max(1.0, float(np.abs(expected).max()))
-        assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
+        largest = float(np.abs(expected).max())
+        size = max(1.0, largest)
+        difference = np.abs(replayed - expected)
+        largest_difference = difference.max()
+        assert largest_difference <= tolerance * size, replay.__name__
 
 
 def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> None:
-    run = random_run(
-        tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"]
-    )
+    integral = ["step", "sine(5Hz)"]
+    run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=integral)
     export(run, tmp_path / "out")
-    y = 40 * np.sign(np.sin(2 * np.pi * np.arange(SAMPLES) / 60))[:, None]
+    sine = np.sin(2 * np.pi * np.arange(SAMPLES) / 60)
+    y = 40 * np.sign(sine)[:, None]
     limited = python_loop(run, y, limit=3.0)
-    assert np.abs(limited - python_loop(run, y).clip(-3, 3)).max() > 0.1, (
-        "without the hold it would do otherwise"
-    )
-    assert np.abs(c_replay(tmp_path / "out", y, MAIN_LIMITED_C) - limited).max() <= 1e-9
+    difference = np.abs(limited - python_loop(run, y).clip(-3, 3))
+    largest_difference = difference.max()
+    assert largest_difference > 0.1, "without the hold it would do otherwise"
+    difference = np.abs(c_replay(tmp_path / "out", y, MAIN_LIMITED_C) - limited)
+    largest_difference = difference.max()
+    assert largest_difference <= 1e-9
 
 
 def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=0)
-    names = {path.name for path in export(run, tmp_path / "out")}
+    paths = export(run, tmp_path / "out")
+    names = {path.name for path in paths}
     assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
-    assert (tmp_path / "out" / "certificate.json").read_bytes() == (
-        run / "certificate.json"
-    ).read_bytes()
+    certificate_path = tmp_path / "out" / "certificate.json"
+    assert (certificate_path).read_bytes() == (run / "certificate.json").read_bytes()
     # Its numbers prove nothing.
-    assert "NOT certified" in (tmp_path / "out" / "controller.h").read_text()
+    controller_path = tmp_path / "out" / "controller.h"
+    text = controller_path.read_text()
+    assert "NOT certified" in text
 
 
 def structured_run(
@@ -151,16 +168,18 @@ def structured_run(
 ) -> Path:
     """A certified pair of a model with these neurons, which the output sees directly where `seen`
     is not zero."""
-    made = replace(structured(kinds, seed=2), h=np.full((1, len(kinds)), seen))
-    asked = RiccatiSynthesis(
-        rate_controller=0.05 if integral else 0.5, rate_observer=0.5, input_weight=0.1
-    )
-    design = replace(asked, internal_model=["step"] if integral else []).design(
-        made, certified_balls(made)
-    )
+    candidate = structured(kinds, seed=2)
+    h = np.full((1, len(kinds)), seen)
+    made = replace(candidate, h=h)
+    rate_controller = 0.05 if integral else 0.5
+    asked = RiccatiSynthesis(rate_controller=rate_controller, rate_observer=0.5, input_weight=0.1)
+    internal_model = ["step"] if integral else []
+    changed_asked = replace(asked, internal_model=internal_model)
+    design = changed_asked.design(made, certified_balls(made))
     assert design.certified
     folder.mkdir(parents=True)
-    (folder / "model.json").write_text(json.dumps(made.to_json()))
+    text = json.dumps(made.to_json())
+    (folder / "model.json").write_text(text)
     design.save(folder / "certificate.json")
     return folder
 
@@ -178,10 +197,14 @@ def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_foun
 def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     """Rest points of the model by Newton's method, and the device's own curve; then the loop on the
     model itself."""
-    run = structured_run(tmp_path / "run", ("tanh", "softplus"), 0.05)
-    model = model_from_json(json.loads((run / "model.json").read_text()))
+    kinds = ("tanh", "softplus")
+    run = structured_run(tmp_path / "run", kinds, 0.05)
+    text = (run / "model.json").read_text()
+    content = json.loads(text)
+    model = model_from_json(content)
+    ends = (-2.0, 2.0)
     device = Device.of(
-        load(run), "double", *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0))
+        load(run), "double", *(model.scale.physical_input(np.array([end])) for end in ends)
     )
     assert device.set_points is not None
     missed = device.set_points.missed
@@ -191,18 +214,21 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
         x, u = equilibrium(model, r)
         aimed = device.nearest_equilibrium(r)
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
-        assert np.abs(aimed["x"] - x).max() < 20 * missed
+        difference = np.abs(aimed["x"] - x)
+        largest_difference = difference.max()
+        assert largest_difference < 20 * missed
         assert aimed["v"] == pytest.approx(u, abs=20 * missed)
-        state = device.start(model.scale.output_equilibrium)
+        output_equilibrium = model.scale.output_equilibrium
+        state = device.start(output_equilibrium)
         truth = np.zeros(model.order)
         assert not state.any()
         for _ in range(200):
             y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
             applied, state = device.track(state, y, r)
             truth = model.advance(truth, lift(model, applied))
-        assert (
-            np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r)).max() < 20 * missed
-        )
+        difference = np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r))
+        largest_difference = difference.max()
+        assert largest_difference < 20 * missed
 
 
 def lift(model: StructuredSSM, u: np.ndarray) -> np.ndarray:
@@ -220,23 +246,30 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     """A relu that turns the falling output back at large inputs."""
     made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
     assert made.neurons is not None
-    turned = {
-        "f": np.zeros((1, 3)),
-        "g": np.ones((1, 1)),
-        "h": np.full((1, 1), 100.0),
-        "bias": np.array([-0.1]),
-    }
-    folded = replace(made, neurons=replace(made.neurons, **turned, phi_bias=np.zeros(1)))
+    f = np.zeros((1, 3))
+    g = np.ones((1, 1))
+    h = np.full((1, 1), 100.0)
+    bias = np.array([-0.1])
+    turned = {"f": f, "g": g, "h": h, "bias": bias}
+    phi_bias = np.zeros(1)
+    neurons = replace(made.neurons, **turned, phi_bias=phi_bias)
+    folded = replace(made, neurons=neurons)
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
-    assert Device.of(folded, "double", *ends).set_points is None
-    assert Device.of(made, "double", *ends).set_points is not None
+    device = Device.of(folded, "double", *ends)
+    set_points = device.set_points
+    assert set_points is None
+    device = Device.of(made, "double", *ends)
+    set_points = device.set_points
+    assert set_points is not None
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
     run = write_recordings(random_run(tmp_path / "run", kind="linear", channels=1, seed=0))
-    stored = json.loads((run / "model.json").read_text())
+    text = (run / "model.json").read_text()
+    stored = json.loads(text)
     for rest in (-7.5, 9.0):
-        (run / "model.json").write_text(json.dumps(stored | {"input_equilibrium": [rest]}))
+        text = json.dumps(stored | {"input_equilibrium": [rest]})
+        (run / "model.json").write_text(text)
         lower, upper = (float(end[0]) for end in limits(run))
         assert rest in (lower, upper)
         assert lower < -4 < 4 < upper
@@ -248,21 +281,31 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
 )
 def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: bool) -> None:
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
-    run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1), integral)
+    seen = 0.02 * (len(kinds) > 1)
+    run = structured_run(tmp_path / "run", kinds, seen, integral)
     export(run, tmp_path / "out")
-    y = 1 + 20 * np.random.default_rng(7).standard_normal((SAMPLES, 1))
+    rng = np.random.default_rng(7)
+    white_noise = rng.standard_normal((SAMPLES, 1))
+    y = 1 + 20 * white_noise
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01
-    bare = json.loads((run / "model.json").read_text())
-    (run / "model.json").write_text(json.dumps(bare | {"e": (0 * np.array(bare["e"])).tolist()}))
-    assert (
-        np.abs(python_loop(run, y) - expected).max()
-        > 100 * max(REPLAYS.values()) * np.abs(expected).max()
-    )
+    text = (run / "model.json").read_text()
+    bare = json.loads(text)
+    e = (0 * np.array(bare["e"])).tolist()
+    text = json.dumps(bare | {"e": e})
+    (run / "model.json").write_text(text)
+    difference = np.abs(python_loop(run, y) - expected)
+    largest_difference = difference.max()
+    largest = max(REPLAYS.values())
+    lower_limit = 100 * largest * np.abs(expected).max()
+    assert largest_difference > lower_limit
     for replay, tolerance in REPLAYS.items():
         replayed = replay(tmp_path / "out", y)
-        size = max(1.0, float(np.abs(expected).max()))
-        assert np.abs(replayed - expected).max() <= tolerance * size, replay.__name__
+        largest = float(np.abs(expected).max())
+        size = max(1.0, largest)
+        difference = np.abs(replayed - expected)
+        largest_difference = difference.max()
+        assert largest_difference <= tolerance * size, replay.__name__
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -271,12 +314,12 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
     """To the last digit where they are piecewise linear, else within the bound that the replay
     itself holds."""
     made = load(structured_run(tmp_path / "run", kinds, 0.02))
-    device = Device.of(
-        made, real, *(made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5))
-    )
+    ends = (-0.5, 0.5)
+    device = Device.of(made, real, *(made.scale.physical_input(np.array([end])) for end in ends))
     folder = written(device, tmp_path / "c")
     words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
-    text = compiled(folder, sources=("controller_replay.c", *words))
+    sources = ("controller_replay.c", *words)
+    text = compiled(folder, sources=sources)
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
     free = Device.of(
         made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6))
@@ -292,16 +335,17 @@ def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real
         .replace("controller_phi_bias[0];", "controller_phi_bias[0] + 1;")
     )
     (folder / "controller.h").write_text(broken)
+    sources = ("controller_replay.c", *words)
     with pytest.raises(AssertionError, match="of 200 inputs differ"):
-        compiled(folder, sources=("controller_replay.c", *words))
+        compiled(folder, sources=sources)
 
 
 def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> None:
-    run = structured_run(tmp_path / "run", ("tanh", "relu"), 0.0)
+    kinds = ("tanh", "relu")
+    run = structured_run(tmp_path / "run", kinds, 0.0)
     design = Design.load(run / "certificate.json")
     for real in ("double", "float"):
-        rates = deployed_rates(
-            Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf])), design
-        )
+        device = Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf]))
+        rates = deployed_rates(device, design)
         assert 0.45 < rates["state_feedback"] <= 0.5
         assert 0.45 < rates["observer"] <= 0.5

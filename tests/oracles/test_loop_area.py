@@ -17,10 +17,13 @@ PAIR = np.zeros((1, 2), dtype=int)
 
 
 def record(model: SSM, samples: int = 240, seed: int = 0) -> Trajectory:
-    u = model.scale.input_equilibrium + np.random.default_rng(seed).normal(
-        size=(samples, model.scale.inputs)
-    )
-    return Trajectory(u=u, y=np.zeros((samples, model.scale.outputs)), step_s=0.01)
+    input_equilibrium = model.scale.input_equilibrium
+    rng = np.random.default_rng(seed)
+    inputs = model.scale.inputs
+    u = input_equilibrium + rng.normal(size=(samples, inputs))
+    outputs = model.scale.outputs
+    y = np.zeros((samples, outputs))
+    return Trajectory(u=u, y=y, step_s=0.01)
 
 
 def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
@@ -29,7 +32,9 @@ def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
         x = np.zeros(model.order)
         for u in one.u:
             states.append(x)
-            x = model.linear.a @ x + model.linear.b @ model.scaffold_in(model.scale.scaled_input(u))
+            linear_a = model.linear.a
+            linear_b = model.linear.b
+            x = linear_a @ x + linear_b @ model.scaffold_in(model.scale.scaled_input(u))
     return np.array(states)
 
 
@@ -41,7 +46,8 @@ def test_twelve_states_of_the_records_evenly_spaced() -> None:
     found = [int(np.abs(states - x).max(axis=1).argmin()) for x in x0]
     np.testing.assert_allclose(x0, states[found], atol=1e-12)
     # neither end of the record: there the model rests, or nothing follows
-    assert found == [(k * (len(states) - 1)) // 13 for k in range(1, 13)]
+    expected = [(k * (len(states) - 1)) // 13 for k in range(1, 13)]
+    assert found == expected
     assert not load.any()
 
 
@@ -54,9 +60,11 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
 ) -> None:
     """A mode `lambda^k` falls by e in `-1 / ln |lambda|` samples."""
     model = motor_model()
-    linear = StateSpace(
-        a=np.diag([modulus, 0.0]), b=model.linear.b, c=model.linear.c, d=model.linear.d
-    )
+    a = np.diag([modulus, 0.0])
+    b = model.linear.b
+    c = model.linear.c
+    d = model.linear.d
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     assert release(model.with_linear(linear), (motor_record(),), loaded=False)[2] == samples
 
 
@@ -64,19 +72,27 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     model = random_model(4, inputs=3, outputs=2)
     idle = model.linear.b.copy()
     idle[:, 1] = 0.0
-    model = model.with_linear(replace(model.linear, b=idle))
-    x0, load, _ = release(model, (record(model),), loaded=True)
+    linear = replace(model.linear, b=idle)
+    model = model.with_linear(linear)
+    validation = (record(model),)
+    x0, load, _ = release(model, validation, loaded=True)
     loads = load[12:]
     states = x0[12:]
     assert not load[:12].any()
     assert not states.any()
     assert len(loads) == 4 * 2
-    rest = np.linalg.solve(np.eye(4) - model.linear.a, model.linear.b @ loads.T)
-    held = np.linalg.norm(model.read_scaled(rest.T, np.zeros((8, 3))), axis=1)
+    linear_a = model.linear.a
+    difference = np.eye(4) - linear_a
+    linear_b = model.linear.b
+    rest = np.linalg.solve(difference, linear_b @ loads.T)
+    ubar = np.zeros((8, 3))
+    scaled = model.read_scaled(rest.T, ubar)
+    held = np.linalg.norm(scaled, axis=1)
     for channel in (0, 2):
         acting = loads[:, channel] != 0
         signed = np.sort(held[acting] * np.sign(loads[acting, channel]))
-        np.testing.assert_allclose(signed, [-0.5, -0.25, 0.25, 0.5])
+        expected = [-0.5, -0.25, 0.25, 0.5]
+        np.testing.assert_allclose(signed, expected)
     assert not loads[:, 1].any()
 
 
@@ -89,17 +105,20 @@ def by_hand(
     n = model.order
     x = x0
     x_hat = np.zeros(n)
-    z = np.zeros(k.shape[1] - n)
+    difference = k.shape[1] - n
+    z = np.zeros(difference)
     sizes = []
     for _ in range(horizon):
         drive = model.scaffold_in(k[:, :n] @ x_hat + k[:, n:] @ z)
         y = model.scaffold_out(linear.c @ x + linear.d @ (drive + load))
         seen = model.scaffold_out(linear.c @ x_hat + linear.d @ drive)
-        sizes.append(float(np.linalg.norm(y)))
+        norm = float(np.linalg.norm(y))
+        sizes.append(norm)
         x = linear.a @ x + linear.b @ (drive + load)
         x_hat = linear.a @ x_hat + linear.b @ drive + gain @ (seen - y)
         z = z + y[: len(z)]
-    settled = next(after for after in range(horizon + 1) if max(sizes[after:], default=0.0) <= 0.05)
+    afters = range(horizon + 1)
+    settled = next(after for after in afters if max(sizes[after:], default=0.0) <= 0.05)
     return sum(sizes) + settled
 
 
@@ -107,7 +126,8 @@ def by_hand(
 def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     model = random_model(5, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
-    linear = replace(model.linear, d=0.3 * rng.normal(size=(2, 2)))
+    d = 0.3 * rng.normal(size=(2, 2))
+    linear = replace(model.linear, d=d)
     model, n = model.with_linear(linear), model.order
     ks = 0.05 * rng.normal(size=(2, 2, n + integrators))
     ls = 0.05 * rng.normal(size=(2, n, 2))
@@ -115,7 +135,9 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     given = record(model)
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
     x0s, loads, horizon = release(model, (given,), loaded=integrators > 0)
-    found = relative_areas(model, Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (given,))
+    k = ks[pairs[:, 0]]
+    gains = Gains(k=k, l=ls[pairs[:, 1]])
+    found = relative_areas(model, gains, (given,))
     none = np.zeros((2, n)), np.zeros((n, 2))
     cases = list(zip(x0s, loads, strict=True))
     alone = np.array([by_hand(model, *none, x0, load, horizon) for x0, load in cases])
@@ -123,7 +145,8 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     assert not counts.all()
     for (i, j), area in zip(pairs, found, strict=True):
         each = np.array([by_hand(model, ks[i], ls[j], x0, load, horizon) for x0, load in cases])
-        assert area == pytest.approx((each / alone)[counts].mean(), rel=1e-9)
+        expected = (each / alone)[counts].mean()
+        assert area == pytest.approx(expected, rel=1e-9)
 
 
 def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> None:
@@ -134,9 +157,9 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
     ks = np.stack([0 * k, k, 1e3 * k])
     ls = np.stack([gain, -1e3 * gain])
     pairs = np.array([[0, 0], [1, 0], [2, 0], [1, 1]])
-    none, own, wild, blind = relative_areas(
-        model, Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]]), (motor_record(),)
-    )
+    gains = Gains(k=ks[pairs[:, 0]], l=ls[pairs[:, 1]])
+    validation = (motor_record(),)
+    none, own, wild, blind = relative_areas(model, gains, validation)
     assert none == pytest.approx(1.0)
     assert own < 0.9
     assert np.isfinite([wild, blind]).all()
@@ -145,4 +168,5 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
 
 def test_the_output_gain_is_the_maps_own() -> None:
     model = random_model(1, inputs=2, outputs=2)
-    np.testing.assert_array_equal(output_gain(model), np.eye(2))
+    expected = np.eye(2)
+    np.testing.assert_array_equal(output_gain(model), expected)

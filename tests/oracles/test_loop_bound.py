@@ -27,10 +27,13 @@ IDENTITY = JacobianBall(alpha=1.0, beta=0.0)
 
 
 def certified(model: SSM) -> tuple[StateFeedback, Observer]:
-    ball = JacobianBall.from_slopes(
-        float(model.scaffold_in.slopes.min()), float(model.scaffold_in.slopes.max())
-    )
-    limit = controller_frontier(model.linear, ball).rate_limit
+    smallest = model.scaffold_in.slopes.min()
+    lower = float(smallest)
+    largest = model.scaffold_in.slopes.max()
+    upper = float(largest)
+    ball = JacobianBall.from_slopes(lower, upper)
+    frontier = controller_frontier(model.linear, ball)
+    limit = frontier.rate_limit
     synthesis = RiccatiSynthesis(rate_controller=0.9 * limit, rate_observer=0.5, input_weight=0.1)
     feedback = synthesis.state_feedback(model.linear, ball)
     observer = synthesis.observer(model.linear, IDENTITY)
@@ -42,32 +45,51 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
 def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
     m = model.scale.inputs
     p = model.scale.outputs
+    identified_plant = IdentifiedPlant.of(model)
+    gains = Gains(k=feedback.k, l=observer.l)
+    observer_feedback = ObserverFeedback(model=model, gains=gains)
+    rng = np.random.default_rng(seed)
+    x0 = rng.standard_normal((20, model.order))
+    output_equilibrium = model.scale.output_equilibrium
+    reference = np.tile(output_equilibrium, (120, 1))
+    noise = np.zeros((20, 120, p))
+    disturbance = np.zeros((20, 120, m))
+    bound = np.full(p, 1e6)
     return close_loop(
-        IdentifiedPlant.of(model),
-        ObserverFeedback(model=model, gains=Gains(k=feedback.k, l=observer.l)),
-        x0=np.random.default_rng(seed).standard_normal((20, model.order)),
-        reference=np.tile(model.scale.output_equilibrium, (120, 1)),
-        noise=np.zeros((20, 120, p)),
-        disturbance=np.zeros((20, 120, m)),
-        bound=np.full(p, 1e6),
+        identified_plant,
+        observer_feedback,
+        x0=x0,
+        reference=reference,
+        noise=noise,
+        disturbance=disturbance,
+        bound=bound,
     )
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_measured_is_within_certified(seed):
-    model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
+    inputs = 1 + seed % 2
+    outputs = 1 + seed // 2 % 2
+    order = 3 + seed % 4
+    model = random_model(seed, inputs=inputs, outputs=outputs, order=order)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
     assert violations(run.states, run.estimate, feedback, observer) == 0
     d, e = distances(run.states, run.estimate, feedback, observer)
     floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
-    assert (e[:, 1:] <= observer.contraction * e[:, :-1] * (1 + 1e-9) + floor).all()
-    assert d[:, -1].max() < 1e-3 * d[:, 0].max()
+    upper_limit = observer.contraction * e[:, :-1] * (1 + 1e-9) + floor
+    assert (e[:, 1:] <= upper_limit).all()
+    largest = d[:, -1].max()
+    upper_limit = 1e-3 * d[:, 0].max()
+    assert largest < upper_limit
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_the_estimate_decays_at_least_as_certified_and_stays_within_its_bound(seed):
-    model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
+    inputs = 1 + seed % 2
+    outputs = 1 + seed // 2 % 2
+    order = 3 + seed % 4
+    model = random_model(seed, inputs=inputs, outputs=outputs, order=order)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
     measured = decay_rate(run.states, run.estimate, feedback, observer)
@@ -79,11 +101,11 @@ def test_decay_of_a_known_error_is_that_decay():
     """The error shrinks by 0.8 and 0.7 per sample, so the slowest case decays at `1 - 0.8^2`."""
     feedback, observer = certified(random_model(1))
     x = np.zeros((2, 200, 4))
-    direction = np.random.default_rng(0).standard_normal(4)
+    rng = np.random.default_rng(0)
+    direction = rng.standard_normal(4)
     shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
-    assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(
-        1 - 0.64, rel=1e-9
-    )
+    x_hat = shrink[:, :, None] * direction
+    assert decay_rate(x, x_hat, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
     assert decay_rate(x, x, feedback, observer) is None
 
 
@@ -95,9 +117,13 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     pushed = np.zeros_like(run.estimate)
     x0 = run.states[:, 0]
     d, e = distances(run.states[:, :1], pushed[:, :1], feedback, observer)
-    root_p, root_q = (np.linalg.cholesky(matrix) for matrix in (feedback.p, observer.q))
-    kappa = np.linalg.norm(np.linalg.inv(root_p) @ np.linalg.inv(root_q).T, 2)
-    bound = certified_bound(d[:, 0], e[:, 0], 120, feedback, observer)
+    matrixes = (feedback.p, observer.q)
+    root_p, root_q = (np.linalg.cholesky(matrix) for matrix in matrixes)
+    inverse = np.linalg.inv(root_p)
+    kappa = np.linalg.norm(inverse @ np.linalg.inv(root_q).T, 2)
+    d0 = d[:, 0]
+    e0 = e[:, 0]
+    bound = certified_bound(d0, e0, 120, feedback, observer)
     bound = bound + kappa * e * observer.contraction ** np.arange(120)
     pushed[7, 40] = root_p[:, 0] * (bound[7, 40] + 0.3 * bound[7, 0])
     assert excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
@@ -121,9 +147,14 @@ def test_the_bound_is_the_sum_it_says():
     e0 = np.array([3.0])
     r_c = feedback.contraction
     r_o = observer.contraction
-    into = np.linalg.norm(np.linalg.cholesky(np.linalg.inv(feedback.p)).T @ model.linear.b, 2)
-    out = np.linalg.norm(feedback.k @ np.linalg.inv(np.linalg.cholesky(observer.q).T), 2)
-    c = float(model.scaffold_in.slopes.max()) * into * out
+    inverse = np.linalg.inv(feedback.p)
+    linear_b = model.linear.b
+    into = np.linalg.norm(np.linalg.cholesky(inverse).T @ linear_b, 2)
+    inverse = np.linalg.inv(np.linalg.cholesky(observer.q).T)
+    out = np.linalg.norm(feedback.k @ inverse, 2)
+    slopes = model.scaffold_in.slopes
+    largest = float(slopes.max())
+    c = largest * into * out
     k = 7
     expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
     assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(

@@ -36,15 +36,12 @@ MODELS = {"one layer": motor_model, "neurons": with_neurons}
 @pytest.fixture(scope="module", params=[*MODELS, "integral"])
 def made(request: pytest.FixtureRequest) -> tuple:
     stand = MODELS.get(request.param, with_neurons)()
-    asked = replace(ASKED, internal_model=["step"] if request.param == "integral" else [])
+    internal_model = ["step"] if request.param == "integral" else []
+    asked = replace(ASKED, internal_model=internal_model)
     balls = certified_balls(stand)
-    return (
-        stand,
-        balls,
-        with_gain_certificates(
-            asked.design(stand, balls), stand, balls, (np.array([-4.0]), np.array([4.0]))
-        ),
-    )
+    limits = (np.array([-4.0]), np.array([4.0]))
+    design = with_gain_certificates(asked.design(stand, balls), stand, balls, limits)
+    return (stand, balls, design)
 
 
 def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file(
@@ -55,31 +52,29 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
     assert design.inverts
     plain = replace(ASKED, invert_input=False).design(stand, balls).state_feedback
     assert design.state_feedback.rate_limit > plain.rate_limit
-    content = json.loads(json.dumps(design.to_json()))
+    text = json.dumps(design.to_json())
+    content = json.loads(text)
     controlled = controlled_system(stand, design.state_feedback)
     assert failed_checks(content, stand.system, balls, controlled) == []
     assert Design.from_json(content).inverts
-    content["state_feedback"]["theorem"] = content["state_feedback"]["theorem"].replace(
-        "inverted_input", "state_feedback"
-    )
+    theorem = content["state_feedback"]["theorem"]
+    content["state_feedback"]["theorem"] = theorem.replace("inverted_input", "state_feedback")
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
-    assert any(
-        "the model's Jacobians fill the ball" in claim
-        for claim in failed_checks(content, stand.system, balls, controlled)
-    )
+    claims = failed_checks(content, stand.system, balls, controlled)
+    assert any("the model's Jacobians fill the ball" in claim for claim in claims)
 
 
 def test_a_map_that_may_turn_gives_no_claim(made: tuple) -> None:
     """A ball that holds zero: the same file beside such a model."""
     stand, balls, design = made
-    wide = replace(balls, input=replace(balls.input, beta=1.1 * abs(balls.input.alpha)))
-    content = json.loads(json.dumps(design.to_json()))
-    assert any(
-        "alpha, beta" in claim
-        for claim in failed_checks(
-            content, stand.system, wide, controlled_system(stand, design.state_feedback)
-        )
-    )
+    alpha = balls.input.alpha
+    beta = 1.1 * abs(alpha)
+    wide = replace(balls, input=replace(balls.input, beta=beta))
+    text = json.dumps(design.to_json())
+    content = json.loads(text)
+    system = controlled_system(stand, design.state_feedback)
+    claims = failed_checks(content, stand.system, wide, system)
+    assert any("alpha, beta" in claim for claim in claims)
 
 
 def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
@@ -87,17 +82,25 @@ def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     stand, _, design = made
     law = ObserverFeedback.of(stand, design)
     other = ObserverFeedback(model=model_behind_map(stand), gains=design.pair)
-    asked = Loop(initial_conditions=3, horizon_s=60 * stand.step_s, measurement_noise_variance=0.0)
+    horizon_s = 60 * stand.step_s
+    asked = Loop(initial_conditions=3, horizon_s=horizon_s, measurement_noise_variance=0.0)
     runs = []
     for controller in (law, other):
         plant = IdentifiedPlant.of(controller.model)
         y0, noise = asked.draw(plant, 0)
-        runs.append(
-            asked.simulate(replace(plant, initial_range=(-1.0, 1.0)), controller, y0, noise)
-        )
-    np.testing.assert_allclose(runs[0].y, runs[1].y, atol=1e-9)
-    np.testing.assert_allclose(runs[0].estimate, runs[1].estimate, atol=1e-9)
-    assert np.abs(runs[0].u).max() > 0
+        initial_range = (-1.0, 1.0)
+        changed_plant = replace(plant, initial_range=initial_range)
+        response = asked.simulate(changed_plant, controller, y0, noise)
+        runs.append(response)
+    actual = runs[0].y
+    expected = runs[1].y
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
+    actual = runs[0].estimate
+    expected = runs[1].estimate
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
+    runs_u = runs[0].u
+    largest = np.abs(runs_u).max()
+    assert largest > 0
 
 
 def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,12 +112,17 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
         return relative_areas(*asked)
 
     monkeypatch.setattr("ssm_study.synthesis.expected_response.relative_areas", noted)
-    falling = replace(motor_model(), scaffold_in=LinearScaffold(gain=-np.eye(1)))
-    falling = falling.with_linear(replace(falling.linear, b=-falling.linear.b))
+    gain = -np.eye(1)
+    scaffold_in = LinearScaffold(gain=gain)
+    falling = replace(motor_model(), scaffold_in=scaffold_in)
+    b = -falling.linear.b
+    linear = replace(falling.linear, b=b)
+    falling = falling.with_linear(linear)
     asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
     asked = asked.within(np.array([-0.4]), np.array([0.1]))
     assert asked.design(falling, certified_balls(falling), (motor_record(),)).certified
-    np.testing.assert_array_equal(scored, [[[-0.1], [0.4]]])
+    expected = [[[-0.1], [0.4]]]
+    np.testing.assert_array_equal(scored, expected)
 
 
 def test_what_the_records_show_is_relative_to_the_command() -> None:
@@ -123,20 +131,26 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     u = stand.scale.physical_input(rng.uniform(-1, 1, (10, 1)).repeat(40, axis=0))
     from ssm_study.signals import Trajectory
 
-    y = stand.simulate(u) + 0.05 * rng.standard_normal((400, 1))
+    response = stand.simulate(u)
+    white_noise = rng.standard_normal((400, 1))
+    y = response + 0.05 * white_noise
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
-    size = np.linalg.norm(stand.scale.scaled_input(u)) / np.linalg.norm(stand.lift(u))
-    assert mismatch_behind_map(stand, (record,), 0, ()).gain == pytest.approx(
-        measure_mismatch(stand, (record,)).gain * size, rel=1e-9
-    )
+    norm = np.linalg.norm(stand.scale.scaled_input(u))
+    size = norm / np.linalg.norm(stand.lift(u))
+    mismatch = mismatch_behind_map(stand, (record,), 0, ())
+    gain = mismatch.gain
+    mismatch = measure_mismatch(stand, (record,))
+    expected = mismatch.gain * size
+    assert gain == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None:
     stand, _, design = made
     with pytest.raises(BadRequest, match="undoes the input map, which no target computes"):
         portable_controller(stand, design)
-    flat_map = MonotoneScaffold(
-        breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.0, 0.9]])
-    )
+    breakpoints = np.array([[-0.2, 0.2]])
+    slopes = np.array([[1.0, 0.0, 0.9]])
+    flat_map = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    model = replace(stand, scaffold_in=flat_map)
     with pytest.raises(BadRequest, match="not strictly monotone in each channel"):
-        model_behind_map(replace(stand, scaffold_in=flat_map))
+        model_behind_map(model)

@@ -24,32 +24,36 @@ LATE = 8
 
 
 def bent() -> SSM:
-    linear = StateSpace(
-        a=np.array([[0.99, 0.1], [-0.1, 0.97]]),
-        b=np.array([[0.0], [0.15]]),
-        c=np.array([[1.0, 0.0]]),
-        d=np.zeros((1, 1)),
-    )
-    lifted = MonotoneScaffold(
-        breakpoints=np.array([[-1.0, 0.5]]), slopes=np.array([[1.0, 0.8, 1.0]])
-    )
-    return replace(SSM.of(linear, 0.1), scaffold_in=lifted)
+    a = np.array([[0.99, 0.1], [-0.1, 0.97]])
+    b = np.array([[0.0], [0.15]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    breakpoints = np.array([[-1.0, 0.5]])
+    slopes = np.array([[1.0, 0.8, 1.0]])
+    lifted = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    ssm = SSM.of(linear, 0.1)
+    return replace(ssm, scaffold_in=lifted)
 
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_the_output_is_the_same_later(inputs: int) -> None:
     rng = np.random.default_rng(inputs)
-    matrices = {"a": 0.3 * rng.standard_normal((3, 3)), "b": rng.standard_normal((3, inputs))}
-    model = SSM.of(
-        StateSpace(**matrices, c=rng.standard_normal((1, 3)), d=rng.standard_normal((1, inputs))),
-        0.1,
-    )
+    white_noise = rng.standard_normal((3, 3))
+    a = 0.3 * white_noise
+    b = rng.standard_normal((3, inputs))
+    matrices = {"a": a, "b": b}
+    c = rng.standard_normal((1, 3))
+    d = rng.standard_normal((1, inputs))
+    state_space = StateSpace(**matrices, c=c, d=d)
+    model = SSM.of(state_space, 0.1)
     u = rng.standard_normal((80, inputs))
     y = model.simulate(u)
     late = model.delayed(5).simulate(u)
     assert not late[:5].any()
     assert np.allclose(late[5:], y[:-5], atol=1e-12)
-    assert model.delayed(5).order == 3 + 5 * inputs
+    order = model.delayed(5).order
+    assert order == 3 + 5 * inputs
     record = Trajectory(u=u, y=late, step_s=0.1)
     data = DataSet(
         training=(record,),
@@ -60,17 +64,19 @@ def test_the_output_is_the_same_later(inputs: int) -> None:
         scale=model.scale,
     )
     (moved,) = data.shift_out_dead_time(5).training
-    assert np.allclose(model.simulate(moved.u), moved.y, atol=1e-12)
+    response = model.simulate(moved.u)
+    assert np.allclose(response, moved.y, atol=1e-12)
 
 
 def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() -> None:
     """On the plant behind a dead time, which the simulator of delays makes, not the model that was
     designed for."""
     model = bent()
-    plant = DelayedInput(plant=IdentifiedPlant.of(model), samples=LATE)
-    balls = Balls(
-        input=JacobianBall.from_slopes(0.8, 1.0), output=JacobianBall(alpha=1.0, beta=0.0)
-    )
+    identified_plant = IdentifiedPlant.of(model)
+    plant = DelayedInput(plant=identified_plant, samples=LATE)
+    jacobian_ball = JacobianBall.from_slopes(0.8, 1.0)
+    output = JacobianBall(alpha=1.0, beta=0.0)
+    balls = Balls(input=jacobian_ball, output=output)
     wanted = RiccatiSynthesis(rate_controller=0.08, rate_observer=0.1, input_weight=0.1)
     loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)
     told, untold = (wanted.design(known, balls) for known in (model.delayed(LATE), model))
@@ -79,8 +85,10 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     assert failed_checks(told.to_json(), model.delayed(LATE).linear, balls) == []
     aware = loop.run(plant, model.delayed(LATE), told, seed=0)
     assert behaviour(aware)["stable_count"] == 10
-    assert certificate_columns(aware, told)["certified_bound_violations"] == 0
-    naive = loop.on_plant(plant, ObserverFeedback.of(model, untold), seed=0)
+    certified_bound_violations = certificate_columns(aware, told)["certified_bound_violations"]
+    assert certified_bound_violations == 0
+    controller = ObserverFeedback.of(model, untold)
+    naive = loop.on_plant(plant, controller, seed=0)
     assert behaviour(naive)["stable_count"] == 0
 
 
@@ -95,14 +103,12 @@ def test_no_dead_time_is_less_than_none_or_longer_than_a_record() -> None:
     }
     with pytest.raises(BadRequest, match=r"model\.dead_time = -1"):
         SSMSpec(**shape, scaffold_in=one, scaffold_out=one, dead_time=-1)
-    record = Trajectory(u=np.zeros((9, 1)), y=np.zeros((9, 1)), step_s=0.1)
+    u = np.zeros((9, 1))
+    y = np.zeros((9, 1))
+    record = Trajectory(u=u, y=y, step_s=0.1)
+    scale = bent().scale
     data = DataSet(
-        training=(record,),
-        validation=(record,),
-        test=(record,),
-        inputs=(),
-        outputs=(),
-        scale=bent().scale,
+        training=(record,), validation=(record,), test=(record,), inputs=(), outputs=(), scale=scale
     )
     with pytest.raises(BadRequest, match=r"model\.dead_time = 9: .*9 samples"):
         data.shift_out_dead_time(9)

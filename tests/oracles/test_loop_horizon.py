@@ -17,22 +17,24 @@ from ssm_study.loop.regulation import SAMPLES, Loop
 def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pole, samples):
     """One pole: what is left after k samples is `pole^k`; the input takes one sample to arrive."""
     model = motor_model()
-    linear = replace(model.linear, a=pole * np.eye(2), b=np.ones((2, 1)), c=np.ones((1, 2)))
+    a = pole * np.eye(2)
+    b = np.ones((2, 1))
+    c = np.ones((1, 2))
+    linear = replace(model.linear, a=a, b=b, c=c)
     loop = Loop().fitted(model.with_linear(linear))
     assert loop.samples(model.step_s) == samples
-    assert Loop(horizon_s=2.0).fitted(model).horizon_s == 2.0
+    horizon_s = Loop(horizon_s=2.0).fitted(model).horizon_s
+    assert horizon_s == 2.0
     assert Loop(horizon_s=1e-9).samples(model.step_s) == 2  # a motion
 
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
     """Twice as large a band needs no such care; a band within the noise does, and says so."""
-    quiet = Loop(measurement_noise_variance=0.02).run(
-        motor(), motor_model(), motor_design(), seed=0
-    )
+    loop = Loop(measurement_noise_variance=0.02)
+    quiet = loop.run(motor(), motor_model(), motor_design(), seed=0)
     assert quiet.noise_free is None
-    noisy = Loop(measurement_noise_variance=20.0).run(
-        motor(), motor_model(), motor_design(), seed=0
-    )
+    loop = Loop(measurement_noise_variance=20.0)
+    noisy = loop.run(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour(noisy)
     assert columns["judged_noise_free"]
     assert columns["stable_count"] == 10
@@ -41,11 +43,10 @@ def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
 
 
 def test_without_noise_there_is_nothing_to_leave_out():
-    lost = replace(
-        motor_design(),
-        state_feedback=replace(motor_design().state_feedback, k=np.array([[8.0, 8.0]])),
-    )
-    run = Loop(measurement_noise_variance=0.0).run(motor(), motor_model(), lost, seed=0)
+    k = np.array([[8.0, 8.0]])
+    lost = replace(motor_design(), state_feedback=replace(motor_design().state_feedback, k=k))
+    loop = Loop(measurement_noise_variance=0.0)
+    run = loop.run(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
     assert behaviour(run)["stable_count"] < 10
     assert behaviour(run)["unsettled_as"]

@@ -58,17 +58,26 @@ def test_the_augmented_pair_is_the_equations_written_out():
     z = rng.standard_normal(2)
     v = rng.standard_normal(2)
     after = system.a @ np.concatenate([x, z]) + system.b @ v
-    np.testing.assert_allclose(after[:4], model.linear.a @ x + model.linear.b @ v)
-    np.testing.assert_allclose(after[4:], z + model.read_scaled(x, v))
+    actual = after[:4]
+    linear_a = model.linear.a
+    linear_b = model.linear.b
+    expected = linear_a @ x + linear_b @ v
+    np.testing.assert_allclose(actual, expected)
+    actual = after[4:]
+    scaled = model.read_scaled(x, v)
+    expected = z + scaled
+    np.testing.assert_allclose(actual, expected)
 
 
 def test_the_certificate_is_the_theorem_on_the_augmented_pair(design):
     part = design.state_feedback
     system = controlled_system(motor_model(), design.state_feedback)
-    assert system.order == motor_model().order + 1
+    expected = motor_model().order + 1
+    assert system.order == expected
     np.testing.assert_array_equal(part.a, system.a)
     ball = {"alpha": INPUT_BALL.alpha, "beta": INPUT_BALL.beta}
-    numbers = {name: getattr(part, name) for name in ("rate", "p", "y", "k", "sigma")}
+    names = ("rate", "p", "y", "k", "sigma")
+    numbers = {name: getattr(part, name) for name in names}
     assert part.certified
     assert StateFeedbackOfBall.holds(a=system.a, b=system.b, **ball, **numbers)
 
@@ -78,12 +87,18 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
     factor r / 1."""
     model = motor_model()
     r = 0.97
-    alone = ratio_limit(model.linear.a, model.linear.b, r)
+    a = model.linear.a
+    b = model.linear.b
+    alone = ratio_limit(a, b, r)
     with_it = ratio_limit(*_pair(model), r)
-    assert with_it == pytest.approx(alone * r / 1.0, rel=1e-6)
-    limit = integral().design(model, BALLS).state_feedback.rate_limit
-    beyond = integral(limit * 1.001).design(model, BALLS).state_feedback
-    within = integral(limit * 0.98).design(model, BALLS).state_feedback
+    expected = alone * r / 1.0
+    assert with_it == pytest.approx(expected, rel=1e-6)
+    state_feedback = integral().design(model, BALLS).state_feedback
+    limit = state_feedback.rate_limit
+    riccati_synthesis = integral(limit * 1.001)
+    beyond = riccati_synthesis.design(model, BALLS).state_feedback
+    riccati_synthesis = integral(limit * 0.98)
+    within = riccati_synthesis.design(model, BALLS).state_feedback
     assert isinstance(beyond, Infeasible)
     assert beyond.proved
     assert within.certified
@@ -95,14 +110,16 @@ def _pair(model):
 
 
 def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
-    columns = behaviour(LOADED.run(motor(), motor_model(), design, seed=0))
+    loop = LOADED.run(motor(), motor_model(), design, seed=0)
+    columns = behaviour(loop)
     assert columns["stable_count"] == 10
     assert columns["final_error_worst"] < 1e-3
 
 
 def test_without_integral_action_the_load_leaves_an_error():
     plain = inner().design(motor_model(), BALLS)
-    columns = behaviour(LOADED.run(motor(), motor_model(), plain, seed=0))
+    loop = LOADED.run(motor(), motor_model(), plain, seed=0)
+    columns = behaviour(loop)
     assert columns["final_error_worst"] > 0.2
 
 
@@ -110,12 +127,18 @@ def test_the_certified_bound_holds_with_integrators(design):
     result = LOADED.run(motor(), motor_model(), design, seed=1)
     columns = certificate_columns(result, design)
     assert columns["certified_bound_violations"] == 0
-    assert columns["estimate_decay_rate"] >= design.observer.rate * (1 - 1e-9)
-    assert excess(result.on_model.estimate, result.on_model.states[:, 0], *design.parts()) == 0.0
+    rate = design.observer.rate
+    lower_limit = rate * (1 - 1e-9)
+    assert columns["estimate_decay_rate"] >= lower_limit
+    estimate = result.on_model.estimate
+    states = result.on_model.states
+    assert excess(estimate, states[:, 0], *design.parts()) == 0.0
     assert (
         columns["certified_bound_excess_plant"] is None
     )  # the plant follows a reference, the model none
-    assert result.on_model.estimate.shape[2] == motor_model().order + 1
+    estimate = result.on_model.estimate
+    expected = motor_model().order + 1
+    assert estimate.shape[2] == expected
 
 
 def test_limits_do_not_wind_the_integrator_up(design):
@@ -126,12 +149,15 @@ def test_limits_do_not_wind_the_integrator_up(design):
         initial_conditions=3, horizon_s=6.0, measurement_noise_variance=0.0, reference=rising
     )
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
-    run, other = (
-        loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free)
-    )
-    assert run.u.min() == -0.8
-    assert other.u.min() < -1.0
-    assert np.abs(run.y - other.y)[:, -50:].max() < 0.05
+    loops = (limited, free)
+    run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in loops)
+    smallest = run.u.min()
+    assert smallest == -0.8
+    smallest = other.u.min()
+    assert smallest < -1.0
+    difference = np.abs(run.y - other.y)
+    largest = difference[:, -50:].max()
+    assert largest < 0.05
 
 
 def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
@@ -144,16 +170,21 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
         * motor_model().scale.input_scale[0]
     )
     limited = replace(free, input_lower=-1.2 * held, input_upper=1.2 * held)
-    run, other = (
-        loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free)
-    )
-    assert other.u.max() > 1.3 * held
+    loops = (limited, free)
+    run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in loops)
+    largest = other.u.max()
+    assert largest > 1.3 * held
     assert (run.u[:, 100:] == 1.2 * held).sum() > 3
-    assert run.u.max() == 1.2 * held
-    assert np.abs(run.y - run.reference)[:, -50:].max() < 1e-3
-    assert run.y.max() < 1.1 * 8.0
+    largest = run.u.max()
+    assert largest == 1.2 * held
+    difference = np.abs(run.y - run.reference)
+    largest = difference[:, -50:].max()
+    assert largest < 1e-3
+    largest = run.y.max()
+    assert largest < 1.1 * 8.0
+    changed_limited = replace(limited, input_upper=0.9 * held)
     with pytest.raises(BadRequest, match=r"is held by inputs from .* widen the limits by"):
-        replace(limited, input_upper=0.9 * held).run(motor(), motor_model(), design, seed=0)
+        changed_limited.run(motor(), motor_model(), design, seed=0)
 
 
 def test_the_margin_with_integrators_by_two_routes(design):
@@ -170,30 +201,40 @@ def test_the_margin_with_integrators_by_two_routes(design):
 
 
 def test_auto_chooses_with_integral_action():
+    stretch_shares = (0.3, 0.8)
+    observer_rates = (0.05, 0.3)
+    input_weights = (0.01, 0.1, 1.0, 10.0)
+    output_noises = (0.01, 0.1, 1.0)
+    integral_weights = (1e-4, 1e-3)
     auto = Auto(
-        stretch_shares=(0.3, 0.8),
-        observer_rates=(0.05, 0.3),
-        input_weights=(0.01, 0.1, 1.0, 10.0),
-        output_noises=(0.01, 0.1, 1.0),
-        integral_weights=(1e-4, 1e-3),
+        stretch_shares=stretch_shares,
+        observer_rates=observer_rates,
+        input_weights=input_weights,
+        output_noises=output_noises,
+        integral_weights=integral_weights,
     )
     chosen = auto.design(motor_model(), BALLS, (motor_record(),))
     assert chosen.certified
-    assert chosen.state_feedback.k.shape == (1, 3)
+    state_feedback_k = chosen.state_feedback.k
+    assert state_feedback_k.shape == (1, 3)
     shown = measure_mismatch(motor_model(), (motor_record(),))
     assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
-    columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
+    loop = LOADED.run(motor(), motor_model(), chosen, seed=0)
+    columns = behaviour(loop)
     assert columns["final_error_worst"] < 1e-2
 
 
 def test_more_outputs_than_inputs_are_refused():
+    model = random_model(0, inputs=1, outputs=2)
     with pytest.raises(BadRequest, match="an input is needed for every controlled output"):
-        with_modes(random_model(0, inputs=1, outputs=2))
+        with_modes(model)
 
 
 def test_a_gain_of_the_wrong_width_is_refused():
+    k = np.zeros((1, 4))
+    observer_feedback_gains = Gains(k=k, l=np.zeros((2, 1)))
     with pytest.raises(BadRequest, match="k = "):
-        ObserverFeedback(model=motor_model(), gains=Gains(k=np.zeros((1, 4)), l=np.zeros((2, 1))))
+        ObserverFeedback(model=motor_model(), gains=observer_feedback_gains)
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.inf, np.nan])
@@ -208,11 +249,14 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     rng = np.random.default_rng(0)
     x = rng.standard_normal(4)
     z = rng.standard_normal(2)
-    cost = (with_modes(model, weight=0.09).c @ np.concatenate([x, z])) ** 2
-    assert cost.sum() == pytest.approx(
-        (model.read_scaled(x, np.zeros(2)) ** 2).sum() + 0.09 * (z**2).sum()
-    )
-    weights = (1e-5, inner().integral_weight, 1e-1)
+    system = with_modes(model, weight=0.09)
+    cost = (system.c @ np.concatenate([x, z])) ** 2
+    ubar = np.zeros(2)
+    scaled = model.read_scaled(x, ubar)
+    expected = (scaled**2).sum() + 0.09 * (z**2).sum()
+    assert cost.sum() == pytest.approx(expected)
+    integral_weight = inner().integral_weight
+    weights = (1e-5, integral_weight, 1e-1)
     gains_on_z = [
         np.abs(
             replace(integral(), integral_weight=weight)

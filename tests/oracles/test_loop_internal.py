@@ -44,7 +44,8 @@ def made(*words: str) -> Design:
     inner = RiccatiSynthesis(
         rate_controller=0.03, rate_observer=0.2, input_weight=1.0, output_noise=0.1
     )
-    return replace(inner, integral_weight=1e-4, internal_model=words).design(motor_model(), BALLS)
+    changed_inner = replace(inner, integral_weight=1e-4, internal_model=words)
+    return changed_inner.design(motor_model(), BALLS)
 
 
 def simulated(loop: Loop, design: Design) -> Rollouts:
@@ -56,16 +57,24 @@ def simulated(loop: Loop, design: Design) -> Rollouts:
 def test_the_modes_are_those_of_the_signals():
     """Free, each copy makes the signals that it is for: `w[k+1] = A_z w[k]` annihilates nothing
     else."""
-    modes = internal_model(["sine(0.5Hz)", "ramp", "step"], STEP_S, outputs=2)
+    words = ["sine(0.5Hz)", "ramp", "step"]
+    modes = internal_model(words, STEP_S, outputs=2)
     k = np.arange(60)
     angle = 2 * np.pi * HERTZ * STEP_S
     roots = [1, 1, np.exp(1j * angle), np.exp(-1j * angle)]
-    np.testing.assert_allclose(np.poly(modes[::2, ::2]), np.poly(roots).real, atol=1e-12)
+    actual = np.poly(modes[::2, ::2])
+    np.testing.assert_allclose(actual, np.poly(roots).real, atol=1e-12)
     free = np.stack([np.linalg.matrix_power(modes, int(i))[::2, ::2].sum(axis=1) for i in k])
-    signals = np.stack([np.ones(60), k, np.cos(angle * k), np.sin(angle * k)], axis=1)
-    fitted = signals @ np.linalg.lstsq(signals, free, rcond=None)[0]
-    assert np.abs(fitted - free).max() < 1e-9
-    assert np.linalg.matrix_rank(free) == 4
+    cosine = np.cos(angle * k)
+    sine = np.sin(angle * k)
+    signals = np.stack([np.ones(60), k, cosine, sine], axis=1)
+    least_squares = np.linalg.lstsq(signals, free, rcond=None)
+    fitted = signals @ least_squares[0]
+    difference = np.abs(fitted - free)
+    largest_difference = difference.max()
+    assert largest_difference < 1e-9
+    rank = np.linalg.matrix_rank(free)
+    assert rank == 4
 
 
 @pytest.mark.parametrize("words", LOADS)
@@ -75,7 +84,8 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
     part_ = design.state_feedback
     system = with_modes(model, words)
     np.testing.assert_array_equal(part_.a, system.a)
-    numbers = {name: getattr(part_, name) for name in ("rate", "p", "y", "k", "sigma")}
+    names = ("rate", "p", "y", "k", "sigma")
+    numbers = {name: getattr(part_, name) for name in names}
     assert part_.certified
     assert StateFeedbackOfBall.holds(
         a=system.a, b=system.b, alpha=INPUT_BALL.alpha, beta=INPUT_BALL.beta, **numbers
@@ -83,7 +93,9 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
     assert (
         failed_checks(design.to_json(), model.linear, BALLS, controlled_system(model, part_)) == []
     )
-    other = replace(design, state_feedback=replace(part_, a=part_.a + 1e-6 * np.eye(len(part_.a))))
+    a = part_.a + 1e-6 * np.eye(len(part_.a))
+    state_feedback = replace(part_, a=a)
+    other = replace(design, state_feedback=state_feedback)
     assert failed_checks(
         other.to_json(), model.linear, BALLS, controlled_system(model, other.state_feedback)
     )
@@ -94,9 +106,12 @@ def test_on_the_motor_the_load_is_removed_and_without_its_mode_it_is_not(words, 
     """Route one: the true motor at 8 rad/s."""
     left = {}
     for law in (words, ("step",)):
-        run = simulated(Loop(**QUIET, **TURNING, disturbance=load), made(*law))
-        left[law] = np.abs(run.y - run.reference)[:, -200:].max()
-    assert left[words] < 1e-3 * (5 if len(words) == 2 else 1e-3)
+        loop = Loop(**QUIET, **TURNING, disturbance=load)
+        run = simulated(loop, made(*law))
+        difference = np.abs(run.y - run.reference)
+        left[law] = difference[:, -200:].max()
+    upper_limit = 1e-3 * (5 if len(words) == 2 else 1e-3)
+    assert left[words] < upper_limit
     assert left[("step",)] > 0.02
 
 
@@ -121,9 +136,12 @@ def test_at_its_frequency_the_model_passes_no_load():
             rows += [[fed, np.zeros((z, n)), pair.modes]]
             into = np.vstack([b, np.zeros((n + z, 1))])
             read = np.hstack([c, np.zeros((1, n + z))])
-            loop = StateSpace(a=np.block(rows), b=into, c=read, d=np.zeros((1, 1)))
+            block_matrix = np.block(rows)
+            d = np.zeros((1, 1))
+            loop = StateSpace(a=block_matrix, b=into, c=read, d=d)
             assert loop.spectral_radius < 1
-            found.append(float(np.abs(frequency_response(loop, angle)).max()))
+            largest = float(np.abs(frequency_response(loop, angle)).max())
+            found.append(largest)
         passed[len(words)] = max(found)
     assert passed[2] < 1e-9
     assert passed[1] > 0.01
@@ -137,9 +155,9 @@ def test_the_margin_by_two_routes():
     by_space = max(
         gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
     )
-    by_factors = peaks_on_grid(
-        model.linear, pair.k[None], pair.l[None], BALLS, angles, internal=pair.internal
-    )
+    ks = pair.k[None]
+    ls = pair.l[None]
+    by_factors = peaks_on_grid(model.linear, ks, ls, BALLS, angles, internal=pair.internal)
     assert by_factors[0, 0] == pytest.approx(by_space, rel=1e-9)
 
 
@@ -148,28 +166,33 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
     rising = RampDisturbance(slope_per_s=2.0, from_s=1.0, until_s=4.0)
     free = Loop(**(QUIET | {"horizon_s": 9.0}), reference=rising)
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
-    run, other = (simulated(loop, made("ramp")) for loop in (limited, free))
+    loops = (limited, free)
+    run, other = (simulated(loop, made("ramp")) for loop in loops)
     assert (run.u == -0.8).sum() > 3
-    assert other.u.min() < -1.0
-    assert np.abs(run.y - other.y)[:, -50:].max() < 0.05
+    smallest = other.u.min()
+    assert smallest < -1.0
+    difference = np.abs(run.y - other.y)
+    largest = difference[:, -50:].max()
+    assert largest < 0.05
 
 
 def test_the_certified_bound_holds_with_a_sine():
     run = Loop(initial_conditions=3, horizon_s=2.0)
     design = made("step", "sine(0.5Hz)")
-    assert (
-        certificate_columns(run.run(motor(), motor_model(), design, seed=1), design)[
-            "certified_bound_violations"
-        ]
-        == 0
-    )
+    loop = run.run(motor(), motor_model(), design, seed=1)
+    columns = certificate_columns(loop, design)
+    certified_bound_violations = columns["certified_bound_violations"]
+    assert certified_bound_violations == 0
 
 
 def test_auto_takes_the_words_and_weighs_what_they_make():
-    asked = Auto(internal_model=("step", "sine(0.5Hz)"))
+    auto_internal_model = ("step", "sine(0.5Hz)")
+    asked = Auto(internal_model=auto_internal_model)
     assert asked.modes == ("step", "sine(0.5Hz)")
     assert Auto().modes == ()
-    assert Auto(integral_weights=(1e-3,)).modes == ("step",)
+    auto = Auto(integral_weights=(1e-3,))
+    modes = auto.modes
+    assert modes == ("step",)
 
 
 @pytest.mark.parametrize(
@@ -177,10 +200,11 @@ def test_auto_takes_the_words_and_weighs_what_they_make():
     ["sine", "sine(0.5)", "sine(0Hz)", "cosine(1Hz)", "Step", "", "sine(-1Hz)", "sine(1e9Hz)x"],
 )
 def test_a_word_that_is_no_internal_model_is_refused(word):
+    auto_internal_model = ("step", word)
     with pytest.raises(
         BadRequest, match="is no internal model; use step, ramp, or a sine such as sine"
     ):
-        Auto(internal_model=("step", word))
+        Auto(internal_model=auto_internal_model)
 
 
 def test_a_sine_beyond_half_the_sampling_rate_is_refused():
@@ -193,19 +217,27 @@ def test_a_mode_at_a_zero_of_the_model_is_refused():
     there."""
     angle = 2 * np.pi * 2.0 * STEP_S
     poles = np.poly([0.9, 0.5, 0.3])
-    numerator = np.array([[1.0, -2 * np.cos(angle), 1.0]])
+    cosine = np.cos(angle)
+    numerator = np.array([[1.0, -2 * cosine, 1.0]])
     a = np.vstack([-poles[1:], np.eye(2, 3)])
-    linear = StateSpace(a=a, b=np.eye(3, 1), c=numerator, d=np.zeros((1, 1)))
+    b = np.eye(3, 1)
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=numerator, d=d)
     model = replace(random_model(0), linear=linear, step_s=STEP_S)
-    assert with_modes(model, ["sine(2.1Hz)"]).order == 5
+    system = with_modes(model, ["sine(2.1Hz)"])
+    order = system.order
+    assert order == 5
+    words = ["step", "sine(2Hz)"]
     with pytest.raises(BadRequest, match=r"at 2 Hz the model passes .* leave this mode out"):
-        with_modes(model, ["step", "sine(2Hz)"])
+        with_modes(model, words)
 
 
 def test_a_gain_of_another_internal_model_is_refused():
     pair = made("ramp").pair
+    internal = np.eye(3)
+    changed_pair = replace(pair, internal=internal)
     with pytest.raises(BadRequest, match=r"needs a gain of shape \(1, 5\)"):
-        ObserverFeedback(model=motor_model(), gains=replace(pair, internal=np.eye(3)))
+        ObserverFeedback(model=motor_model(), gains=changed_pair)
 
 
 def test_the_command_takes_a_sine_without_quotes():
@@ -214,8 +246,8 @@ def test_the_command_takes_a_sine_without_quotes():
         'synthesis.internal_model=["sine(1Hz)"]',
         "seed=range(3)",
     ]
-    assert quote_sines(words) == ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
-    found = construct_part(
-        "synthesis", {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
-    )
+    expected = ["synthesis.internal_model=[step,'sine(0.5Hz)']", *words[1:]]
+    assert quote_sines(words) == expected
+    settings = {"_target_": "ssm_study.synthesis.auto.Auto", "internal_model": ["ramp"]}
+    found = construct_part("synthesis", settings)
     assert found.modes == ("ramp",)

@@ -37,18 +37,24 @@ ANGLES = np.concatenate([np.linspace(0, np.pi, 8001), np.geomspace(1e-5, np.pi, 
 
 @given(st.floats(-0.999, 0.999))
 def test_first_order_peak_is_known(pole):
-    system = StateSpace(
-        a=np.array([[pole]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
-    assert hinf_norm(system) == pytest.approx(1 / (1 - abs(pole)), rel=1e-7)
+    a = np.array([[pole]])
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
+    expected = 1 / (1 - abs(pole))
+    assert hinf_norm(system) == pytest.approx(expected, rel=1e-7)
 
 
 @given(st.floats(0.5, 0.9999), st.floats(0.05, 3.0))
 def test_resonance_is_found(radius, angle):
-    turn = radius * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    system = StateSpace(
-        a=turn, b=np.array([[1.0], [0.3]]), c=np.array([[0.5, 1.0]]), d=np.zeros((1, 1))
-    )
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    turn = radius * np.array([[cosine, sine], [-np.sin(angle), np.cos(angle)]])
+    b = np.array([[1.0], [0.3]])
+    c = np.array([[0.5, 1.0]])
+    d = np.zeros((1, 1))
+    system = StateSpace(a=turn, b=b, c=c, d=d)
     near = angle + np.linspace(-1, 1, 20001) * 20 * (1 - radius)
     reference = gains(system, np.concatenate([near, ANGLES])).max()
     assert hinf_norm(system) == pytest.approx(reference, rel=1e-6)
@@ -60,15 +66,16 @@ def test_resonance_is_found(radius, angle):
 def test_no_frequency_exceeds_the_norm(seed, n, m, p, feedthrough):
     rng = np.random.default_rng(seed)
     a = rng.standard_normal((n, n))
-    a *= rng.choice([0.3, 0.9, 0.99, 0.999]) / np.abs(np.linalg.eigvals(a)).max()
-    system = StateSpace(
-        a=a,
-        b=rng.standard_normal((n, m)),
-        c=rng.standard_normal((p, n)),
-        d=rng.standard_normal((p, m)) if feedthrough else np.zeros((p, m)),
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    a *= rng.choice([0.3, 0.9, 0.99, 0.999]) / spectral_radius
+    b = rng.standard_normal((n, m))
+    c = rng.standard_normal((p, n))
+    d = rng.standard_normal((p, m)) if feedthrough else np.zeros((p, m))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     on_grid = gains(system, ANGLES).max()
-    assert on_grid <= hinf_norm(system) * (1 + 1e-9)
+    upper_limit = hinf_norm(system) * (1 + 1e-9)
+    assert on_grid <= upper_limit
     assert hinf_norm(system) <= on_grid * 1.05
 
 
@@ -77,19 +84,23 @@ def test_the_norm_agrees_with_python_control():
     rng = np.random.default_rng(1)
     for _ in range(10):
         a = rng.standard_normal((5, 5))
-        a *= 0.95 / np.abs(np.linalg.eigvals(a)).max()
+        eigenvalues = np.linalg.eigvals(a)
+        spectral_radius = np.abs(eigenvalues).max()
+        a *= 0.95 / spectral_radius
         b = rng.standard_normal((5, 2))
         c = rng.standard_normal((2, 5))
         theirs = control.system_norm(control.ss(a, b, c, np.zeros((2, 2)), True), "inf", tol=1e-8)
-        assert hinf_norm(StateSpace(a=a, b=b, c=c, d=np.zeros((2, 2)))) == pytest.approx(
-            theirs, rel=1e-5
-        )
+        d = np.zeros((2, 2))
+        system = StateSpace(a=a, b=b, c=c, d=d)
+        assert hinf_norm(system) == pytest.approx(theirs, rel=1e-5)
 
 
 def test_an_unstable_system_has_no_finite_norm():
-    system = StateSpace(
-        a=np.array([[1.01]]), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = np.array([[1.01]])
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     assert hinf_norm(system) == np.inf
 
 
@@ -98,7 +109,8 @@ def test_the_peak_by_state_space_and_by_factors():
     model = motor_model()
     k = design.state_feedback.k
     gain = design.observer.l
-    exact = sensitivity_peak(model.linear, Gains(k=k, l=gain), BALLS)
+    pair = Gains(k=k, l=gain)
+    exact = sensitivity_peak(model.linear, pair, BALLS)
     angles = np.concatenate([ANGLES[1:], np.linspace(1e-4, np.pi, 5000)])
     grid = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
     assert grid <= exact * (1 + 1e-9)
@@ -108,15 +120,20 @@ def test_the_peak_by_state_space_and_by_factors():
 def test_the_factors_agree_with_the_state_space_for_several_channels():
     rng = np.random.default_rng(2)
     a = rng.standard_normal((4, 4))
-    a *= 0.5 / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(
-        a=a, b=rng.standard_normal((4, 2)), c=rng.standard_normal((3, 4)), d=np.zeros((3, 2))
-    )
-    k = 0.05 * rng.standard_normal((2, 4))
-    gain = 0.05 * rng.standard_normal((4, 3))
-    balls = Balls(
-        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    a *= 0.5 / spectral_radius
+    b = rng.standard_normal((4, 2))
+    c = rng.standard_normal((3, 4))
+    d = np.zeros((3, 2))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    white_noise = rng.standard_normal((2, 4))
+    k = 0.05 * white_noise
+    white_noise = rng.standard_normal((4, 3))
+    gain = 0.05 * white_noise
+    jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
+    output = JacobianBall.from_slopes(0.8, 1.1)
+    balls = Balls(input=jacobian_ball, output=output)
     angles = np.linspace(0.01, np.pi, 50)
     by_space = max(
         gains(sensitivity(linear, Gains(k=k, l=gain), i, o), angles).max()
@@ -145,41 +162,58 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
     u = []
     for sample in range(3000):
         u.append(float((k @ x_hat)[0]))
-        y = c @ x + np.sin(angle * sample)
+        sine = np.sin(angle * sample)
+        y = c @ x + sine
         x = a @ x + b[:, 0] * slope * u[-1]
-        x_hat = a @ x_hat + b[:, 0] * slope * u[-1] + gain @ (c @ x_hat - y)
+        difference = c @ x_hat - y
+        x_hat = a @ x_hat + b[:, 0] * slope * u[-1] + gain @ difference
     amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
-    expected = gains(sensitivity(model.linear, Gains(k=k, l=gain), slope, 1.0), np.array([angle]))[
-        0
-    ]
+    pair = Gains(k=k, l=gain)
+    state_space = sensitivity(model.linear, pair, slope, 1.0)
+    expected = gains(state_space, np.array([angle]))[0]
     assert amplitude == pytest.approx(expected, rel=0.01)
 
 
 def test_the_gain_is_the_ratio_of_what_the_record_shows():
     model = motor_model()
     record = motor_record()
-    error = (record.y - model.simulate(record.u)) / 5.0
-    assert measure_mismatch(model, (record,)).gain == pytest.approx(
-        np.linalg.norm(error) / np.linalg.norm(record.u / 1.7)
-    )
-    assert measure_mismatch(model, (record, record)).gain == pytest.approx(
-        measure_mismatch(model, (record,)).gain
-    )
-    own = Trajectory(u=record.u, y=model.simulate(record.u), step_s=0.01)
-    assert measure_mismatch(model, (own,)).gain == 0.0
+    response = model.simulate(record.u)
+    difference = record.y - response
+    error = difference / 5.0
+    mismatch = measure_mismatch(model, (record,))
+    gain = mismatch.gain
+    norm = np.linalg.norm(error)
+    expected = norm / np.linalg.norm(record.u / 1.7)
+    assert gain == pytest.approx(expected)
+    mismatch = measure_mismatch(model, (record, record))
+    gain = mismatch.gain
+    mismatch = measure_mismatch(model, (record,))
+    expected = mismatch.gain
+    assert gain == pytest.approx(expected)
+    y = model.simulate(record.u)
+    own = Trajectory(u=record.u, y=y, step_s=0.01)
+    mismatch = measure_mismatch(model, (own,))
+    gain = mismatch.gain
+    assert gain == 0.0
 
 
 def test_a_loop_that_is_unstable_at_one_slope_has_no_margin():
     model = motor_model()
     design = motor_design()
     shown = measure_mismatch(model, (motor_record(),))
-    found = predict(model, Gains(k=50 * design.state_feedback.k, l=design.observer.l), BALLS, shown)
-    assert (found.mismatch_margin, found.resolved_margin) == (0.0, 0.0)
+    k = 50 * design.state_feedback.k
+    observer_l = design.observer.l
+    found = predict(model, Gains(k=k, l=observer_l), BALLS, shown)
+    assert found.mismatch_margin == 0.0
+    assert found.resolved_margin == 0.0
     own = predict(model, design.pair, BALLS, shown)
     peak = sensitivity_peak(model.linear, design.pair, BALLS)
-    assert own.mismatch_margin == pytest.approx(1 / (shown.gain * peak))
-    none = flat(np.zeros(len(BANDS)), 0.0)
-    assert predict(model, design.pair, BALLS, none).mismatch_margin == np.inf
+    expected = 1 / (shown.gain * peak)
+    assert own.mismatch_margin == pytest.approx(expected)
+    by_frequency = np.zeros(len(BANDS))
+    none = flat(by_frequency, 0.0)
+    mismatch_margin = predict(model, design.pair, BALLS, none).mismatch_margin
+    assert mismatch_margin == np.inf
 
 
 def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0) -> Mismatch:
@@ -188,9 +222,12 @@ def shown_by(filtered, samples: int = 4000, records: int = 1, start_up: int = 0)
     model = motor_model()
     made = []
     for seed in range(records):
-        u = np.random.default_rng(seed).standard_normal((samples, 1))
-        y = model.simulate(u) + 5.0 * filtered(u / 1.7)
-        made.append(Trajectory(u=u, y=y, step_s=0.01))
+        rng = np.random.default_rng(seed)
+        u = rng.standard_normal((samples, 1))
+        response = model.simulate(u)
+        y = response + 5.0 * filtered(u / 1.7)
+        trajectory = Trajectory(u=u, y=y, step_s=0.01)
+        made.append(trajectory)
     return measure_mismatch(model, tuple(made), start_up)
 
 
@@ -198,8 +235,11 @@ def test_a_mismatch_of_constant_gain_has_it_at_every_frequency():
     shown = shown_by(lambda u: 0.3 * u)
     assert shown.gain == pytest.approx(0.3)
     np.testing.assert_allclose(shown.by_frequency, 0.3)
-    assert (BANDS[0], BANDS[-1]) == (0.0, np.pi)
-    np.testing.assert_allclose(np.diff(BANDS), np.pi / 32)  # 64 samples a segment
+    assert BANDS[0] == 0.0
+    assert BANDS[-1] == np.pi
+    actual = np.diff(BANDS)
+    expected = np.pi / 32
+    np.testing.assert_allclose(actual, expected)  # 64 samples a segment
 
 
 @pytest.mark.parametrize("records", [1, 3])
@@ -207,10 +247,14 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
     """`e[k] = (u[k] - u[k-1]) / 2` has gain `|sin(w/2)|`, and `1/sqrt(2)` in total for white
     inputs."""
     shown = shown_by(lambda u: np.diff(u, axis=0, prepend=0.0) / 2, records=records)
-    assert shown.gain == pytest.approx(np.sqrt(0.5), rel=0.05)
-    np.testing.assert_allclose(shown.by_frequency, np.abs(np.sin(BANDS / 2)), atol=0.06)
+    expected = np.sqrt(0.5)
+    assert shown.gain == pytest.approx(expected, rel=0.05)
+    sine = np.sin(BANDS / 2)
+    expected = np.abs(sine)
+    np.testing.assert_allclose(shown.by_frequency, expected, atol=0.06)
     between = (BANDS[3] + BANDS[4]) / 2
-    assert shown.at(np.array([between]))[0] == pytest.approx(shown.by_frequency[3:5].mean())
+    expected = shown.by_frequency[3:5].mean()
+    assert shown.at(np.array([between]))[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("period", [64.0731, 2000 / 31], ids=["once", "repeated"])
@@ -219,10 +263,15 @@ def test_where_the_input_hardly_moves_nothing_stands_in_for_what_is_measured(per
     it is said."""
     model = motor_model()
     k = np.arange(4000)
-    u = np.sin(2 * np.pi * k / period)[:, None]
-    noise = np.random.default_rng(0).standard_normal(u.shape)
-    shown = measure_mismatch(model, (Trajectory(u=u, y=model.simulate(u) + noise, step_s=0.01),))
-    assert (shown.by_frequency[8:] > 10 * shown.gain).all()
+    sine = np.sin(2 * np.pi * k / period)
+    u = sine[:, None]
+    rng = np.random.default_rng(0)
+    noise = rng.standard_normal(u.shape)
+    y = model.simulate(u) + noise
+    trajectory = Trajectory(u=u, y=y, step_s=0.01)
+    shown = measure_mismatch(model, (trajectory,))
+    lower_limit = 10 * shown.gain
+    assert (shown.by_frequency[8:] > lower_limit).all()
     assert shown.by_frequency[1] < shown.gain  # where it is excited, the noise is small beside it
     assert shown.unexcited[0] < BANDS[8] < shown.unexcited[-1]
     assert not any(np.any(view.linear[8:]) for view in shown.views)  # nor is a phase known there
@@ -234,12 +283,17 @@ def test_samples_that_start_the_state_do_not_count():
         error[:40] *= 100.0
         return error
 
-    assert shown_by(lambda u: 0.3 * u, start_up=40).gain == pytest.approx(0.3, rel=0.05)
+    mismatch = shown_by(lambda u: 0.3 * u, start_up=40)
+    gain = mismatch.gain
+    assert gain == pytest.approx(0.3, rel=0.05)
     model = motor_model()
-    u = np.random.default_rng(0).standard_normal((400, 1))
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((400, 1))
     still = np.where(np.arange(400)[:, None] < 40, u, 0.0)
+    y = model.simulate(still)
+    trajectory = Trajectory(u=still, y=y, step_s=0.01)
     with pytest.raises(BadRequest, match="validation"):
-        measure_mismatch(model, (Trajectory(u=still, y=model.simulate(still), step_s=0.01),), 40)
+        measure_mismatch(model, (trajectory,), 40)
     assert shown_by(late).gain > 1.0
 
 
@@ -267,12 +321,15 @@ def several_channels():
     a = model.linear.a
     b = model.linear.b
     c = model.linear.c
-    linear = StateSpace(a=0.7 * a, b=b, c=c, d=rng.standard_normal((3, 2)))
-    ks = 0.1 * rng.standard_normal((3, 2, 4))
-    ls = 0.1 * rng.standard_normal((3, 4, 3))
-    balls = Balls(
-        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall.from_slopes(0.8, 1.1)
-    )
+    d = rng.standard_normal((3, 2))
+    linear = StateSpace(a=0.7 * a, b=b, c=c, d=d)
+    white_noise = rng.standard_normal((3, 2, 4))
+    ks = 0.1 * white_noise
+    white_noise = rng.standard_normal((3, 4, 3))
+    ls = 0.1 * white_noise
+    jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
+    output = JacobianBall.from_slopes(0.8, 1.1)
+    balls = Balls(input=jacobian_ball, output=output)
     return linear, Gains(k=ks, l=ls), balls
 
 
@@ -290,9 +347,11 @@ def test_the_controller_alone_is_the_equation_written_out():
         )
         for k, gain in zip(pairs.k, pairs.l, strict=True)
     ]
-    np.testing.assert_allclose(controller_radius(linear, pairs, balls), expected)
+    actual = controller_radius(linear, pairs, balls)
+    np.testing.assert_allclose(actual, expected)
     wider = Gains(k=np.concatenate([pairs.k, np.ones((3, 2, 2))], axis=2), l=pairs.l)
-    np.testing.assert_allclose(controller_radius(linear, wider, balls), expected)
+    actual = controller_radius(linear, wider, balls)
+    np.testing.assert_allclose(actual, expected)
     known = JacobianBall(alpha=0.7, beta=0.0)
     narrow = Balls(input=known, output=known)
     wide = Balls(input=balls.input, output=known)
@@ -302,16 +361,24 @@ def test_the_controller_alone_is_the_equation_written_out():
 
 
 def test_the_norm_of_constants_and_of_nothing():
-    nothing = StateSpace(
-        a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.zeros((1, 2))
-    )
+    a = np.array([[0.5]])
+    b = np.zeros((1, 2))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 2))
+    nothing = StateSpace(a=a, b=b, c=c, d=d)
     assert hinf_norm(nothing) == 0.0
-    constant = StateSpace(
-        a=np.array([[0.5]]), b=np.zeros((1, 2)), c=np.ones((1, 1)), d=np.array([[3.0, 4.0]])
-    )
+    a = np.array([[0.5]])
+    b = np.zeros((1, 2))
+    c = np.ones((1, 1))
+    d = np.array([[3.0, 4.0]])
+    constant = StateSpace(a=a, b=b, c=c, d=d)
     assert hinf_norm(constant) == pytest.approx(5.0, rel=1e-7)
 
 
 def test_a_system_on_the_circle_has_no_finite_norm():
-    system = StateSpace(a=np.eye(1), b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1)))
+    a = np.eye(1)
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     assert hinf_norm(system) == np.inf

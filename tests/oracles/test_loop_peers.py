@@ -40,42 +40,57 @@ SMALL = Auto(
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
     model = motor_model()
     limit = ultimate(motor_model())
-    plain = lqg(model, RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)).model
-    b = plain.linear.b @ plain.scaffold_in.jacobian(np.zeros(1))
-    scaled = limit.gain * model.scale.output_scale[0] / model.scale.input_scale[0]
+    weights = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    observer_feedback = lqg(model, weights)
+    plain = observer_feedback.model
+    linear_b = plain.linear.b
+    b = linear_b @ plain.scaffold_in.jacobian(np.zeros(1))
+    output_scale = model.scale.output_scale
+    input_scale = model.scale.input_scale
+    scaled = limit.gain * output_scale[0] / input_scale[0]
     for factor, stable in ((0.999, True), (1.001, False)):
-        poles = np.linalg.eigvals(model.linear.a - factor * scaled * b @ model.linear.c)
-        assert (np.abs(poles).max() < 1) == stable
+        linear_a = model.linear.a
+        linear_c = model.linear.c
+        difference = linear_a - factor * scaled * b @ linear_c
+        poles = np.linalg.eigvals(difference)
+        largest = np.abs(poles).max()
+        assert (largest < 1) == stable
     rule = tyreus_luyben(model)
-    assert rule.gain == pytest.approx(limit.gain / 3.2)
-    assert rule.integral_s == pytest.approx(2.2 * limit.period_s)
+    expected = limit.gain / 3.2
+    assert rule.gain == pytest.approx(expected)
+    expected = 2.2 * limit.period_s
+    assert rule.integral_s == pytest.approx(expected)
 
 
 def test_pi_leaves_no_error_under_a_load():
-    plant = replace(IdentifiedPlant.of(motor_model()), initial_range=(-4.0, 4.0))
+    identified_plant = IdentifiedPlant.of(motor_model())
+    initial_range = (-4.0, 4.0)
+    plant = replace(identified_plant, initial_range=initial_range)
+    reference = StepReference(before=0.0, after=8.0, at_s=0.0)
+    disturbance = StepDisturbance(size=-0.2, at_s=2.0)
     loop = Loop(
-        horizon_s=6.0,
-        measurement_noise_variance=0.0,
-        reference=StepReference(before=0.0, after=8.0, at_s=0.0),
-        disturbance=StepDisturbance(size=-0.2, at_s=2.0),
+        horizon_s=6.0, measurement_noise_variance=0.0, reference=reference, disturbance=disturbance
     )
-    assert (
-        behaviour(loop.on_plant(plant, tyreus_luyben(motor_model()), seed=0))["final_error_worst"]
-        < 1e-3
-    )
+    controller = tyreus_luyben(motor_model())
+    loop_runs = loop.on_plant(plant, controller, seed=0)
+    columns = behaviour(loop_runs)
+    final_error_worst = columns["final_error_worst"]
+    assert final_error_worst < 1e-3
 
 
 def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     """Differences are the second route; the gains are those of that linear system, and not of A and
     B alone."""
     model = with_neurons()
-    known = Identified(model=model, balls=BALLS, validation=(motor_record(),))
+    validation = (motor_record(),)
+    known = Identified(model=model, balls=BALLS, validation=validation)
     n = model.order
     m = model.b.shape[1]
     points = 1e-6 * np.eye(n + m)
-    moved = (
-        model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])
-    ).T / 2e-6
+    difference = model.advance(points[:, :n], points[:, n:]) - model.advance(
+        -points[:, :n], -points[:, n:]
+    )
+    moved = difference.T / 2e-6
     seen = known.without_neurons.linear
     assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
     built, _ = compared("lqg", motor(), known)
@@ -84,12 +99,16 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
         motor(),
         Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),)),
     )
-    assert built.gains.k == pytest.approx(without[0].gains.k)
+    gains_k = built.gains.k
+    expected = without[0].gains.k
+    assert gains_k == pytest.approx(expected)
     plain = replace(known.without_neurons, linear=model.linear)
     blind = compared(
         "lqg", motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
     )
-    assert built.gains.k != pytest.approx(blind[0].gains.k, rel=1e-3)
+    gains_k = built.gains.k
+    expected = blind[0].gains.k
+    assert gains_k != pytest.approx(expected, rel=1e-3)
 
 
 def test_lqg_is_optimal_for_the_linear_part():
@@ -99,13 +118,18 @@ def test_lqg_is_optimal_for_the_linear_part():
     weights = replace(WEIGHTS, input_weight=0.3)
     law = lqg(model, weights)
     a = law.model.linear.a
-    b = law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
-    q = model.linear.c.T @ model.linear.c + weights.state_weight * np.eye(4)
+    linear_b = law.model.linear.b
+    scaffold_in = law.model.scaffold_in
+    b = linear_b @ scaffold_in.jacobian(np.zeros(1))
+    linear_c = model.linear.c
+    q = linear_c.T @ model.linear.c + weights.state_weight * np.eye(4)
+    gains_k = law.gains.k
     cost = scipy.linalg.solve_discrete_lyapunov(
-        (a + b @ law.gains.k).T, q + 0.3 * law.gains.k.T @ law.gains.k
+        (a + b @ gains_k).T, q + 0.3 * law.gains.k.T @ law.gains.k
     )
     greedy = -np.linalg.solve(0.3 * np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)
-    np.testing.assert_allclose(law.gains.k, greedy, rtol=1e-8)
+    actual = law.gains.k
+    np.testing.assert_allclose(actual, greedy, rtol=1e-8)
 
 
 def test_a_grid_of_gains_is_its_designs_one_by_one():
@@ -115,22 +139,23 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
     y0, noise = SHORT.draw(motor(), seed=2)
-    grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))
+    observer_feedback_gains = gains.at(np.repeat([0, 1], 3))
+    grid = ObserverFeedback(model=model, gains=observer_feedback_gains)
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):
-        alone = SHORT.simulate(
-            motor(),
-            ObserverFeedback(model=model, gains=Gains(k=gains.k[i], l=gains.l[i])),
-            y0,
-            noise,
-        )
-        np.testing.assert_allclose(together.y[3 * i : 3 * i + 3], alone.y, rtol=1e-9, atol=1e-12)
+        observer_feedback_gains = Gains(k=gains.k[i], l=gains.l[i])
+        observer_feedback = ObserverFeedback(model=model, gains=observer_feedback_gains)
+        alone = SHORT.simulate(motor(), observer_feedback, y0, noise)
+        actual = together.y[3 * i : 3 * i + 3]
+        np.testing.assert_allclose(actual, alone.y, rtol=1e-9, atol=1e-12)
 
 
 def test_the_design_grid_reports_each_designs_own_margin():
-    rows = DesignGrid(designs=6, auto=SMALL).rows(motor(), KNOWN, SHORT, seed=0)
+    design_grid = DesignGrid(designs=6, auto=SMALL)
+    rows = design_grid.rows(motor(), KNOWN, SHORT, seed=0)
     assert len(rows) == 7
-    assert {row["initial_conditions"] for row in rows} == {3}
+    initial_conditions = {row["initial_conditions"] for row in rows}
+    assert initial_conditions == {3}
     candidates = SMALL.candidates(motor_model(), BALLS)
     shown = measure_mismatch(motor_model(), (motor_record(),))
     margins = [
@@ -140,17 +165,20 @@ def test_the_design_grid_reports_each_designs_own_margin():
     ]
     for row in rows[1:]:
         assert np.isclose(margins, row["mismatch_margin"], rtol=1e-6).any()
-        assert all(isinstance(value, str | None) or np.isfinite(value) for value in row.values())
+        signals = row.values()
+        assert all(isinstance(value, str | None) or np.isfinite(value) for value in signals)
 
 
 def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatch):
-    infeasible = RiccatiSynthesis(rate_controller=0.99, rate_observer=0.3).design(
-        motor_model(), BALLS
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.99, rate_observer=0.3)
+    infeasible = riccati_synthesis.design(motor_model(), BALLS)
     assert not infeasible.feasible
     monkeypatch.setattr(Auto, "design", lambda *_: infeasible)
-    rows = DesignGrid(designs=6, auto=SMALL).rows(motor(), KNOWN, SHORT, seed=0)
-    assert [row["design"] for row in rows] == [1, 2, 3, 4, 5, 6]
+    design_grid = DesignGrid(designs=6, auto=SMALL)
+    rows = design_grid.rows(motor(), KNOWN, SHORT, seed=0)
+    designs = [row["design"] for row in rows]
+    expected = [1, 2, 3, 4, 5, 6]
+    assert designs == expected
 
 
 def test_every_controller_has_a_row_in_every_situation():
@@ -159,24 +187,24 @@ def test_every_controller_has_a_row_in_every_situation():
         controllers=names, situations=SITUATIONS, spread_fields=("resistance_ohm",), spread_plants=2
     )
     rows = table.rows(motor(), KNOWN, SHORT, seed=0)
-    assert [(r["controller"], r["situation"]) for r in rows] == [
-        (n, s) for s in SITUATIONS for n in names
-    ]
+    expected = [(n, s) for s in SITUATIONS for n in names]
+    assert [(r["controller"], r["situation"]) for r in rows] == expected
     spread = [r for r in rows if r["situation"] == "spread"]
-    assert {r["initial_conditions"] for r in spread} == {6}
+    initial_conditions = {r["initial_conditions"] for r in spread}
+    assert initial_conditions == {6}
     assert not any(
         isinstance(value, float) and np.isnan(value) for row in rows for value in row.values()
     )
 
 
 def test_the_spread_fills_its_range():
-    table = Comparison(spread_fields=("resistance_ohm", "coulomb_torque_nm"), spread_plants=10)
+    spread_fields = ("resistance_ohm", "coulomb_torque_nm")
+    table = Comparison(spread_fields=spread_fields, spread_plants=10)
     plants = table.spread(motor(), seed=0)
     for name in table.spread_fields:
         factors = np.array([getattr(p, name) for p in plants]) / getattr(motor(), name)
-        assert (
-            np.floor((np.sort(factors) - 0.8) / 0.04) == np.arange(10)
-        ).all()  # one in each tenth
+        expected = np.arange(10)
+        assert (np.floor((np.sort(factors) - 0.8) / 0.04) == expected).all()  # one in each tenth
 
 
 def test_the_plants_own_pi_is_a_row_of_its_own():
@@ -189,8 +217,10 @@ def test_the_plants_own_pi_is_a_row_of_its_own():
         )
         for times in (1, 0.5)
     )
-    assert [row["controller"] for row in same] == ["pi", "own_pi"]
-    assert same[0] | {"controller": ""} == same[1] | {"controller": ""}
+    controllers = [row["controller"] for row in same]
+    assert controllers == ["pi", "own_pi"]
+    expected = same[1] | {"controller": ""}
+    assert same[0] | {"controller": ""} == expected
     assert other[0] == same[0]
     assert other[1]["integral_squared_error"] != same[1]["integral_squared_error"]
 
@@ -206,15 +236,17 @@ class Undisturbed(Wrapper):
 
 def test_a_plant_without_disturbance_has_no_load_rows():
     plant = Undisturbed(plant=motor())
-    table = Comparison(
-        controllers=("lqg",), situations=("nominal", "load_step", "load_periodic", "spread")
-    )
-    assert [row["situation"] for row in table.rows(plant, KNOWN, SHORT, seed=0)] == ["nominal"]
+    situations = ("nominal", "load_step", "load_periodic", "spread")
+    table = Comparison(controllers=("lqg",), situations=situations)
+    rows = table.rows(plant, KNOWN, SHORT, seed=0)
+    situations = [row["situation"] for row in rows]
+    assert situations == ["nominal"]
 
 
 def test_what_cannot_be_built_says_why():
     model = random_model(0, inputs=2, outputs=1)
-    known = Identified(model=model, balls=BALLS, validation=(motor_record(),))
+    validation = (motor_record(),)
+    known = Identified(model=model, balls=BALLS, validation=validation)
     controller, said = compared("pi", motor(), known)
     assert controller is None
     assert "tunes one loop" in said["reason"]
@@ -238,5 +270,6 @@ def test_values_out_of_range(values, names):
 
 
 def test_a_field_the_plant_does_not_have():
+    comparison = Comparison(spread_fields=("colour",))
     with pytest.raises(BadRequest, match="spread_fields"):
-        Comparison(spread_fields=("colour",)).spread(motor(), seed=0)
+        comparison.spread(motor(), seed=0)

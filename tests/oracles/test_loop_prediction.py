@@ -42,14 +42,15 @@ def linear_model(seed: int, order: int = 3) -> SSM:
     """A stable linear model in its own units: every statement below is exact for it."""
     rng = np.random.default_rng(seed)
     a = rng.standard_normal((order, order))
-    a *= rng.uniform(0.6, 0.95) / np.abs(np.linalg.eigvals(a)).max()
-    linear = StateSpace(
-        a=a,
-        b=rng.standard_normal((order, 1)),
-        c=rng.standard_normal((1, order)),
-        d=rng.standard_normal((1, 1)),
-    )
-    unit = LinearScaffold(gain=np.eye(1))
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    a *= rng.uniform(0.6, 0.95) / spectral_radius
+    b = rng.standard_normal((order, 1))
+    c = rng.standard_normal((1, order))
+    d = rng.standard_normal((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    gain = np.eye(1)
+    unit = LinearScaffold(gain=gain)
     return replace(
         motor_model(),
         linear=linear,
@@ -62,10 +63,12 @@ def linear_model(seed: int, order: int = 3) -> SSM:
 
 def recorded(model: SSM, taps: np.ndarray, samples: int = 4_000) -> Trajectory:
     """White input, and an output that misses the model by the finite impulse response `taps`."""
-    u = np.random.default_rng(0).standard_normal((samples, 1))
-    return Trajectory(
-        u=u, y=model.simulate(u) + scipy.signal.lfilter(taps, [1.0], u[:, 0])[:, None], step_s=0.01
-    )
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((samples, 1))
+    response = model.simulate(u)
+    filtered_signal = scipy.signal.lfilter(taps, [1.0], u[:, 0])
+    y = response + filtered_signal[:, None]
+    return Trajectory(u=u, y=y, step_s=0.01)
 
 
 def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> float:
@@ -80,19 +83,16 @@ def closed(model: SSM, k: np.ndarray, gain: np.ndarray, taps: np.ndarray) -> flo
     shift = np.eye(t, k=-1)
     first = np.eye(t, 1)
     injected = gain @ (c + d @ k) - gain @ (d + taps[:1, None]) @ k
-    return float(
-        np.abs(
-            np.linalg.eigvals(
-                np.block(
-                    [
-                        [a, np.zeros((n, t)), b @ k],
-                        [np.zeros((t, n)), shift, first @ k],
-                        [-gain @ c, -gain @ taps[None, 1:], a + b @ k + injected],
-                    ]
-                )
-            )
-        ).max()
+    block_matrix = np.block(
+        [
+            [a, np.zeros((n, t)), b @ k],
+            [np.zeros((t, n)), shift, first @ k],
+            [-gain @ c, -gain @ taps[None, 1:], a + b @ k + injected],
+        ]
     )
+    eigenvalues = np.linalg.eigvals(block_matrix)
+    spectral_radius = np.abs(eigenvalues).max()
+    return float(spectral_radius)
 
 
 @settings(max_examples=20)
@@ -101,13 +101,16 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
     """Small gain by frequency: `g(w) sigma_max(T_ue(w)) < 1` at all w keeps every linear mismatch
     of gain g(w)."""
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
+    design = riccati_synthesis.design(model, ONES)
     k = design.state_feedback.k
     gain = design.observer.l
-    taps = size * np.random.default_rng(seed).standard_normal(length + 1)
-    found = predict(
-        model, Gains(k=k, l=gain), ONES, measure_mismatch(model, (recorded(model, taps),))
-    )
+    rng = np.random.default_rng(seed)
+    white_noise = rng.standard_normal(length + 1)
+    taps = size * white_noise
+    gains = Gains(k=k, l=gain)
+    mismatch = measure_mismatch(model, (recorded(model, taps),))
+    found = predict(model, gains, ONES, mismatch)
     if found.resolved_margin > 1.2:  # Welch's estimate is within some percent
         assert closed(model, k, gain, taps) < 1
 
@@ -115,9 +118,11 @@ def test_a_linear_mismatch_with_resolved_margin_above_one_never_loses_the_loop(s
 @pytest.mark.parametrize("seed", range(5))
 def test_a_flat_mismatch_has_the_same_margin_either_way(seed):
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
+    design = riccati_synthesis.design(model, ONES)
     record = recorded(model, np.array([0.0, 0.3]))
-    found = predict(model, design.pair, ONES, measure_mismatch(model, (record,)))
+    mismatch = measure_mismatch(model, (record,))
+    found = predict(model, design.pair, ONES, mismatch)
     assert found.resolved_margin == pytest.approx(found.mismatch_margin, rel=0.1)
 
 
@@ -129,7 +134,8 @@ def test_what_pairs_share_changes_no_number(seed):
     shared = Responses(angles=FINE_ANGLES)
     shown = measure_mismatch(model, (recorded(model, np.array([0.2, 0.3])),))
     for rate in (0.1, 0.3):
-        pair = RiccatiSynthesis(rate_controller=rate, rate_observer=rate).design(model, BALLS).pair
+        riccati_synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
+        pair = riccati_synthesis.design(model, BALLS).pair
         alone = robustness_measure(model, pair, BALLS, shown)
         assert robustness_measure(model, pair, BALLS, shown, shared) == pytest.approx(
             alone, rel=1e-9
@@ -149,16 +155,20 @@ def test_a_resonance_that_the_total_gain_averages_away_is_seen():
     k = design.state_feedback.k
     gain = design.observer.l
     angles = ANGLES
-    loops = [
-        sensitivity(*end) for end in slope_combinations(model.linear, Gains(k=k, l=gain), BALLS)
-    ]
+    pair = Gains(k=k, l=gain)
+    ends = slope_combinations(model.linear, pair, BALLS)
+    loops = [sensitivity(*end) for end in ends]
     largest = np.max(
         [largest_singular_values(frequency_response(loop, FINE_ANGLES)) for loop in loops], axis=0
     )
-    sensitive = np.array([(near(w)(FINE_ANGLES) * largest).max() for w in angles])
-    shown = flat(0.1 + 0.9 * near(angles[sensitive.argmax()])(angles), 0.1)
-    found = predict(model, Gains(k=k, l=gain), BALLS, shown)
-    assert found.resolved_margin == pytest.approx(0.1 * found.mismatch_margin, rel=0.05)
+    largests = [(near(w)(FINE_ANGLES) * largest).max() for w in angles]
+    sensitive = np.array(largests)
+    by_frequency = 0.1 + 0.9 * near(angles[sensitive.argmax()])(angles)
+    shown = flat(by_frequency, 0.1)
+    gains = Gains(k=k, l=gain)
+    found = predict(model, gains, BALLS, shown)
+    expected = 0.1 * found.mismatch_margin
+    assert found.resolved_margin == pytest.approx(expected, rel=0.05)
 
 
 def near(centre: float):
@@ -174,17 +184,25 @@ def test_the_radius_is_the_growth_of_the_controller_alone(seed):
     rng = np.random.default_rng(seed)
     k = rng.standard_normal((1, 3))
     gain = rng.standard_normal((3, 1))
-    law = ObserverFeedback(model=model, gains=Gains(k=k, l=gain))
-    memory = 1e-8 * rng.standard_normal((1, 3))
+    gains = Gains(k=k, l=gain)
+    law = ObserverFeedback(model=model, gains=gains)
+    white_noise = rng.standard_normal((1, 3))
+    memory = 1e-8 * white_noise
     still = np.zeros((1, 1))
     target = law.targets(still)[0]
     grown = []
     for _ in range(200):
-        following = law.advance(memory, law.input(memory, still, target), still, target)
-        grown.append(np.log(np.linalg.norm(following) / np.linalg.norm(memory)))
-        memory = following * np.linalg.norm(memory) / np.linalg.norm(following)
-    radius = controller_radius(model.linear, Gains(k=k, l=gain), ONES)
-    assert np.mean(grown[100:]) == pytest.approx(np.log(radius), abs=0.05)
+        inputs = law.input(memory, still, target)
+        following = law.advance(memory, inputs, still, target)
+        norm = np.linalg.norm(following)
+        grown.append(np.log(norm / np.linalg.norm(memory)))
+        norm = np.linalg.norm(memory)
+        memory = following * norm / np.linalg.norm(following)
+    pair = Gains(k=k, l=gain)
+    radius = controller_radius(model.linear, pair, ONES)
+    mean = np.mean(grown[100:])
+    expected = np.log(radius)
+    assert mean == pytest.approx(expected, abs=0.05)
 
 
 def test_the_integrator_does_not_count():
@@ -193,47 +211,50 @@ def test_the_integrator_does_not_count():
     k = design.state_feedback.k[None]
     gain = design.observer.l[None]
     with_integral = np.concatenate([k, np.full((1, 1, 1), 0.3)], axis=2)
-    assert controller_radius(
-        model.linear, Gains(k=with_integral, l=gain), BALLS
-    ) == controller_radius(model.linear, Gains(k=k, l=gain), BALLS)
+    pair = Gains(k=with_integral, l=gain)
+    gains = Gains(k=k, l=gain)
+    assert controller_radius(model.linear, pair, BALLS) == controller_radius(
+        model.linear, gains, BALLS
+    )
 
 
 def test_an_integrator_holds_where_the_plant_does():
     """Held by friction, the plant gives it no error: the view says nothing of it. A plant that
     answers does."""
     model = motor_model()
-    pair = Gains(
-        k=np.hstack([motor_design().state_feedback.k, [[-0.02]]]), l=motor_design().observer.l
-    )
+    state_feedback_k = motor_design().state_feedback.k
+    k = np.hstack([state_feedback_k, [[-0.02]]])
+    observer_l = motor_design().observer.l
+    pair = Gains(k=k, l=observer_l)
     ones = np.ones(len(ANGLES))
     large = View(
         amplitude=1.0, gain=0.01, by_frequency=0.01 * ones, linear=0j * ones, rest=0.01 * ones
     )
+    linear = -1.02 * ones + 0j
     held = View(
-        amplitude=0.1,
-        gain=0.5,
-        by_frequency=9 * ones,
-        linear=-1.02 * ones + 0j,
-        rest=0 * ones,
-        response=0.01,
+        amplitude=0.1, gain=0.5, by_frequency=9 * ones, linear=linear, rest=0 * ones, response=0.01
     )
-    alone = robustness_measure(model, pair, BALLS, Mismatch(views=(large,)))
+    mismatch = Mismatch(views=(large,))
+    alone = robustness_measure(model, pair, BALLS, mismatch)
     assert (
         0 < alone <= robustness_measure(model, pair, BALLS, Mismatch(views=(held, held, large))) < 1
     )
     answers = replace(held, response=0.5)
-    assert robustness_measure(model, pair, BALLS, Mismatch(views=(answers, large))) > 1
+    views = (answers, large)
+    mismatch = Mismatch(views=views)
+    assert robustness_measure(model, pair, BALLS, mismatch) > 1
 
 
 @pytest.mark.parametrize(("knee", "passes"), [(1.0, True), (0.3, False)])
 def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     """Small records pass at slope 1 and not at 0.1, where S_u bends beyond or within half the
     amplitude."""
-    limit = MonotoneScaffold(
-        breakpoints=np.array([[-knee, knee]]), slopes=np.array([[0.1, 1.0, 0.1]])
-    )
+    breakpoints = np.array([[-knee, knee]])
+    slopes = np.array([[0.1, 1.0, 0.1]])
+    limit = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     model = replace(motor_model(), scaffold_in=limit)
-    balls = replace(ONES, input=limit.bound().ball)
+    ball = limit.bound().ball
+    balls = replace(ONES, input=ball)
     pair = motor_design().pair
     ones = np.ones(len(ANGLES))
 
@@ -248,21 +269,23 @@ def test_a_small_swing_does_not_meet_the_slope_at_the_limit(knee, passes):
     assert 1.2 * alone[0] < alone[1] < np.inf
     gain = 2 / sum(alone)  # between what the two slopes tolerate
     small = (seen(0.1, gain), seen(0.5, 0.0), seen(1.0, 0.0))
-    assert (robustness_measure(model, pair, balls, Mismatch(views=small)) < 1) == passes
+    mismatch = Mismatch(views=small)
+    assert (robustness_measure(model, pair, balls, mismatch) < 1) == passes
     large = (
         seen(0.1, 0.0),
         seen(0.5, gain),
         seen(1.0, 0.0),
     )  # the two largest count at every slope
-    trial = Mismatch(views=(seen(0.1, 0.0), seen(0.5, 0.0), seen(1.0, 0.0)), loop=seen(0.1, gain))
-    pair_alone = Mismatch(views=(seen(0.1, gain), seen(1.0, 0.0)))
-    assert (
-        min(
-            robustness_measure(model, pair, balls, one)
-            for one in (Mismatch(views=large), trial, pair_alone)
-        )
-        > 1
+    views = (seen(0.1, 0.0), seen(0.5, 0.0), seen(1.0, 0.0))
+    loop = seen(0.1, gain)
+    trial = Mismatch(views=views, loop=loop)
+    views = (seen(0.1, gain), seen(1.0, 0.0))
+    pair_alone = Mismatch(views=views)
+    smallest = min(
+        robustness_measure(model, pair, balls, one)
+        for one in (Mismatch(views=large), trial, pair_alone)
     )
+    assert smallest > 1
 
 
 @pytest.mark.parametrize(
@@ -278,11 +301,15 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     """
     model = linear_model(3)
     samples = 200_000
-    pair = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES).pair
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
+    pair = riccati_synthesis.design(model, ONES).pair
     loop = sensitivity(model.linear, pair, 1.0, 1.0)
-    drawn = np.random.default_rng(0).standard_normal((samples, 1))
+    rng = np.random.default_rng(0)
+    drawn = rng.standard_normal((samples, 1))
     driven = loop.simulate(drawn)[0]
-    moved = float(np.std(model.linear.simulate(driven)[0]))
+    response = model.linear.simulate(driven)
+    standard_deviation = np.std(response[0])
+    moved = float(standard_deviation)
     strength = sigma * BAND / PEAK / moved
     noise = tuple(np.full(len(ANGLES), strength**2).tolist())
     none = 0 * ANGLES
@@ -300,29 +327,44 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     ]
     shown = Mismatch(views=tuple(views), noise=noise)
     found = predict(model, pair, ONES, shown)
-    assert found.noise_peak == pytest.approx(0.0 if held_up_to > 3 else sigma, rel=0.02)
+    expected = 0.0 if held_up_to > 3 else sigma
+    assert found.noise_peak == pytest.approx(expected, rel=0.02)
     assert found.predicts_stability() == passes
     assert np.isinf(found.resolved_margin)
-    assert noise_peak(model, pair, ONES, replace(shown, farthest=1.2)) < 1
+    mismatch = replace(shown, farthest=1.2)
+    assert noise_peak(model, pair, ONES, mismatch) < 1
     # twice the slope of S_u behind half of B and D is the same loop
-    halved = replace(model.linear, b=model.linear.b / 2, d=model.linear.d / 2)
-    same = replace(model, linear=halved, scaffold_in=LinearScaffold(gain=2 * np.eye(1)))
-    steeper = replace(ONES, input=JacobianBall(alpha=2.0, beta=0.0))
+    b = model.linear.b / 2
+    d = model.linear.d / 2
+    halved = replace(model.linear, b=b, d=d)
+    gain = 2 * np.eye(1)
+    scaffold_in = LinearScaffold(gain=gain)
+    same = replace(model, linear=halved, scaffold_in=scaffold_in)
+    jacobian_ball = JacobianBall(alpha=2.0, beta=0.0)
+    steeper = replace(ONES, input=jacobian_ball)
     assert noise_peak(same, pair, steeper, shown) == pytest.approx(found.noise_peak)
-    falling = replace(model, scaffold_in=LinearScaffold(gain=-0.5 * np.eye(1)))
-    rising = replace(model, scaffold_in=LinearScaffold(gain=0.5 * np.eye(1)))
-    balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in (-0.5, 0.5)]
+    gain = -0.5 * np.eye(1)
+    scaffold_in = LinearScaffold(gain=gain)
+    falling = replace(model, scaffold_in=scaffold_in)
+    gain = 0.5 * np.eye(1)
+    scaffold_in = LinearScaffold(gain=gain)
+    rising = replace(model, scaffold_in=scaffold_in)
+    alphas = (-0.5, 0.5)
+    balls = [replace(ONES, input=JacobianBall(alpha=alpha, beta=0.4)) for alpha in alphas]
     turned = replace(pair, k=-pair.k)  # the same loop
     assert noise_peak(falling, turned, balls[0], shown) == noise_peak(rising, pair, balls[1], shown)
     # of a ball the slope at rest alone counts
-    point = replace(ONES, input=JacobianBall(alpha=0.5, beta=0.0))
+    jacobian_ball = JacobianBall(alpha=0.5, beta=0.0)
+    point = replace(ONES, input=jacobian_ball)
     assert noise_peak(rising, pair, balls[1], shown) == noise_peak(rising, pair, point, shown)
 
 
 def drive() -> StribeckDrive:
-    values = yaml.safe_load(
-        (Path(__file__).parents[2] / "conf" / "plant" / "stribeck_drive.yaml").read_text()
-    )
+    conf_path = Path(__file__).parents[2] / "conf"
+    plant_path = conf_path / "plant"
+    stribeck_drive_path = plant_path / "stribeck_drive.yaml"
+    text = stribeck_drive_path.read_text()
+    values = yaml.safe_load(text)
     return StribeckDrive(**{name: value for name, value in values.items() if name != "_target_"})
 
 
@@ -333,15 +375,16 @@ def drive_model() -> SSM:
     lag = np.exp(-h / plant.current_lag_s)
     slip = np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
     pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
-    unit = LinearScaffold(gain=np.eye(1))
+    gain = np.eye(1)
+    unit = LinearScaffold(gain=gain)
+    a = np.array([[lag, 0.0], [pushed, slip]])
+    b = np.array([[1 - lag], [0.0]])
+    c = np.array([[0.0, 1.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     return replace(
         motor_model(),
-        linear=StateSpace(
-            a=np.array([[lag, 0.0], [pushed, slip]]),
-            b=np.array([[1 - lag], [0.0]]),
-            c=np.array([[0.0, 1.0]]),
-            d=np.zeros((1, 1)),
-        ),
+        linear=linear,
         scaffold_in=unit, scaffold_out=unit, scale=Scale.unit(1, 1),
     )  # fmt: skip
 
@@ -358,15 +401,15 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
         if stable
         else {"input_weight": 1e-5, "output_noise": 1e-6}
     )
-    design = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights).design(
-        model, ONES
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights)
+    design = riccati_synthesis.design(model, ONES)
     assert design.certified
     law = ObserverFeedback.of(model, design)
     radius = controller_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
-    run = Loop(initial_conditions=1, horizon_s=6.0).simulate(
-        plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1))
-    )
-    assert (np.abs(run.u[0, -100:]).max() < 1e-12) == stable
-    assert (np.abs(run.y[0, 300:]).max() == 0.0) == stable
+    loop = Loop(initial_conditions=1, horizon_s=6.0)
+    run = loop.simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
+    largest = np.abs(run.u[0, -100:]).max()
+    assert (largest < 1e-12) == stable
+    largest = np.abs(run.y[0, 300:]).max()
+    assert (largest == 0.0) == stable

@@ -23,47 +23,58 @@ def rollouts(
 ) -> Rollouts:
     y = np.array(signals, dtype=float)[:, :, None]
     still = np.zeros_like(y)
+    rollouts_reference = np.broadcast_to(np.reshape(reference, (-1, 1)), y.shape[1:]).astype(float)
+    bound = np.array([100.0])
+    left_at_sample = np.array(left or (STAYED,) * len(y))
     return Rollouts(
         step_s=0.5,
-        reference=np.broadcast_to(np.reshape(reference, (-1, 1)), y.shape[1:]).astype(float),
+        reference=rollouts_reference,
         u=still,
         y=y,
         measured=still,
         estimate=still,
         states=still,
-        bound=np.array([100.0]),
-        left_at_sample=np.array(left or (STAYED,) * len(y)),
+        bound=bound,
+        left_at_sample=left_at_sample,
     )
 
 
 def test_every_number_of_the_loop_is_printed_with_its_unit():
     """The integral of the squared error had none."""
-    assert [column.name for column in COLUMNS if column.kind == "Float64" and not column.unit] == []
+    names = [column.name for column in COLUMNS if column.kind == "Float64" and not column.unit]
+    assert names == []
 
 
 def test_settled_is_entering_and_staying():
     run = rollouts(
         [3, 1, 0.1, 0.1], [3, 0.1, 1, 0.1], [3, 0.1, 0.1, 1], [0.1, 0, 0, 0], [3, 3, 3, 3]
     )
-    assert settling_times_s(run, 0.2) == (1.0, 1.5, None, 0.0, None)
+    expected = (1.0, 1.5, None, 0.0, None)
+    assert settling_times_s(run, 0.2) == expected
 
 
 def test_the_last_tenth_of_the_horizon_is_the_least_that_counts():
     """A pure oscillation passes through the band; only one that has stayed there counts."""
     run = rollouts([3.0] * 36 + [0.1] * 4, [3.0] * 37 + [0.1] * 3)
-    assert settling_times_s(run, 0.2) == (18.0, None)
+    expected = (18.0, None)
+    assert settling_times_s(run, 0.2) == expected
     phases = np.linspace(0, 2 * np.pi, 200, endpoint=False)
-    swinging = rollouts(*[list(np.sin(0.7 * np.arange(150) + phase)) for phase in phases])
-    assert settling_times_s(swinging, 0.2) == (None,) * 200
+    sines = [list(np.sin(0.7 * np.arange(150) + phase)) for phase in phases]
+    swinging = rollouts(*sines)
+    expected = (None,) * 200
+    assert settling_times_s(swinging, 0.2) == expected
     assert set(motions(swinging, 0.2)) == {"oscillating"}
 
 
 def test_what_does_not_settle_is_told_apart():
     k = np.arange(200.0)
+    slow = 4 * 0.994**k
+    cosine = np.cos(0.9 * k)
+    oscillating = 0.6 * cosine
     signals = {
         "settled": 4 * 0.9**k,
-        "slow": 4 * 0.994**k,
-        "oscillating": 0.6 * np.cos(0.9 * k),
+        "slow": slow,
+        "oscillating": oscillating,
         "drifting": 0.01 * k,
         "lost": 0.01 * k,
     }
@@ -71,9 +82,11 @@ def test_what_does_not_settle_is_told_apart():
     assert motions(rollouts(*[list(y) for y in signals.values()], left=left), 0.2) == tuple(signals)
     offset = 0.5 + 0 * k
     ringing = 3 + np.cos(k)
-    growing = 0.3 * 1.01**k * np.cos(k)
+    cosine = np.cos(k)
+    growing = 0.3 * 1.01**k * cosine
     run = rollouts(list(offset), list(ringing), list(growing))
-    assert motions(run, 0.2) == ("drifting", "oscillating", "oscillating")
+    expected = ("drifting", "oscillating", "oscillating")
+    assert motions(run, 0.2) == expected
 
 
 def test_settled_is_measured_from_the_reference():
@@ -82,32 +95,36 @@ def test_settled_is_measured_from_the_reference():
 
 
 def test_time_and_overshoot_count_from_the_last_step_of_the_reference():
-    run = rollouts([0, 0, 0, 4, 6, 5, 5, 5], reference=[0, 0, 5, 5, 5, 5, 5, 5])
+    reference = [0, 0, 5, 5, 5, 5, 5, 5]
+    run = rollouts([0, 0, 0, 4, 6, 5, 5, 5], reference=reference)
     assert settling_times_s(run, 0.2) == (1.5,)
-    np.testing.assert_allclose(overshoots(run, 0.2), [0.2])
+    actual = overshoots(run, 0.2)
+    np.testing.assert_allclose(actual, [0.2])
 
 
 def test_a_reference_that_keeps_moving_counts_from_the_start():
-    run = rollouts([1, 1, 2, 3, 4, 5], reference=[0, 1, 2, 3, 4, 5])
+    reference = [0, 1, 2, 3, 4, 5]
+    run = rollouts([1, 1, 2, 3, 4, 5], reference=reference)
     assert settling_times_s(run, 0.2) == (0.5,)
 
 
 def test_a_case_that_left_the_bound_never_settles():
-    assert settling_times_s(rollouts([3, 0, 0, 0], [3, 0, 0, 0], left=(2, STAYED)), 0.2) == (
-        None,
-        0.5,
-    )
+    expected = (None, 0.5)
+    assert settling_times_s(rollouts([3, 0, 0, 0], [3, 0, 0, 0], left=(2, STAYED)), 0.2) == expected
 
 
 def test_overshoot_is_a_share_of_the_start():
     run = rollouts([4, 0, -1, 0], [-4, 0, 2, 0], [4, 1, 0.5, 0], [4, 0, -0.1, 0], [0.1, 5, 0, 0])
-    np.testing.assert_allclose(overshoots(run, 0.2), [0.25, 0.5, 0, 0, 0])
+    actual = overshoots(run, 0.2)
+    expected = [0.25, 0.5, 0, 0, 0]
+    np.testing.assert_allclose(actual, expected)
 
 
 def test_empirical_rate_of_a_geometric_decay():
     r = 0.8
     run = rollouts(*[[y0 * r**k for k in range(30)] for y0 in (4.0, 1.0, -2.0)])
-    assert empirical_rate(run, 0.2) == pytest.approx(1 - r**2, rel=0.01)
+    expected = 1 - r**2
+    assert empirical_rate(run, 0.2) == pytest.approx(expected, rel=0.01)
 
 
 def test_trajectories_that_part_have_a_negative_rate():
@@ -124,10 +141,12 @@ def test_the_remaining_error_is_the_mean_over_the_last_tenth():
     not."""
     for first, error in ((108, 2.0), (107, 0.0)):
         run = rollouts([24.0 * (k == first) for k in range(120)])
+        input_equilibrium = np.zeros(1)
         loop = LoopRuns(
-            controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=np.zeros(1)
+            controlled=run, uncontrolled=run, settling_band=0.2, input_equilibrium=input_equilibrium
         )
-        assert pool_columns([loop])["final_error_worst"] == pytest.approx(error)
+        final_error_worst = pool_columns([loop])["final_error_worst"]
+        assert final_error_worst == pytest.approx(error)
 
 
 def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
@@ -138,11 +157,16 @@ def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
         start + rest, start + [3 * y for y in rest], [99.0] * 8, left=(STAYED, STAYED, 3)
     )
     noise = np.array([50.0, 0.0, 0.0, 0.0, 2.0, 2.0, -2.0, -2.0])[:, None]
-    assert noise_gain(replace(run, measured=run.y + noise)) == pytest.approx(
-        np.sqrt((1 + 9) / 2) / 2
-    )
-    assert noise_gain(replace(run, measured=run.y)) is None
-    assert noise_gain(replace(run, measured=run.y + noise, left_at_sample=np.full(3, 3))) is None
+    measured = run.y + noise
+    changed_run = replace(run, measured=measured)
+    expected = np.sqrt((1 + 9) / 2) / 2
+    assert noise_gain(changed_run) == pytest.approx(expected)
+    changed_run = replace(run, measured=run.y)
+    assert noise_gain(changed_run) is None
+    measured = run.y + noise
+    left_at_sample = np.full(3, 3)
+    changed_run = replace(run, measured=measured, left_at_sample=left_at_sample)
+    assert noise_gain(changed_run) is None
 
 
 @pytest.mark.parametrize(
@@ -162,11 +186,13 @@ def test_faster_than_the_open_loop_needs_every_case_and_a_smaller_mean(controlle
 
 def test_a_swing_within_the_band_is_settled_and_not_at_rest():
     time = np.arange(200)
-    swinging = 0.04 * np.sin(0.9 * time)
+    sine = np.sin(0.9 * time)
+    swinging = 0.04 * sine
     sloping = 0.04 - 1e-4 * time
     lost = np.full(200, 5.0)
     run = rollouts(swinging.tolist(), sloping.tolist(), lost.tolist())
-    assert settling_times_s(run, 0.1) == (0.0, 0.0, None)
+    expected = (0.0, 0.0, None)
+    assert settling_times_s(run, 0.1) == expected
     swings = remaining_swings(run, 0.1)
     assert swings.shape == (2,)  # the third is not settled
     assert swings[0] == pytest.approx(0.04, rel=0.1)
@@ -175,12 +201,20 @@ def test_a_swing_within_the_band_is_settled_and_not_at_rest():
 
 def test_the_swing_is_that_of_the_run_without_noise():
     still = rollouts([0.0] * 400)
-    swinging = rollouts((0.05 * np.cos(0.9 * np.arange(400))).tolist())
+    cosine = np.cos(0.9 * np.arange(400))
+    swinging = rollouts((0.05 * cosine).tolist())
+    input_equilibrium = np.zeros(1)
     loop = LoopRuns(
-        controlled=still, uncontrolled=still, settling_band=0.1, input_equilibrium=np.zeros(1)
+        controlled=still, uncontrolled=still, settling_band=0.1, input_equilibrium=input_equilibrium
     )
-    assert pool_columns([loop])["swings_at_rest"] == 0.0
+    swings_at_rest = pool_columns([loop])["swings_at_rest"]
+    assert swings_at_rest == 0.0
     loop = replace(loop, quiet=swinging)
-    assert pool_columns([loop])["swings_at_rest"] == pytest.approx(0.5, rel=0.1)
+    swings_at_rest = pool_columns([loop])["swings_at_rest"]
+    assert swings_at_rest == pytest.approx(0.5, rel=0.1)
     gone = rollouts([5.0] * 400)
-    assert pool_columns([replace(loop, controlled=gone, quiet=gone)])["swings_at_rest"] is None
+    changed_loop = replace(loop, controlled=gone, quiet=gone)
+    loops = [changed_loop]
+    columns = pool_columns(loops)
+    swings_at_rest = columns["swings_at_rest"]
+    assert swings_at_rest is None

@@ -25,14 +25,20 @@ def test_the_rest_point_is_where_a_constant_input_takes_the_model(y: float) -> N
     x, u = equilibrium(stand, np.array([y]))
     held = stand.simulate(np.tile(stand.scale.physical_input(u), (400, 1)))
     assert held[-1, 0] == pytest.approx(y, abs=1e-8)
-    assert np.abs(stand.advance(x, stand.scaffold_in(u[None])[0]) - x).max() < 1e-9
+    difference = np.abs(stand.advance(x, stand.scaffold_in(u[None])[0]) - x)
+    largest_difference = difference.max()
+    assert largest_difference < 1e-9
 
 
 def test_an_output_that_saturation_forbids_is_refused() -> None:
     stand = model(("saturation",))
-    inside = {"b": np.zeros((3, 1)), "g": np.ones((1, 1)), "bias": np.zeros(1)}
+    b = np.zeros((3, 1))
+    g = np.ones((1, 1))
+    bias = np.zeros(1)
+    inside = {"b": b, "g": g, "bias": bias}
+    structured_ssm = StructuredSSM(**{**vars(stand), **inside})
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(StructuredSSM(**{**vars(stand), **inside}), np.array([500.0]))
+        equilibrium(structured_ssm, np.array([500.0]))
 
 
 def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None:
@@ -56,7 +62,8 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
     asked = RiccatiSynthesis(
         rate_controller=0.05, rate_observer=0.3, input_weight=0.1, invert_input=undone
     )
-    design = replace(asked, internal_model=["step"], integral_weight=0.1).design(stand, balls)
+    changed_asked = replace(asked, internal_model=["step"], integral_weight=0.1)
+    design = changed_asked.design(stand, balls)
     assert design.certified
     load = StepDisturbance(size=0.1, at_s=0.5)
     steps = StepReference(before=0.0, after=0.6, at_s=1.0)
@@ -67,14 +74,17 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
         reference=steps,
         disturbance=load,
     )
-    runs = loop.run(IdentifiedPlant.of(stand), stand, design, 0)
-    assert runs.controlled.y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
-    without = replace(loop, disturbance=NoDisturbance()).run(
-        IdentifiedPlant.of(stand), stand, design, 0
-    )
-    assert np.abs(without.controlled.u[:, -1] - runs.controlled.u[:, -1]).max() > 0.1, (
-        "the load asks for an input"
-    )
+    identified_plant = IdentifiedPlant.of(stand)
+    runs = loop.run(identified_plant, stand, design, 0)
+    controlled_y = runs.controlled.y
+    assert controlled_y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
+    changed_loop = replace(loop, disturbance=NoDisturbance())
+    identified_plant = IdentifiedPlant.of(stand)
+    without = changed_loop.run(identified_plant, stand, design, 0)
+    controlled_u = without.controlled.u
+    difference = np.abs(controlled_u[:, -1] - runs.controlled.u[:, -1])
+    largest_difference = difference.max()
+    assert largest_difference > 0.1, "the load asks for an input"
 
 
 @pytest.mark.parametrize("injects", [True, False])
@@ -84,7 +94,9 @@ def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     rng = np.random.default_rng(3)
     l_ = rng.normal(size=(3, 1))
     l_z = rng.normal(size=(2, 1)) if injects else None
-    law = ObserverFeedback(model=stand, gains=Gains(k=np.zeros((1, 3)), l=l_, l_z=l_z))
+    k = np.zeros((1, 3))
+    gains = Gains(k=k, l=l_, l_z=l_z)
+    law = ObserverFeedback(model=stand, gains=gains)
     x_hat = rng.normal(size=(1, 3))
     u = np.array([[0.9]])
     y = np.array([[1.3]])
@@ -94,4 +106,5 @@ def test_the_observer_injects_inside_the_neurons(injects: bool) -> None:
     w = np.stack([np.tanh(z[:, 0]), np.logaddexp(0, z[:, 1])], axis=1)
     w -= np.array([np.tanh(stand.bias[0]), np.logaddexp(0, stand.bias[1])])
     expected = x_hat @ stand.a.T + v @ stand.b.T + w @ stand.e.T + error @ l_.T
-    np.testing.assert_allclose(law.advance(x_hat, u, y, np.zeros(5)), expected, atol=1e-12)
+    actual = law.advance(x_hat, u, y, np.zeros(5))
+    np.testing.assert_allclose(actual, expected, atol=1e-12)

@@ -22,56 +22,76 @@ from ssm_study.refusal import BadRequest
 def test_scalar_inverse_undoes_the_map(seed, v):
     scaffold = random_model(seed).scaffold_in
     w = scaffold(np.array([[v]]))
-    np.testing.assert_allclose(inverse(scaffold, w), [[v]], rtol=1e-9, atol=1e-9)
+    actual = inverse(scaffold, w)
+    expected = [[v]]
+    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
 
 def test_inverse_of_a_map_with_several_channels():
     rng = np.random.default_rng(0)
     model = random_model(3, inputs=3, outputs=2)
     v = rng.standard_normal((20, 3))
-    np.testing.assert_allclose(
-        inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8
-    )
+    w = model.scaffold_in(v)
+    actual = inverse(model.scaffold_in, w)
+    np.testing.assert_allclose(actual, v, rtol=1e-8, atol=1e-8)
 
 
 @pytest.mark.parametrize("inputs", [1, 3])
 @pytest.mark.parametrize("size", [1e-13, 1e-17])
 def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
     scaffold = random_model(3, inputs=inputs, outputs=1).scaffold_in
-    assert np.abs(inverse(scaffold, np.full((1, inputs), size))).max() < 1e-11
+    w = np.full((1, inputs), size)
+    matrix = inverse(scaffold, w)
+    largest = np.abs(matrix).max()
+    assert largest < 1e-11
 
 
 def test_a_value_the_map_does_not_reach_is_refused():
+    weights = (np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]]))
+    biases = (np.array([0.0, 1.0]),)
+    negative_slopes = (np.zeros(2),)
+    positive_slopes = (np.ones(2),)
     flat = Network(
-        weights=(np.array([[1.0], [1.0]]), np.array([[1.0, -1.0]])),
-        biases=(np.array([0.0, 1.0]),),
-        negative_slopes=(np.zeros(2),),
-        positive_slopes=(np.ones(2),),
+        weights=weights,
+        biases=biases,
+        negative_slopes=negative_slopes,
+        positive_slopes=positive_slopes,
     )
+    scaffold = MlpScaffold(network=flat)
+    w = np.array([[5.0]])
     with pytest.raises(BadRequest, match="does not reach"):
-        inverse(MlpScaffold(network=flat), np.array([[5.0]]))
+        inverse(scaffold, w)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_equilibrium_is_one(seed):
-    model = random_model(seed, inputs=1 + seed // 2, outputs=1)
-    y = model.scale.output_equilibrium + 0.7 * model.scale.output_scale
+    inputs = 1 + seed // 2
+    model = random_model(seed, inputs=inputs, outputs=1)
+    output_equilibrium = model.scale.output_equilibrium
+    y = output_equilibrium + 0.7 * model.scale.output_scale
     x, u = equilibrium(model, y)
     lifted = model.scaffold_in(u)
-    np.testing.assert_allclose(model.advance(x, lifted), x, atol=1e-9)
-    np.testing.assert_allclose(model.read(x, lifted), y, rtol=1e-9)
+    actual = model.advance(x, lifted)
+    np.testing.assert_allclose(actual, x, atol=1e-9)
+    actual = model.read(x, lifted)
+    np.testing.assert_allclose(actual, y, rtol=1e-9)
 
 
 def test_a_planned_trajectory_is_the_models_own_and_near():
     model = motor_model()
     time_s = np.arange(300) * 0.01
-    reference = (4 * np.sin(2 * np.pi * time_s))[:, None]
+    sine = np.sin(2 * np.pi * time_s)
+    reference = (4 * sine)[:, None]
     plan = feasible_trajectory(model, reference)
     x = plan[:, :2]
     u = plan[:, 2:]
-    np.testing.assert_allclose(x[1:], model.advance(x[:-1], model.scaffold_in(u[:-1])), atol=1e-9)
+    actual = x[1:]
+    expected = model.advance(x[:-1], model.scaffold_in(u[:-1]))
+    np.testing.assert_allclose(actual, expected, atol=1e-9)
     y = model.read(x, model.scaffold_in(u))
-    assert np.abs(y - reference)[20:].max() < 1.0
+    difference = np.abs(y - reference)
+    largest = difference[20:].max()
+    assert largest < 1.0
 
 
 def test_no_other_trajectory_costs_less():
@@ -79,8 +99,10 @@ def test_no_other_trajectory_costs_less():
     more."""
     model = random_model(2, inputs=2, outputs=2)
     rng = np.random.default_rng(0)
-    walk = np.cumsum(0.1 * rng.standard_normal((60, 2)), axis=0)
-    reference = model.scale.output_equilibrium + np.concatenate(
+    white_noise = rng.standard_normal((60, 2))
+    walk = np.cumsum(0.1 * white_noise, axis=0)
+    output_equilibrium = model.scale.output_equilibrium
+    reference = output_equilibrium + np.concatenate(
         [walk, np.tile(walk[-1], (150, 1))]
     )  # ends at rest
     plan = feasible_trajectory(model, reference)
@@ -89,41 +111,45 @@ def test_no_other_trajectory_costs_less():
 
     def cost(inputs: np.ndarray) -> float:
         y, _ = model.linear.simulate(inputs, plan[0, : model.order])
-        return float(((y - target) ** 2).sum() + (np.diff(inputs, axis=0, prepend=0) ** 2).sum())
+        differences = np.diff(inputs, axis=0, prepend=0)
+        return float(((y - target) ** 2).sum() + (differences**2).sum())
 
     for _ in range(5):
         step = np.zeros_like(v)
         step[:60] = rng.standard_normal((60, 2))
-        slope = (cost(v + 1e-4 * step) - cost(v - 1e-4 * step)) / 2e-4
+        difference = cost(v + 1e-4 * step) - cost(v - 1e-4 * step)
+        slope = difference / 2e-4
         assert abs(slope) < 1e-6
         assert cost(v + 0.05 * step) > cost(v)
 
 
 def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
-    plant = replace(IdentifiedPlant.of(model), initial_range=(-4.0, 4.0))
-    loop = Loop(
-        horizon_s=4.0,
-        measurement_noise_variance=0.0,
-        reference=PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0),
-    )
+    identified_plant = IdentifiedPlant.of(model)
+    initial_range = (-4.0, 4.0)
+    plant = replace(identified_plant, initial_range=initial_range)
+    reference = PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0)
+    loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=reference)
     run = loop.run(plant, model, motor_design(), seed=0).controlled
     plan = feasible_trajectory(model, run.reference)
     target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
-    assert np.abs(run.y - target)[:, 300:].max() < 1e-3
-    assert np.abs(run.y - target)[:, 0].max() > 1.0
+    difference = np.abs(run.y - target)
+    largest = difference[:, 300:].max()
+    assert largest < 1e-3
+    difference = np.abs(run.y - target)
+    largest = difference[:, 0].max()
+    assert largest > 1.0
 
 
 @pytest.mark.parametrize("speed", [-6.0, 8.0])
 def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
-    loop = Loop(
-        horizon_s=3.0,
-        measurement_noise_variance=0.0,
-        reference=StepReference(before=0.0, after=speed, at_s=0.5),
-    )
+    reference = StepReference(before=0.0, after=speed, at_s=0.5)
+    loop = Loop(horizon_s=3.0, measurement_noise_variance=0.0, reference=reference)
     run = loop.run(motor(), motor_model(), motor_design(), seed=0).controlled
     assert run.stayed.all()
-    assert np.abs(run.y[:, -1, 0] - speed).max() < 1.5
+    difference = np.abs(run.y[:, -1, 0] - speed)
+    largest_difference = difference.max()
+    assert largest_difference < 1.5
 
 
 def test_set_points_hold_each_value():
@@ -131,42 +157,50 @@ def test_set_points_hold_each_value():
     reference = np.repeat([[1.0], [-3.0], [1.0]], 5, axis=0)
     points = set_points(model, reference)
     for k in (0, 7, 14):
-        np.testing.assert_allclose(points[k], np.concatenate(equilibrium(model, reference[k])))
+        expected = np.concatenate(equilibrium(model, reference[k]))
+        np.testing.assert_allclose(points[k], expected)
 
 
 def test_reference_signals(tmp_path):
     time_s = np.array([0.0, 0.5, 1.0, 1.5])
-    np.testing.assert_allclose(
-        StepReference(before=1.0, after=3.0, at_s=0.5).signal(time_s), [1, 3, 3, 3]
-    )
-    np.testing.assert_allclose(
-        RampDisturbance(slope_per_s=2.0, from_s=0.5, until_s=1.0).signal(time_s), [0, 0, 1, 1]
-    )
-    np.testing.assert_allclose(
-        PeriodicDisturbance(amplitude=2.0, frequency_hz=0.5).signal(time_s),
-        [0, 2, 0, -2],
-        atol=1e-12,
-    )
+    step_reference = StepReference(before=1.0, after=3.0, at_s=0.5)
+    actual = step_reference.signal(time_s)
+    expected = [1, 3, 3, 3]
+    np.testing.assert_allclose(actual, expected)
+    ramp_disturbance = RampDisturbance(slope_per_s=2.0, from_s=0.5, until_s=1.0)
+    actual = ramp_disturbance.signal(time_s)
+    expected = [0, 0, 1, 1]
+    np.testing.assert_allclose(actual, expected)
+    periodic_disturbance = PeriodicDisturbance(amplitude=2.0, frequency_hz=0.5)
+    actual = periodic_disturbance.signal(time_s)
+    expected = [0, 2, 0, -2]
+    np.testing.assert_allclose(actual, expected, atol=1e-12)
     path = tmp_path / "reference.csv"
     path.write_text("# time, offset\n0.25,1\n\n0.75,3\n")
-    np.testing.assert_allclose(FileReference(path=str(path)).signal(time_s), [1, 2, 3, 3])
+    file_reference = FileReference(path=str(path))
+    actual = file_reference.signal(time_s)
+    expected = [1, 2, 3, 3]
+    np.testing.assert_allclose(actual, expected)
 
 
 def test_a_reference_without_equilibrium_is_refused():
     model = random_model(0, inputs=1, outputs=2)
+    output_equilibrium = model.scale.output_equilibrium
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(model, model.scale.output_equilibrium + np.array([1.0, -1.0]))
+        equilibrium(model, output_equilibrium + np.array([1.0, -1.0]))
 
 
 def test_rest_is_planned_as_rest():
-    plan = feasible_trajectory(motor_model(), np.zeros((50, 1)))
+    reference = np.zeros((50, 1))
+    plan = feasible_trajectory(motor_model(), reference)
     assert not plan.any()
 
 
 def test_a_planned_step_ends_at_its_set_point():
     model = motor_model()
-    plan = feasible_trajectory(model, np.repeat([[0.0], [5.0]], 300, axis=0))
-    np.testing.assert_allclose(
-        plan[-1], np.concatenate(equilibrium(model, np.array([5.0]))), atol=1e-6
-    )
+    reference = np.repeat([[0.0], [5.0]], 300, axis=0)
+    plan = feasible_trajectory(model, reference)
+    actual = plan[-1]
+    expected = np.concatenate(equilibrium(model, np.array([5.0])))
+    np.testing.assert_allclose(actual, expected, atol=1e-6)
     np.testing.assert_allclose(plan[0], 0, atol=1e-3)

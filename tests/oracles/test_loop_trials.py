@@ -27,28 +27,32 @@ def looped(
     at rest."""
     controller = ObserverFeedback.of(model, design)
     rng = np.random.default_rng(0)
-    plan = controller.targets(np.zeros((samples, 1)))
+    reference = np.zeros((samples, 1))
+    plan = controller.targets(reference)
     memory = controller.start(1)
     x = np.ones(model.order)
     u = np.zeros((samples, 1))
     y = np.zeros((samples, 1))
     for k in range(samples):
         said = model.linear.c @ x
-        y[k] = said + relay * np.tanh(50 * said) + noise * rng.standard_normal(1)
-        u[k] = controller.input(memory, y[k : k + 1], plan[k])[0]
+        white_noise = rng.standard_normal(1)
+        y[k] = said + relay * np.tanh(50 * said) + noise * white_noise
+        inputs = controller.input(memory, y[k : k + 1], plan[k])
+        u[k] = inputs[0]
         memory = controller.advance(memory, u[k : k + 1], y[k : k + 1], plan[k])
-        x = model.linear.a @ x + model.linear.b @ u[k]
+        linear_a = model.linear.a
+        linear_b = model.linear.b
+        x = linear_a @ x + linear_b @ u[k]
     return Trajectory(u=u, y=y, step_s=model.step_s, closed_loop=True)
 
 
 def slow_model() -> SSM:
     """Three lags, read before the input acts."""
-    linear = StateSpace(
-        a=np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]]),
-        b=np.array([[0.0], [0.0], [0.3]]),
-        c=np.array([[1.0, 0.0, 0.0]]),
-        d=np.zeros((1, 1)),
-    )
+    a = np.array([[0.9, 0.1, 0.0], [0.0, 0.8, 0.2], [0.0, 0.0, 0.7]])
+    b = np.array([[0.0], [0.0], [0.3]])
+    c = np.array([[1.0, 0.0, 0.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     return replace(linear_model(0), linear=linear)
 
 
@@ -64,10 +68,12 @@ CALM = RiccatiSynthesis(rate_controller=0.25, rate_observer=0.3, input_weight=10
 def recorded(noise: float = 0.01) -> Trajectory:
     """White input at full amplitude, twice: the model is exact on it, but for noise."""
     rng = np.random.default_rng(1)
-    u = np.tile(3 * rng.standard_normal((1024, 1)), (2, 1))
-    return Trajectory(
-        u=u, y=MODEL.simulate(u) + noise * rng.standard_normal(u.shape), step_s=MODEL.step_s
-    )
+    white_noise = rng.standard_normal((1024, 1))
+    u = np.tile(3 * white_noise, (2, 1))
+    model = MODEL.simulate(u)
+    white_noise = rng.standard_normal(u.shape)
+    y = model + noise * white_noise
+    return Trajectory(u=u, y=y, step_s=MODEL.step_s)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
@@ -78,13 +84,17 @@ def test_a_loop_that_oscillates_refutes_its_own_design(noise):
     record = recorded(noise)
     known = measure_mismatch(MODEL, (record,))
     shown = measure_mismatch(MODEL, (record,), 0, (trial,))
-    assert predict(MODEL, FAST.pair, ONES, known).resolved_margin > 1
-    assert predict(MODEL, FAST.pair, ONES, shown).resolved_margin < 1
+    resolved_margin = predict(MODEL, FAST.pair, ONES, known).resolved_margin
+    assert resolved_margin > 1
+    resolved_margin = predict(MODEL, FAST.pair, ONES, shown).resolved_margin
+    assert resolved_margin < 1
     assert shown.loop is not None
-    assert shown.seen == shown.loop.gain > 5 * known.seen
+    expected = shown.loop.gain
+    assert shown.seen == expected > 5 * known.seen
     peak = sensitivity_peak(MODEL.linear, FAST.pair, ONES)
     assert shown.loop.gain > 0.9 / peak
-    assert predict(MODEL, CALM.pair, ONES, shown).resolved_margin > 1
+    resolved_margin = predict(MODEL, CALM.pair, ONES, shown).resolved_margin
+    assert resolved_margin > 1
 
 
 @pytest.mark.parametrize("repeats", [True, False])
@@ -94,17 +104,22 @@ def test_noise_that_the_loop_feeds_back_is_no_mismatch(repeats):
     record = recorded()
     trial = looped(MODEL, FAST, 0.0, noise=0.3)
     record = record if repeats else record[:1500]
-    assert measure_mismatch(MODEL, (record,), 0, (trial,)).loop is None
+    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    loop = mismatch.loop
+    assert loop is None
 
 
 def test_a_motion_asked_of_a_good_loop_shows_little():
     """A trial with a moving set point counts, and what it shows is what the noise leaves, not 1 /
     |T_ue|."""
     trial = looped(MODEL, FAST, 0.0, noise=0.05)
-    moved = 2 * np.sin(np.arange(SAMPLES) / 7)[:, None]
+    sine = np.sin(np.arange(SAMPLES) / 7)
+    moved = 2 * sine[:, None]
     u = trial.u + moved
-    y = trial.y + MODEL.simulate(moved)
-    shown = measure_mismatch(MODEL, (recorded(0.05),), 0, (replace(trial, u=u, y=y),))
+    model = MODEL.simulate(moved)
+    y = trial.y + model
+    changed_trial = replace(trial, u=u, y=y)
+    shown = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
     assert shown.loop is not None
     assert shown.loop.gain < 0.05
 
@@ -115,15 +130,19 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     an offset stays."""
     trial = looped(MODEL, FAST, 0.0, noise=0.05)
     k = np.arange(SAMPLES)[:, None]
-    moved = 2 * np.sin(k / 7)
-    y = trial.y + MODEL.simulate(moved) + size * (1 + np.cos(np.pi * k))
-    shown = measure_mismatch(
-        MODEL, (recorded(0.05),), 0, (replace(trial, u=trial.u + moved, y=y),)
-    ).loop
+    sine = np.sin(k / 7)
+    moved = 2 * sine
+    model = MODEL.simulate(moved)
+    cosine = np.cos(np.pi * k)
+    y = trial.y + model + size * (1 + cosine)
+    u = trial.u + moved
+    changed_trial = replace(trial, u=u, y=y)
+    mismatch = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
+    shown = mismatch.loop
     assert shown is not None
-    np.testing.assert_array_equal(
-        shown.by_frequency > 0, (size > 0) & np.isin(np.arange(33), [0, 32])
-    )
+    actual = shown.by_frequency > 0
+    expected = (size > 0) & np.isin(np.arange(33), [0, 32])
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_where_no_record_measured_the_noise_the_quietest_bands_do():
@@ -131,8 +150,10 @@ def test_where_no_record_measured_the_noise_the_quietest_bands_do():
     goes."""
     trial = looped(MODEL, FAST, 0.3, noise=0.02)
     record = recorded()[:1500]
-    measured = measure_mismatch(MODEL, (recorded(0.02),), 0, (trial,)).loop
-    guessed = measure_mismatch(MODEL, (record,), 0, (trial,)).loop
+    mismatch = measure_mismatch(MODEL, (recorded(0.02),), 0, (trial,))
+    measured = mismatch.loop
+    mismatch = measure_mismatch(MODEL, (record,), 0, (trial,))
+    guessed = mismatch.loop
     assert guessed.gain == pytest.approx(measured.gain, rel=0.05)
 
 
@@ -140,7 +161,9 @@ def test_the_start_of_a_loop_is_no_mismatch():
     """From far out, at rest before the end: the model explains the whole of it by its initial
     state."""
     quiet = looped(MODEL, CALM, 0.0)
-    assert measure_mismatch(MODEL, (recorded(),), 0, (quiet,)).loop is None
+    mismatch = measure_mismatch(MODEL, (recorded(),), 0, (quiet,))
+    loop = mismatch.loop
+    assert loop is None
     short = looped(MODEL, CALM, 0.0, samples=30)  # still on its way at the end
     shown = measure_mismatch(MODEL, (recorded(),), 0, (short,))
     assert shown.loop is None or shown.loop.gain < 0.02
@@ -153,17 +176,20 @@ def test_the_records_about_the_loop_stay_as_they_are():
     beside = measure_mismatch(MODEL, (record,), 0, (trial,))
     assert alone.gain == beside.gain
     assert alone.spread == beside.spread
-    assert len(alone.views) == len(beside.views)
+    expected = len(beside.views)
+    assert len(alone.views) == expected
     assert alone.left_at_rest == beside.left_at_rest
 
 
 def test_the_record_with_the_most_power_is_the_largest():
     """Also where its input is negative: its scatter and its bands are those that are told."""
     rng = np.random.default_rng(0)
-    falling = -1 - np.abs(np.sin(np.arange(900) / 300))[:, None]
+    sine = np.sin(np.arange(900) / 300)
+    falling = -1 - np.abs(sine)[:, None]
+    white_noise = rng.standard_normal((900, 1))
     weak, strong = (
         Trajectory(u=u, y=MODEL.simulate(u) + 0.01 * rng.standard_normal((900, 1)), step_s=0.01)
-        for u in (1 + 0.1 * rng.standard_normal((900, 1)), falling)
+        for u in (1 + 0.1 * white_noise, falling)
     )
     both, alone, other = (
         measure_mismatch(MODEL, records) for records in ((weak, strong), (strong,), (weak,))

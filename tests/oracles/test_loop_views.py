@@ -26,24 +26,31 @@ from ssm_study.systems import Gains
 def test_two_equal_pieces_are_found_wherever_they_are(seed, period, before, after):
     rng = np.random.default_rng(seed)
     piece = rng.standard_normal((period, 1))
-    u = np.concatenate([rng.standard_normal((before, 1)), piece, piece, np.zeros((after, 1))])
-    assert repetition(u) == (before, period)
+    white_noise = rng.standard_normal((before, 1))
+    u = np.concatenate([white_noise, piece, piece, np.zeros((after, 1))])
+    expected = (before, period)
+    assert repetition(u) == expected
     u[before + period // 2] += 1e-3
     assert repetition(u) is None
 
 
 def test_a_signal_that_rests_or_holds_its_levels_does_not_repeat():
-    assert repetition(np.zeros((500, 1))) is None
-    levels = np.random.default_rng(0).uniform(-1, 1, 40)
-    assert repetition(np.repeat(levels, 20)[:, None]) is None
+    u = np.zeros((500, 1))
+    assert repetition(u) is None
+    rng = np.random.default_rng(0)
+    levels = rng.uniform(-1, 1, 40)
+    u = np.repeat(levels, 20)[:, None]
+    assert repetition(u) is None
 
 
 def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 0) -> Trajectory:
     """Two periods of white input; the output misses the model by `missed` of the scaled input, plus
     sensor noise."""
     rng = np.random.default_rng(seed)
-    u = amplitude * np.tile(rng.standard_normal((1024, 1)), (3, 1))
-    y = model.simulate(u) + missed(u) + noise * rng.standard_normal(u.shape)
+    white_noise = rng.standard_normal((1024, 1))
+    u = amplitude * np.tile(white_noise, (3, 1))
+    response = model.simulate(u)
+    y = response + missed(u) + noise * rng.standard_normal(u.shape)
     return Trajectory(u=u, y=y, step_s=0.01)
 
 
@@ -51,19 +58,27 @@ def test_noise_of_the_sensor_is_not_mismatch_and_distortion_is():
     """`e = 0.3 |u|` is the mismatch that a cross spectrum of u and e does not show; it repeats, so
     it stays."""
     model = linear_model(0)
-    quiet = measure_mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.0),))
+    trajectory = twice(model, lambda u: 0.3 * np.abs(u), 0.0)
+    quiet = measure_mismatch(model, (trajectory,))
     noisy = measure_mismatch(model, (twice(model, lambda u: 0.3 * np.abs(u), 0.2),))
-    assert quiet.gain == pytest.approx(
-        0.3 * np.sqrt(1 - 2 / np.pi), rel=0.05
-    )  # the mean of |u| is no input's answer
+    expected = 0.3 * np.sqrt(1 - 2 / np.pi)
+    assert quiet.gain == pytest.approx(expected, rel=0.05)  # the mean of |u| is no input's answer
     assert noisy.gain == pytest.approx(quiet.gain, rel=0.1)
-    assert np.median(noisy.views[0].rest / quiet.views[0].rest) == pytest.approx(1.0, rel=0.2)
+    rest = noisy.views[0].rest
+    median = np.median(rest / quiet.views[0].rest)
+    assert median == pytest.approx(1.0, rel=0.2)
     once = replace(twice(model, lambda u: 0.3 * np.abs(u), 0.2), name="once")
-    cut = Trajectory(u=once.u[:1024], y=once.y[:1024], step_s=0.01)
-    assert measure_mismatch(model, (cut,)).gain > 1.5 * quiet.gain
-    assert np.mean(noisy.noise) == pytest.approx(0.2**2, rel=0.1)
+    y = once.y[:1024]
+    cut = Trajectory(u=once.u[:1024], y=y, step_s=0.01)
+    mismatch = measure_mismatch(model, (cut,))
+    gain = mismatch.gain
+    assert gain > 1.5 * quiet.gain
+    mean = np.mean(noisy.noise)
+    assert mean == pytest.approx(0.2**2, rel=0.1)
     assert max(quiet.noise) < 1e-20
-    assert measure_mismatch(model, (cut,)).noise == ()  # measured only where an input repeats
+    mismatch = measure_mismatch(model, (cut,))
+    noise = mismatch.noise
+    assert noise == ()  # measured only where an input repeats
 
 
 def radius(model: SSM, pair: Gains, factor: float) -> float:
@@ -72,7 +87,9 @@ def radius(model: SSM, pair: Gains, factor: float) -> float:
     (a, b, c, d), k, more = (getattr(model.linear, name) for name in "abcd"), pair.k, 1 + factor
     injected = pair.l @ c - factor * pair.l @ d @ k
     matrix = np.block([[a, b @ k], [-more * pair.l @ c, a + b @ k + injected]])
-    return float(np.abs(np.linalg.eigvals(matrix)).max())
+    eigenvalues = np.linalg.eigvals(matrix)
+    spectral_radius = np.abs(eigenvalues).max()
+    return float(spectral_radius)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -80,20 +97,22 @@ def test_a_linear_mismatch_is_all_phase_and_the_loop_is_judged_exactly(seed):
     """The plant is the model plus its own answer times a factor: with a phase the verdict is the
     loop's own."""
     model = linear_model(seed)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(
-        model, ONES
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
+    design = riccati_synthesis.design(model, ONES)
     verdicts = set()
     for factor in (-0.95, -0.5, 0.5, 1.5, 3.0, 8.0):
         record = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
         shown = measure_mismatch(model, (record,))
         view = shown.views[0]
         np.testing.assert_allclose(view.linear, factor, rtol=1e-6)
-        assert view.rest.max() < 1e-6 * view.by_frequency.max()
-        assert view.amplitude == pytest.approx(
-            np.linalg.norm(record.u) / np.sqrt(record.u.size), rel=0.1
-        )
-        found = predict(model, design.pair, ONES, shown).resolved_margin > 1
+        largest = view.rest.max()
+        upper_limit = 1e-6 * view.by_frequency.max()
+        assert largest < upper_limit
+        norm = np.linalg.norm(record.u)
+        expected = norm / np.sqrt(record.u.size)
+        assert view.amplitude == pytest.approx(expected, rel=0.1)
+        resolved_margin = predict(model, design.pair, ONES, shown).resolved_margin
+        found = resolved_margin > 1
         stable = radius(model, design.pair, factor) < 1
         assert found == stable
         verdicts.add(stable)
@@ -105,34 +124,36 @@ def test_no_phase_is_read_from_noise_below_the_largest_amplitude():
     answers is dropped."""
     model = linear_model(0)
     records = [twice(model, lambda u: 0 * u, 0.2, a, seed) for seed, a in enumerate((0.3, 1.0))]
-    small, large = measure_mismatch(model, tuple(records)).views
+    mismatch = measure_mismatch(model, tuple(records))
+    small, large = mismatch.views
     assert small.amplitude < large.amplitude
-    assert np.mean(small.linear != 0) < 0.1
-    assert np.mean(large.linear != 0) > 0.2
-    assert np.any(
-        measure_mismatch(model, tuple(records[:1])).views[0].linear
-    )  # alone it is the largest
+    mean = np.mean(small.linear != 0)
+    assert mean < 0.1
+    mean = np.mean(large.linear != 0)
+    assert mean > 0.2
+    mismatch = measure_mismatch(model, tuple(records[:1]))
+    views = mismatch.views
+    linear = views[0].linear
+    assert np.any(linear)  # alone it is the largest
 
 
 def test_of_the_two_conditions_the_better_one_counts():
     """A mismatch that is all phase costs no margin, whether small gain passes it or not."""
     model = linear_model(0)
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01).design(
-        model, ONES
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
+    design = riccati_synthesis.design(model, ONES)
     small_gain = set()
     for factor in (0.02, -0.95, 0.5, 1.5, 3.0, 8.0):
         if radius(model, design.pair, factor) >= 1:
             continue
-        shown = measure_mismatch(
-            model, (twice(model, lambda u, f=factor: f * model.simulate(u), 0.0),)
-        )
-        sizes = replace(
-            shown,
-            views=tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views),
-        )
-        small_gain.add(predict(model, design.pair, ONES, sizes).resolved_margin > 1)
-        assert predict(model, design.pair, ONES, shown).resolved_margin > 1e4
+        trajectory = twice(model, lambda u, f=factor: f * model.simulate(u), 0.0)
+        shown = measure_mismatch(model, (trajectory,))
+        views = tuple(replace(v, linear=0 * v.linear, rest=v.by_frequency) for v in shown.views)
+        sizes = replace(shown, views=views)
+        resolved_margin = predict(model, design.pair, ONES, sizes).resolved_margin
+        small_gain.add(resolved_margin > 1)
+        resolved_margin = predict(model, design.pair, ONES, shown).resolved_margin
+        assert resolved_margin > 1e4
     assert small_gain == {True, False}
 
 
@@ -141,7 +162,8 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
     """The loop run with an offset of the output, sample by sample, against the margin; integrators
     leave nothing."""
     model = linear_model(seed)
-    model = model.with_linear(replace(model.linear, d=np.zeros((1, 1))))
+    linear = replace(model.linear, d=np.zeros((1, 1)))
+    model = model.with_linear(linear)
     moderate = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3, input_weight=0.01)
     design = moderate.design(model, ONES)
     careful = RiccatiSynthesis(rate_controller=0.01, rate_observer=0.1)
@@ -153,21 +175,25 @@ def test_an_offset_at_rest_counts_by_what_the_loop_leaves_of_it(seed):
         u = design.pair.k @ x_hat
         y = c @ x + d @ u + offset
         x = a @ x + b @ u
-        x_hat = a @ x_hat + b @ u + design.pair.l @ (c @ x_hat + d @ u - y)
-    view = measure_mismatch(model, (twice(model, lambda u: 1e-9 * u, 0.0),)).views
+        pair_l = design.pair.l
+        difference = c @ x_hat + d @ u - y
+        x_hat = a @ x_hat + b @ u + pair_l @ difference
+    trajectory = twice(model, lambda u: 1e-9 * u, 0.0)
+    mismatch = measure_mismatch(model, (trajectory,))
+    view = mismatch.views
     for stuck, farthest in (((offset, 0.03), 1.0), ((0.1, 10 * offset, 0.3), 2.0), ((), 1.0)):
         shown = Mismatch(views=view, stuck=stuck, farthest=farthest)
         found = predict(model, design.pair, ONES, shown)
-        worst = max(stuck, default=0.0) * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
+        largest = max(stuck, default=0.0)
+        worst = largest * {2: np.sqrt(20), 3: np.cbrt(20), 0: 0}[len(stuck)]
         left = abs(float(y[0])) / offset * worst / (BAND * farthest)  # in bands
         assert not stuck or found.resolved_margin == pytest.approx(1 / left, rel=1e-3)
-        assert found.predicts_stability() == (left < 1 and found.controller_radius < 1)
-        integral = replace(careful, internal_model=["step"], integral_weight=0.01).design(
-            model, ONES
-        )
-        assert (
-            predict(model, integral.pair, ONES, shown).resolved_margin > 5
-        )  # at 1e-4 rad/sample, not at 0
+        expected = left < 1 and found.controller_radius < 1
+        assert found.predicts_stability() == expected
+        changed_careful = replace(careful, internal_model=["step"], integral_weight=0.01)
+        integral = changed_careful.design(model, ONES)
+        resolved_margin = predict(model, integral.pair, ONES, shown).resolved_margin
+        assert resolved_margin > 5  # at 1e-4 rad/sample, not at 0
 
 
 def test_between_two_amplitudes_lies_what_neither_shows():
@@ -175,7 +201,8 @@ def test_between_two_amplitudes_lies_what_neither_shows():
     not all."""
     model = linear_model(1)
     scale = 3.0
-    design = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).design(model, ONES)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
+    design = riccati_synthesis.design(model, ONES)
     turned = [
         twice(model, lambda u, f=f: f * model.simulate(u), 0.0, a)
         for f, a in ((-1.0, 0.1), (0.0, scale))
@@ -184,7 +211,8 @@ def test_between_two_amplitudes_lies_what_neither_shows():
         predict(model, design.pair, ONES, measure_mismatch(model, (one,))).resolved_margin
         for one in turned
     ]
-    both = predict(model, design.pair, ONES, measure_mismatch(model, tuple(turned))).resolved_margin
+    mismatch = measure_mismatch(model, tuple(turned))
+    both = predict(model, design.pair, ONES, mismatch).resolved_margin
     assert both <= min(alone)
 
 
@@ -194,40 +222,57 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
     record = twice(model, lambda u: 0.01 * u, 0.0)
     still = np.zeros((600, 1))
     k = np.arange(600)[:, None]
-    noise = 0.5 * rng.standard_normal(still.shape)  # a tenth of the output's scale of 5
+    white_noise = rng.standard_normal(still.shape)
+    noise = 0.5 * white_noise  # a tenth of the output's scale of 5
     scale = model.scale.output_scale[0]
-    slow, fast = (0.2 * scale * np.cos(angle * k) for angle in (0.2, 2.6))
-    for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast,
-                                                                                             False),
-                        (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30),
-                                                      True)):  # fmt: skip
-        shown = measure_mismatch(
-            model, (record,), 0, (Trajectory(u=still, y=left + noise, step_s=0.01),)
-        )
+    angles = (0.2, 2.6)
+    slow, fast = (0.2 * scale * np.cos(angle * k) for angle in angles)
+    for left, rests in (
+        (0 * k, True),
+        (0.5 * AT_REST * scale * k**0, True),
+        (slow, False),
+        (fast, False),
+        (0.1 * scale * k**0, False),
+        (3 * scale * np.exp(-k / 30), True),
+    ):
+        trajectory = Trajectory(u=still, y=left + noise, step_s=0.01)
+        shown = measure_mismatch(model, (record,), 0, (trajectory,))
         assert shown.rests == rests
-        margin = predict(model, motor_design().pair, BALLS, shown).resolved_margin
+        pair = motor_design().pair
+        margin = predict(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests
         assert np.isfinite(shown.seen) == rests
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
-    records = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
-    assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
-    assert (
-        max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
-    )  # none goes beyond it
+    rng = np.random.default_rng(3)
+    records = mismatch_records(motor(), rng, np.array([0.1]))
+    expected = len(SHARES) + len(DECAYS) + len(RETURNS)
+    assert len(records) == expected
+    largest = max(np.abs(record.u).max() for record in records)
+    upper_limit = motor().input_amplitude[0]
+    assert largest <= upper_limit  # none goes beyond it
     for record, share in zip(records, SHARES, strict=False):
-        assert repetition(record.u) == (LEAD_IN, PERIOD)
-        assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
+        expected = (LEAD_IN, PERIOD)
+        assert repetition(record.u) == expected
+        largest = np.abs(record.u).max()
+        input_amplitude = motor().input_amplitude
+        upper_limit = share * input_amplitude[0]
+        assert largest <= upper_limit
         assert not record.u[-PERIOD // 2 :].any()
     for record, share in zip(records[-len(RETURNS) :], RETURNS, strict=True):
-        assert record.u[0, 0] == share * motor().input_amplitude[0]
-        assert 0 < np.abs(np.diff(record.u[:, 0])).max() < np.abs(record.u[0, 0]) / 100
+        input_amplitude = motor().input_amplitude
+        expected = share * input_amplitude[0]
+        assert record.u[0, 0] == expected
+        differences = np.diff(record.u[:, 0])
+        largest = np.abs(differences).max()
+        assert 0 < largest < np.abs(record.u[0, 0]) / 100
         assert not record.u[-PERIOD // 2 :].any()
     for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
-    again = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
+    rng = np.random.default_rng(3)
+    again = mismatch_records(motor(), rng, np.array([0.1]))
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
 
 
@@ -237,17 +282,14 @@ def test_a_mismatch_is_stored_bit_for_bit(tmp_path: Path):
         linear_model(0), (twice(linear_model(0), lambda u: 0.3 * np.abs(u), 0.2),)
     )
     view = shown.views[0]
-    lost = replace(
-        view,
-        by_frequency=np.full_like(view.rest, np.inf),
-        linear=view.linear + complex(np.inf, 1.0),
+    by_frequency = np.full_like(view.rest, np.inf)
+    linear = view.linear + complex(np.inf, 1.0)
+    lost = replace(view, by_frequency=by_frequency, linear=linear)
+    unexcited = (0.1, 3.0)
+    changed_shown = replace(
+        shown, loop=lost, left_at_rest=0.25, unexcited=unexcited, stuck=(0.3,), farthest=2.5
     )
-    for one in (
-        shown,
-        replace(
-            shown, loop=lost, left_at_rest=0.25, unexcited=(0.1, 3.0), stuck=(0.3,), farthest=2.5
-        ),
-    ):
+    for one in (shown, changed_shown):
         write_mismatch(tmp_path, one)
         assert plain(read_mismatch(tmp_path)) == plain(one)
 

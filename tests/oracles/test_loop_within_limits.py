@@ -42,21 +42,19 @@ SLOPES = (0.8, 1.0, 0.7, 0.9)
 
 @pytest.fixture(scope="module")
 def pair() -> tuple[SSM, Design]:
-    plain = SSM.of(
-        StateSpace(
-            a=np.array([[0.95, 0.1], [0.0, 0.8]]),
-            b=np.array([[0.02], [0.3]]),
-            c=np.array([[1.0, 0.0]]),
-            d=np.zeros((1, 1)),
-        ),
-        0.1,
-    )
-    lifted = MonotoneScaffold(breakpoints=np.array([[-1.0, 0.1, 0.8]]), slopes=np.array([SLOPES]))
+    a = np.array([[0.95, 0.1], [0.0, 0.8]])
+    b = np.array([[0.02], [0.3]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    state_space = StateSpace(a=a, b=b, c=c, d=d)
+    plain = SSM.of(state_space, 0.1)
+    breakpoints = np.array([[-1.0, 0.1, 0.8]])
+    slopes = np.array([SLOPES])
+    lifted = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
     model = replace(plain, scaffold_in=lifted)
-    balls = Balls(
-        input=JacobianBall.from_slopes(min(SLOPES), max(SLOPES)),
-        output=JacobianBall(alpha=1.0, beta=0.0),
-    )
+    balls_input = JacobianBall.from_slopes(min(SLOPES), max(SLOPES))
+    output = JacobianBall(alpha=1.0, beta=0.0)
+    balls = Balls(input=balls_input, output=output)
     wanted = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.4, input_weight=0.5)
     return model, wanted.design(model, balls)
 
@@ -81,8 +79,10 @@ def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design])
     found = within_limits(*pair, -LIMIT, LIMIT)
     assert found.lower[0] < 0 < found.upper[0]
     for y0 in np.linspace(found.lower[0], found.upper[0], 9):
-        assert np.abs(inputs(*pair, y0)).max() <= LIMIT[0]
-    assert np.abs(inputs(*pair, 6 * found.upper[0])).max() > LIMIT[0]
+        largest = np.abs(inputs(*pair, y0)).max()
+        assert largest <= LIMIT[0]
+    largest = np.abs(inputs(*pair, 6 * found.upper[0])).max()
+    assert largest > LIMIT[0]
 
 
 def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(
@@ -101,15 +101,21 @@ def test_everywhere_is_no_faster_than_the_open_loop_and_holds_for_changing_slope
     feedback = pair[1].state_feedback
     proved = certify_under_limits(feedback)
     assert proved is not None
-    own = 1 - np.abs(np.linalg.eigvals(feedback.a)).max() ** 2
+    eigenvalues = np.linalg.eigvals(feedback.a)
+    spectral_radius = np.abs(eigenvalues).max()
+    own = 1 - spectral_radius**2
     assert 0.5 * own < proved.rate <= own < feedback.rate
-    metric = np.linalg.cholesky(np.linalg.inv(proved.p)).T
+    inverse = np.linalg.inv(proved.p)
+    metric = np.linalg.cholesky(inverse).T
     rng = np.random.default_rng(0)
     x = rng.standard_normal((2, 4000))
     for slope in (0.0, 0.3, 1.0, rng.uniform(0, 1, 4000)):
         after = feedback.a @ x + feedback.b * slope * (feedback.k @ x)
-        shrunk = np.linalg.norm(metric @ after, axis=0) / np.linalg.norm(metric @ x, axis=0)
-        assert shrunk.max() <= np.sqrt(1 - proved.rate) * (1 + 1e-9)
+        norm = np.linalg.norm(metric @ after, axis=0)
+        shrunk = norm / np.linalg.norm(metric @ x, axis=0)
+        largest = shrunk.max()
+        upper_limit = np.sqrt(1 - proved.rate) * (1 + 1e-9)
+        assert largest <= upper_limit
 
 
 def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that_meet() -> None:
@@ -118,19 +124,15 @@ def test_the_ball_of_limited_inputs_holds_every_cut_jacobian_also_of_inputs_that
     wide = ball_behind_limits(ball, inputs=2)
     worst = 0.0
     for _ in range(2000):
-        turned = np.linalg.qr(rng.standard_normal((2, 2)))[
-            0
-        ]  # of norm one: the corners of the ball
+        white_noise = rng.standard_normal((2, 2))
+        turned = np.linalg.qr(white_noise)[0]  # of norm one: the corners of the ball
         cut = (ball.alpha * np.eye(2) + ball.beta * turned) * rng.choice([0.0, 0.5, 1.0], 2)
-        worst = max(worst, float(np.linalg.norm(cut - wide.alpha * np.eye(2), 2)))
+        difference = cut - wide.alpha * np.eye(2)
+        norm = float(np.linalg.norm(difference, 2))
+        worst = max(worst, norm)
     assert 0.9 * wide.beta < worst <= wide.beta * (1 + 1e-12)
-    assert (
-        ball_behind_limits(ball, inputs=1).lower
-        <= ball.lower
-        < ball.upper
-        < 0
-        == ball_behind_limits(ball, inputs=1).upper
-    )
+    lower = ball_behind_limits(ball, inputs=1).lower
+    assert lower <= ball.lower < ball.upper < 0 == ball_behind_limits(ball, inputs=1).upper
 
 
 def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM, Design]) -> None:
@@ -139,13 +141,16 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
     model, design = pair
     saturated = certify_under_limits(design.state_feedback)
     assert saturated is not None
+    input_lower = -LIMIT[0]
     loop = Loop(
-        horizon_s=8.0, measurement_noise_variance=0.0, input_lower=-LIMIT[0], input_upper=LIMIT[0]
+        horizon_s=8.0, measurement_noise_variance=0.0, input_lower=input_lower, input_upper=LIMIT[0]
     )
     law = ObserverFeedback.of(model, design)
     starts = np.array([[-20.0], [-3.0], [0.05], [9.0]])
-    run = loop.simulate(IdentifiedPlant.of(model), law, starts, np.zeros((4, 80, 1)))
-    assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == [[True], [True], [False], [True]]
+    identified_plant = IdentifiedPlant.of(model)
+    run = loop.simulate(identified_plant, law, starts, np.zeros((4, 80, 1)))
+    expected = [[True], [True], [False], [True]]
+    assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == expected
     assert violations(run.states, run.estimate, saturated, design.observer) == 0
     assert violations(run.states, run.estimate, design.state_feedback, design.observer) > 0
 
@@ -159,20 +164,27 @@ def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> N
     x = equilibrium(model, np.array([1.0]))[0][:, None]
     asked = []
     for _ in range(40):
-        asked.append(abs((feedback.k @ x).item()))
+        item = (feedback.k @ x).item()
+        asked.append(abs(item))
         x = (feedback.a + min(SLOPES) * feedback.b @ feedback.k) @ x
-    assert 0.7 * LIMIT[0] / max(asked) < found.upper[0] <= LIMIT[0] / max(asked)
+    upper_limit = found.upper[0]
+    assert 0.7 * LIMIT[0] / max(asked) < upper_limit <= LIMIT[0] / max(asked)
 
 
 def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
     """An unstable model is certified near rest only: no limited input can hold it everywhere."""
-    plant = control.StateSpace([[1.05]], [[1.0]], [[1.0]], [[0.0]], 0.1)
+    a = [[1.05]]
+    b = [[1.0]]
+    c = [[1.0]]
+    d = [[0.0]]
+    plant = control.StateSpace(a, b, c, d, 0.1)
     rates = ("synthesis=riccati", "synthesis.rate_controller=0.2", "synthesis.rate_observer=0.4")
     design = st.control(plant, *rates)
     assert design.certificate.certified
     found = within_limits(design.model, design.certificate, -LIMIT, LIMIT)
     assert found.everywhere is None
-    assert 0 < found.upper[0] < 10
+    upper_limit = found.upper[0]
+    assert 0 < upper_limit < 10
 
 
 def test_refusals(pair: tuple[SSM, Design]) -> None:
@@ -180,15 +192,18 @@ def test_refusals(pair: tuple[SSM, Design]) -> None:
         within_limits(*pair, LIMIT, 2 * LIMIT)
     model, design = pair
     feedback = replace(design.state_feedback, certified=False)
+    changed_design = replace(design, state_feedback=feedback)
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        within_limits(model, replace(design, state_feedback=feedback), -LIMIT, LIMIT)
+        within_limits(model, changed_design, -LIMIT, LIMIT)
 
 
 def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Design]) -> None:
     """An output that is zero at every rest: the design stands, from everywhere it contracts, and no
     range is named."""
     model, design = pair
-    blind = model.with_linear(replace(model.linear, c=0 * model.linear.c))
+    c = 0 * model.linear.c
+    linear = replace(model.linear, c=c)
+    blind = model.with_linear(linear)
     assert set(with_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
         within_limits(blind, design, -LIMIT, LIMIT)
@@ -197,13 +212,26 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
 def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     """a=0.9, b=0.1, c=1, D=-0.5: rest at an output of 0.161, the edge of the range without D, asks
     twice the limit."""
-    rest = Scale(input_scale=np.ones(1), output_scale=np.ones(1), input_equilibrium=np.zeros(1),
-                 output_equilibrium=np.zeros(1))  # fmt: skip
-    lag = StateSpace(a=np.array([[0.9]]), b=np.array([[0.1]]), c=np.eye(1), d=np.array([[-0.5]]))
+    input_scale = np.ones(1)
+    output_scale = np.ones(1)
+    input_equilibrium = np.zeros(1)
+    output_equilibrium = np.zeros(1)
+    rest = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
+    a = np.array([[0.9]])
+    b = np.array([[0.1]])
+    c = np.eye(1)
+    d = np.array([[-0.5]])
+    lag = StateSpace(a=a, b=b, c=c, d=d)
     model = SSM.of(lag, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
-    design = wanted.design(model, Balls(input=ball, output=ball))
+    balls = Balls(input=ball, output=ball)
+    design = wanted.design(model, balls)
     assert set(with_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
         within_limits(model, design, -LIMIT, LIMIT)
@@ -223,36 +251,57 @@ def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
 @pytest.mark.parametrize(("apart", "shared"), [(0.0, True), (9.0, False)])
 def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) -> None:
     """Where one rests nine units above the other there is none, though each has its own."""
-    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.eye(2), d=np.zeros((2, 2)))
-    rest = Scale(input_scale=np.ones(2), output_scale=np.ones(2), input_equilibrium=np.zeros(2),
-                 output_equilibrium=np.array([0.0, apart]))  # fmt: skip
+    a = np.diag([0.9, 0.8])
+    b = np.eye(2)
+    c = np.eye(2)
+    d = np.zeros((2, 2))
+    lags = StateSpace(a=a, b=b, c=c, d=d)
+    input_scale = np.ones(2)
+    output_scale = np.ones(2)
+    input_equilibrium = np.zeros(2)
+    output_equilibrium = np.array([0.0, apart])
+    rest = Scale(
+        input_scale=input_scale,
+        output_scale=output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
+    )
     model = SSM.of(lags, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.4, input_weight=0.5)
-    design = wanted.design(model, Balls(input=ball, output=ball))
+    balls = Balls(input=ball, output=ball)
+    design = wanted.design(model, balls)
     ends = np.full(2, -0.6), np.full(2, 0.6)
     each = within_limits(model, design, *ends)
-    facts = limit_facts(
-        replace(design, extra_certificates=with_limits(model, design, *ends)), model
-    )
-    assert (each.lower < [0.0, apart]).all()
-    assert (each.upper > [0.0, apart]).all()
-    assert (facts["limit_lower"], facts["limit_upper"]) == (-0.6, 0.6)
+    extra_certificates = with_limits(model, design, *ends)
+    changed_design = replace(design, extra_certificates=extra_certificates)
+    facts = limit_facts(changed_design, model)
+    upper_limit = [0.0, apart]
+    assert (each.lower < upper_limit).all()
+    lower_limit = [0.0, apart]
+    assert (each.upper > lower_limit).all()
+    assert facts["limit_lower"] == -0.6
+    assert facts["limit_upper"] == 0.6
     if shared:
-        assert (
-            facts["unlimited_from"] == each.lower.max() < each.upper.min() == facts["unlimited_to"]
-        )
+        expected = each.lower.max()
+        assert facts["unlimited_from"] == expected < each.upper.min() == facts["unlimited_to"]
     else:
         assert not {"unlimited_from", "unlimited_to"} & facts.keys()
 
 
 def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
     """Two lags whose outputs a linear S_y mixes."""
-    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.eye(2), d=np.zeros((2, 2)))
-    model = replace(SSM.of(lags, 0.1), scaffold_out=LinearScaffold(gain=gain))
-    balls = Balls(
-        input=JacobianBall(alpha=1.0, beta=0.0), output=jacobian_ball(model.scaffold_out).ball
-    )
+    a = np.diag([0.9, 0.8])
+    b = np.eye(2)
+    c = np.eye(2)
+    d = np.zeros((2, 2))
+    lags = StateSpace(a=a, b=b, c=c, d=d)
+    ssm = SSM.of(lags, 0.1)
+    scaffold_out = LinearScaffold(gain=gain)
+    model = replace(ssm, scaffold_out=scaffold_out)
+    balls_input = JacobianBall(alpha=1.0, beta=0.0)
+    output = jacobian_ball(model.scaffold_out).ball
+    balls = Balls(input=balls_input, output=output)
     wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.1, input_weight=0.5)
     return model, wanted.design(model, balls)
 
@@ -260,12 +309,16 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
 def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
     """Largest input that the law asks for from rest at this output, the estimate exact."""
     rest, _, gain = model.linear.held()
-    x = rest @ np.linalg.solve(model.scaffold_out.portable().linear @ gain, output)
+    linear = model.scaffold_out.portable().linear
+    solution = np.linalg.solve(linear @ gain, output)
+    x = rest @ solution
     k = design.state_feedback.k
     largest = 0.0
     for _ in range(80):
         largest = max(largest, float(np.abs(k @ x).max()))
-        x = (model.linear.a + model.linear.b @ k) @ x
+        linear_a = model.linear.a
+        linear_b = model.linear.b
+        x = (linear_a + linear_b @ k) @ x
     return largest
 
 
@@ -285,24 +338,41 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     np.testing.assert_allclose(found.lower, -found.upper)
 
     rest, _, gain = model.linear.held()
-    mapped = rest @ np.linalg.inv(gain) @ np.array([[1.0, 1.0], [-1.0, 1.0]])
+    inverse = np.linalg.inv(gain)
+    mapped = rest @ inverse @ np.array([[1.0, 1.0], [-1.0, 1.0]])
     limits = np.stack(ends, axis=1)
-    old = certify_unlimited_start([design.state_feedback], mapped, limits)
+    parts = [design.state_feedback]
+    old = certify_unlimited_start(parts, mapped, limits)
     assert old is not None
     bounding = outputs_of(model, old.starts)[1] * np.array([1.0, -1.0])
     assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)
     part = with_limits(model, design, *ends)["state_feedback_unlimited"]
-    assert stored_starts(part, starts_at_rest(model, part.starts)).holds
-    assert stored_starts(old, starts_at_rest(model, old.starts)).holds == (coupling == 0)
+    starts = starts_at_rest(model, part.starts)
+    checked = stored_starts(part, starts)
+    assert checked.holds
+    starts = starts_at_rest(model, old.starts)
+    checked = stored_starts(old, starts)
+    holds = checked.holds
+    assert holds == (coupling == 0)
 
 
 def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
     """Two inputs and one output: one output rests at many states."""
-    lags = StateSpace(a=np.diag([0.9, 0.8]), b=np.eye(2), c=np.ones((1, 2)), d=np.zeros((1, 2)))
-    assert rest_corners(SSM.of(lags, 0.1)) is None
-    bent = MonotoneScaffold(breakpoints=np.zeros((1, 1)), slopes=np.array([[1.0, -1.0]]))
-    folded = replace(
-        SSM.of(StateSpace(a=0.9 * np.eye(1), b=np.eye(1), c=np.eye(1), d=np.zeros((1, 1))), 0.1),
-        scaffold_out=bent,
-    )
+    a = np.diag([0.9, 0.8])
+    b = np.eye(2)
+    c = np.ones((1, 2))
+    d = np.zeros((1, 2))
+    lags = StateSpace(a=a, b=b, c=c, d=d)
+    model = SSM.of(lags, 0.1)
+    assert rest_corners(model) is None
+    breakpoints = np.zeros((1, 1))
+    slopes = np.array([[1.0, -1.0]])
+    bent = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
+    a = 0.9 * np.eye(1)
+    b = np.eye(1)
+    c = np.eye(1)
+    d = np.zeros((1, 1))
+    state_space = StateSpace(a=a, b=b, c=c, d=d)
+    ssm = SSM.of(state_space, 0.1)
+    folded = replace(ssm, scaffold_out=bent)
     assert rest_corners(folded) is None

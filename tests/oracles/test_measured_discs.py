@@ -37,12 +37,11 @@ class _Model:
 def one_layer(seed: int, order: int = 3) -> StateSpace:
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(order, order))
-    return StateSpace(
-        a=0.9 * a / np.abs(np.linalg.eigvals(a)).max(),
-        b=rng.normal(size=(order, 1)),
-        c=rng.normal(size=(1, order)),
-        d=ZERO,
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    b = rng.normal(size=(order, 1))
+    c = rng.normal(size=(1, order))
+    return StateSpace(a=0.9 * a / spectral_radius, b=b, c=c, d=ZERO)
 
 
 def context(system: StateSpace | StructuredSystem, balls: Balls = BALLS) -> VerificationContext:
@@ -61,20 +60,24 @@ def test_an_input_disc_around_zero_is_the_tolerance_to_seven_digits(seed: int) -
     assert older is not None
     loop, into_u = tolerance.Tolerance.matrices(older)
     outputs = np.vstack([older.beta * into_u, into_u])
-    system = StateSpace(
-        a=loop[:, : len(loop)], b=loop[:, len(loop) :], c=outputs, d=np.zeros((2, 2))
-    )
+    a = loop[:, : len(loop)]
+    b = loop[:, len(loop) :]
+    d = np.zeros((2, 2))
+    system = StateSpace(a=a, b=b, c=outputs, d=d)
     response = frequency_response(system, np.linspace(0, np.pi, 40001))
 
     def peak(log_multiplier: float) -> float:
-        return float(tolerance._inverse_squares(response, 1, log_multiplier).max())
+        largest = tolerance._inverse_squares(response, 1, log_multiplier).max()
+        return float(largest)
 
     near = float(np.log(older.lambda_p))
-    best = minimize_scalar(
-        peak, bounds=(near - 1e-2, near + 1e-2), method="bounded", options={"xatol": 1e-12}
-    )
-    assert np.sqrt(nu) == pytest.approx(best.fun**-0.5, rel=2e-7)
-    assert older.s == pytest.approx(np.sqrt(nu), rel=2e-3)
+    bounds = (near - 1e-2, near + 1e-2)
+    options = {"xatol": 1e-12}
+    best = minimize_scalar(peak, bounds=bounds, method="bounded", options=options)
+    expected = best.fun**-0.5
+    assert np.sqrt(nu) == pytest.approx(expected, rel=2e-7)
+    expected = np.sqrt(nu)
+    assert older.s == pytest.approx(expected, rel=2e-3)
 
 
 def test_at_the_same_numbers_the_inequality_is_that_of_the_tolerance() -> None:
@@ -89,8 +92,10 @@ def test_at_the_same_numbers_the_inequality_is_that_of_the_tolerance() -> None:
         "kappa": older.s,
         "floor": 0.0,
     }
-    made = MeasuredDiscs.as_floats(**same)["inequality"]
-    np.testing.assert_allclose(made, tolerance.Tolerance.as_floats(**older.variables)["inequality"])
+    measured_discs = MeasuredDiscs.as_floats(**same)
+    made = measured_discs["inequality"]
+    expected = tolerance.Tolerance.as_floats(**older.variables)["inequality"]
+    np.testing.assert_allclose(made, expected)
     assert disc.kappa == pytest.approx(older.s, rel=0.02)
 
 
@@ -98,32 +103,40 @@ def test_at_the_same_numbers_the_inequality_is_that_of_the_tolerance() -> None:
 @pytest.mark.parametrize("centre", [0.0, -0.25])
 def test_a_solver_agrees_where_the_largest_kappa_lies(balls: Balls, centre: float) -> None:
     """CVXPY looks for P and multipliers at once; the route of the search knows no P."""
-    known = context(one_layer(2, order=2), balls)
+    system = one_layer(2, order=2)
+    known = context(system, balls)
     weights = Weights(floor=0.6, output=0.3 * ONE, input=0.4 * ONE)
     nu, _ = optimum_for_weights(MeasuredDiscs, known, weights, centre)
-    assert solvable(known, weights, centre, 0.98 * np.sqrt(nu))
-    assert not solvable(known, weights, centre, 1.02 * np.sqrt(nu))
+    kappa = 0.98 * np.sqrt(nu)
+    assert solvable(known, weights, centre, kappa)
+    kappa = 1.02 * np.sqrt(nu)
+    assert not solvable(known, weights, centre, kappa)
 
 
 def solvable(known: VerificationContext, weights: Weights, centre: float, kappa: float) -> bool:
     from types import SimpleNamespace
 
     bent = known.balls.output.beta > 0
-    numbers = MeasuredDiscs.loop_of(known) | vars(known.balls.input)
+    measured_discs = MeasuredDiscs.loop_of(known)
+    numbers = measured_discs | vars(known.balls.input)
     numbers |= {"centre": centre, "kappa": kappa, "floor": weights.floor, "lambda_p": 1.0}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.ones(3) if bent else np.zeros(0)
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
     rows = MeasuredDiscs.signals(of)
-    forms = [form for _, form in MeasuredDiscs.static_map_forms(of, rows)]
+    measured_discs = MeasuredDiscs.static_map_forms(of, rows)
+    forms = [form for _, form in measured_discs]
     order = len(rows.xi)
     p = cp.Variable((order, order), symmetric=True)
     margin = cp.Variable()
     multipliers = cp.Variable(len(forms), nonneg=True)
-    form = rows.xi.T @ p @ rows.xi - rows.step.T @ p @ rows.step + MeasuredDiscs.disc_form(of, rows)
+    difference = rows.xi.T @ p @ rows.xi - rows.step.T @ p @ rows.step
+    measured_discs = MeasuredDiscs.disc_form(of, rows)
+    form = difference + measured_discs
     form = form + sum(multipliers[i] * forms[i] for i in range(len(forms)))
     limits = [form >> margin * np.eye(rows.xi.shape[1]), margin <= 1]
-    problem = cp.Problem(cp.Maximize(margin), limits)
+    a = cp.Maximize(margin)
+    problem = cp.Problem(a, limits)
     problem.solve(solver="CLARABEL")
     return problem.status in ("optimal", "optimal_inaccurate") and float(margin.value) > 1e-7
 
@@ -153,7 +166,8 @@ def on_the_plant(
         m = alpha_out * (system.c @ x + system.d @ drive)
         entering = np.concatenate([m, u])
         e = mismatch.c @ delta + mismatch.d @ entering
-        injected = alpha_out * (system.c @ xh + system.d @ drive) - m - e
+        difference = alpha_out * (system.c @ xh + system.d @ drive) - m
+        injected = difference - e
         x = system.a @ x + system.b @ drive
         xh = system.a @ xh + system.b @ drive + gains["l"] @ injected
         delta = mismatch.a @ delta + mismatch.b @ entering
@@ -220,7 +234,9 @@ def test_no_plant_at_the_edge_of_the_disc_keeps_the_loop_moving(seed: int) -> No
         plant = at_the_edge(proof.kappa, -0.1, rng)
         slopes = rng.choice([0.6, 1.0], 1500) if case % 2 else np.full(1500, rng.choice([0.6, 1.0]))
         inputs = on_the_plant(known, plant, slopes, case)
-        assert np.abs(inputs[-200:]).max() < 1e-2 * np.abs(inputs).max()
+        largest = np.abs(inputs[-200:]).max()
+        upper_limit = 1e-2 * np.abs(inputs).max()
+        assert largest < upper_limit
 
 
 def test_plants_beyond_the_edge_do_keep_it_moving() -> None:
@@ -249,10 +265,10 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
     assert proof is not None
     alpha_out = known.balls.output.alpha
     r = proof.kappa
-    ahead = (
-        alpha_out * system.c @ (system.a - np.eye(3))
-    )  # m_(t+1) - m_t, by the state and the drive
-    x, xh = np.random.default_rng(0).standard_normal((2, 3))
+    difference = system.a - np.eye(3)
+    ahead = alpha_out * system.c @ difference  # m_(t+1) - m_t, by the state and the drive
+    rng = np.random.default_rng(0)
+    x, xh = rng.standard_normal((2, 3))
     outputs = []
     errors = []
     for k in range(4000):
@@ -260,20 +276,25 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
         drive = (0.6 if k % 7 else 1.0) * u
         m = alpha_out * system.c @ x
         e = r * (ahead @ x + alpha_out * system.c @ system.b @ drive)
-        injected = alpha_out * system.c @ xh - m - e
+        difference = alpha_out * system.c @ xh - m
+        injected = difference - e
         x = system.a @ x + system.b @ drive
         xh = system.a @ xh + system.b @ drive + known.gains["l"] @ injected
         outputs.append(float(m[0]))
         errors.append(float(e[0]))
-    assert np.abs(outputs[-200:]).max() < 1e-6 * np.abs(outputs).max()
+    largest = np.abs(outputs[-200:]).max()
+    upper_limit = 1e-6 * np.abs(outputs).max()
+    assert largest < upper_limit
     # From rest, an impulse of the input: the sum up to the sample before m moves exceeds the
     # disc's.
     drive = np.zeros((300, 1))
     drive[0] = 1.0
     y, _ = system.simulate(drive)
     m = alpha_out * y[:, 0]
-    e = r * np.append(np.diff(m), 0.0)
-    excess = np.cumsum(e**2 - proof.kappa**2 * weights.floor**2 * m**2)
+    differences = np.diff(m)
+    e = r * np.append(differences, 0.0)
+    difference = e**2 - proof.kappa**2 * weights.floor**2 * m**2
+    excess = np.cumsum(difference)
     assert excess.max() > 0
     assert excess[-1] < 0
 
@@ -281,20 +302,16 @@ def test_a_plant_that_answers_a_sample_before_its_model_is_covered_by_sums_over_
 def test_neurons_without_effect_leave_the_disc_of_one_layer() -> None:
     plain = one_layer(4)
     q = 2
-    none = {
-        "e": np.zeros((3, q)),
-        "f": np.zeros((q, 3)),
-        "g": np.zeros((q, 1)),
-        "h": np.zeros((1, q)),
-    }
+    e = np.zeros((3, q))
+    f = np.zeros((q, 3))
+    g = np.zeros((q, 1))
+    h = np.zeros((1, q))
+    none = {"e": e, "f": f, "g": g, "h": h}
     system = StructuredSystem(**vars(plain), **none)
     known = context(plain)
-    wider = VerificationContext(
-        system=system,
-        controlled=system,
-        balls=BALLS,
-        gains={**known.gains, "l_z": np.zeros((q, 1))},
-    )
+    l_z = np.zeros((q, 1))
+    gains = {**known.gains, "l_z": l_z}
+    wider = VerificationContext(system=system, controlled=system, balls=BALLS, gains=gains)
     one, _ = optimum_for_weights(MeasuredDiscs, known, WEIGHTS, -0.25)
     other, _ = optimum_for_weights(StructuredMeasuredDiscs, wider, WEIGHTS, -0.25)
     assert other == pytest.approx(one, rel=1e-5)
@@ -314,7 +331,8 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
     for case in range(8):
         phi = maps[case % 4]
         plant = at_the_edge(proof.kappa, -0.1, rng)
-        x, xh = 3 * rng.standard_normal((2, 3))
+        white_noise = rng.standard_normal((2, 3))
+        x, xh = 3 * white_noise
         delta = np.zeros(plant.order)
         sizes = []
         for _ in range(2500):
@@ -323,14 +341,16 @@ def test_loops_with_neurons_come_to_rest_on_plants_at_the_edge() -> None:
             m = alpha_out * system.c @ x
             entering = np.concatenate([m, u])
             e = plant.c @ delta + plant.d @ entering
-            injected = alpha_out * system.c @ xh - m - e
+            difference = alpha_out * system.c @ xh - m
+            injected = difference - e
             w = phi(system.f @ x + system.g @ drive)
             wh = phi(system.f @ xh + system.g @ drive + gains["l_z"] @ injected)
             x = system.a @ x + system.b @ drive + system.e @ w
             xh = system.a @ xh + system.b @ drive + system.e @ wh + gains["l"] @ injected
             delta = plant.a @ delta + plant.b @ entering
             sizes.append(float(np.abs(u[0])))
-        assert max(sizes[-200:]) < 1e-2 * max(sizes)
+        largest = max(sizes[-200:])
+        assert largest < 1e-2 * max(sizes)
 
 
 def test_forged_numbers_are_refused() -> None:
@@ -338,12 +358,20 @@ def test_forged_numbers_are_refused() -> None:
     proof = largest_kappa(known, WEIGHTS, -0.1)
     assert proof is not None
     assert not proof.failed_checks(known)
-    assert replace(proof, kappa=3 * proof.kappa).failed_checks(known)
-    assert replace(proof, lambda_p=-proof.lambda_p).failed_checks(known)
-    assert replace(proof, p=-proof.p).failed_checks(known)
-    assert replace(proof, k=2 * proof.k).failed_checks(known)
-    outside = replace(proof, floor=0.09 / proof.kappa)  # then e = 0 is not in the disc around -0.1
-    assert any("model inside the disc" in sentence for sentence in outside.failed_checks(known))
+    kappa = 3 * proof.kappa
+    changed_proof = replace(proof, kappa=kappa)
+    assert changed_proof.failed_checks(known)
+    changed_proof = replace(proof, lambda_p=-proof.lambda_p)
+    assert changed_proof.failed_checks(known)
+    changed_proof = replace(proof, p=-proof.p)
+    assert changed_proof.failed_checks(known)
+    k = 2 * proof.k
+    changed_proof = replace(proof, k=k)
+    assert changed_proof.failed_checks(known)
+    floor = 0.09 / proof.kappa
+    outside = replace(proof, floor=floor)  # then e = 0 is not in the disc around -0.1
+    sentences = outside.failed_checks(known)
+    assert any("model inside the disc" in sentence for sentence in sentences)
 
 
 def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
@@ -351,8 +379,10 @@ def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
     proof = largest_kappa(known, WEIGHTS, -0.1)
     assert proof is not None
     bent = replace(known, balls=BENT)
-    with_bend = largest_kappa(context(one_layer(0), BENT), WEIGHTS, -0.1)
-    assert any("beta_out" in sentence for sentence in proof.failed_checks(bent))
+    verification_context = context(one_layer(0), BENT)
+    with_bend = largest_kappa(verification_context, WEIGHTS, -0.1)
+    sentences = proof.failed_checks(bent)
+    assert any("beta_out" in sentence for sentence in sentences)
     assert with_bend is not None
     assert len(with_bend.lambda_out) == 3
     assert with_bend.kappa < proof.kappa
@@ -360,5 +390,7 @@ def test_a_bend_of_the_output_map_needs_its_multipliers() -> None:
 
 def test_without_a_controller_no_number_is_the_largest() -> None:
     known = context(one_layer(0))
-    idle = replace(known, gains={**known.gains, "k": np.zeros((1, 3))})
+    k = np.zeros((1, 3))
+    gains = {**known.gains, "k": k}
+    idle = replace(known, gains=gains)
     assert largest_kappa(idle, INPUT_ALONE, 0.0) is None

@@ -43,9 +43,13 @@ def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
     facts = measure_model(trained, data)
     outputs = [model.simulate(data.test[0].u) for model in trained.members]
-    error = data.test[0].y - sum(outputs) / len(outputs)
-    spread = data.test[0].y - data.test[0].y.mean(axis=0)
-    by_hand = 100.0 * (1.0 - np.linalg.norm(error) / np.linalg.norm(spread))
+    test_y = data.test[0].y
+    error = test_y - sum(outputs) / len(outputs)
+    test_y = data.test[0].y
+    mean = data.test[0].y.mean(axis=0)
+    spread = test_y - mean
+    norm = np.linalg.norm(error)
+    by_hand = 100.0 * (1.0 - norm / np.linalg.norm(spread))
     assert facts["members"] == 2
     assert facts["fit_test_members_percent"] == pytest.approx(by_hand, rel=1e-12)
 
@@ -53,26 +57,32 @@ def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
 def test_members_are_those_that_fit_the_training_records_best(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
     fits = [mean_fit(model, data.training, data) for model in trained.members]
-    assert fits == sorted(fits, reverse=True)
+    expected = sorted(fits, reverse=True)
+    assert fits == expected
     assert trained.model.to_json() in [model.to_json() for model in trained.members]
 
 
 def test_a_changed_member_changes_what_verify_derives(
     folder: Path, data: DataSet, tmp_path: Path
 ) -> None:
-    stated = member_facts(read_trained(folder).members, data)
+    members = read_trained(folder).members
+    stated = member_facts(members, data)
     for path in folder.glob("*.json"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    changed = json.loads((tmp_path / MEMBERS).read_text())
+    text = (tmp_path / MEMBERS).read_text()
+    changed = json.loads(text)
     changed[1]["c"][0][0] *= 1.01
-    (tmp_path / MEMBERS).write_text(json.dumps(changed))
-    assert member_facts(read_trained(tmp_path).members, data) != stated
+    text = json.dumps(changed)
+    (tmp_path / MEMBERS).write_text(text)
+    members = read_trained(tmp_path).members
+    assert member_facts(members, data) != stated
 
 
 def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
     assert member_facts((), data) == {}
-    assert member_facts(trained.members[:1], data) == {}
+    members = trained.members[:1]
+    assert member_facts(members, data) == {}
 
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
@@ -82,8 +92,10 @@ def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) 
     )
     model = Model(simulator=trained.model, data=data, identification=identification)
     u = data.test[0].u
-    expected = np.mean([one.simulate(u) for one in trained.members], axis=0)
-    np.testing.assert_array_equal(model.predict(u), expected)
+    responses = [one.simulate(u) for one in trained.members]
+    expected = np.mean(responses, axis=0)
+    actual = model.predict(u)
+    np.testing.assert_array_equal(actual, expected)
     assert model.facts["members"] == 2
     assert "2 models" in model.summary()["mean that predicts"]
 

@@ -23,7 +23,8 @@ def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
     weights = scaffold.network.weights
     multipliers = scaffold.multipliers
     sizes = [w.shape[1] for w in weights]
-    offsets = np.concatenate([[0], np.cumsum(sizes)])
+    running_sum = np.cumsum(sizes)
+    offsets = np.concatenate([[0], running_sum])
     matrix = np.zeros((offsets[-1], offsets[-1]))
     block = [slice(offsets[i], offsets[i + 1]) for i in range(len(sizes))]
     matrix[block[0], block[0]] = np.eye(sizes[0])
@@ -40,20 +41,31 @@ def lipschitz_matrix(scaffold: ResidualScaffold) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_stored_multipliers_prove_the_residual_map_1_lipschitz(depth: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    frame = Frame(width=6, slopes=(0.1, 1.0), samples=rng.normal(size=(50, 3)))
-    frozen = Residual(depth=depth).build(frame, rng).freeze()
+    slopes = (0.1, 1.0)
+    samples = rng.normal(size=(50, 3))
+    frame = Frame(width=6, slopes=slopes, samples=samples)
+    residual = Residual(depth=depth)
+    frozen = residual.build(frame, rng).freeze()
     assert isinstance(frozen, ResidualScaffold)
-    assert np.linalg.eigvalsh(lipschitz_matrix(frozen)).min() > -1e-9
+    eigenvalues = np.linalg.eigvalsh(lipschitz_matrix(frozen))
+    smallest = eigenvalues.min()
+    assert smallest > -1e-9
     data = frozen.to_json()
     data["weights"][0] = (1.2 * np.array(data["weights"][0])).tolist()
-    assert np.linalg.eigvalsh(lipschitz_matrix(ResidualScaffold.from_json(data))).min() < -1e-3
+    scaffold = ResidualScaffold.from_json(data)
+    eigenvalues = np.linalg.eigvalsh(lipschitz_matrix(scaffold))
+    smallest = eigenvalues.min()
+    assert smallest < -1e-3
 
 
 def trained_like(channels: int, depth: int = 1) -> ResidualScaffold:
     """A residual map with slopes in [0.1, 1], as training leaves one."""
     rng = np.random.default_rng(channels)
-    frame = Frame(width=8, slopes=(0.1, 1.0), samples=rng.normal(size=(50, channels)))
-    frozen = Residual(depth=depth).build(frame, rng).freeze()
+    slopes = (0.1, 1.0)
+    samples = rng.normal(size=(50, channels))
+    frame = Frame(width=8, slopes=slopes, samples=samples)
+    residual = Residual(depth=depth)
+    frozen = residual.build(frame, rng).freeze()
     assert isinstance(frozen, ResidualScaffold)
     return frozen
 
@@ -61,8 +73,10 @@ def trained_like(channels: int, depth: int = 1) -> ResidualScaffold:
 def with_smaller_ball(honest: ResidualScaffold, factor: float) -> ResidualScaffold:
     """The same map, written as a smaller ball around a network that expands."""
     *inner, last = honest.network.weights
-    network = replace(honest.network, weights=(*inner, factor * last))
-    return replace(honest, beta=honest.beta / factor, network=network)
+    weights = (*inner, factor * last)
+    network = replace(honest.network, weights=weights)
+    beta = honest.beta / factor
+    return replace(honest, beta=beta, network=network)
 
 
 @pytest.mark.parametrize("channels", [1, 2])
@@ -71,16 +85,21 @@ def test_a_ball_that_the_multipliers_do_not_prove_is_not_believed(channels: int)
     ball."""
     honest = trained_like(channels)
     liar = with_smaller_ball(honest, 64.0)
-    points = np.random.default_rng(0).uniform(-3, 3, size=(200, channels))
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-3, 3, size=(200, channels))
     np.testing.assert_allclose(liar(points), honest(points), rtol=1e-12)
     assert is_proved_nonexpansive(honest.network, honest.multipliers)
     assert jacobian_ball(honest).method == "construction"
-    assert jacobian_ball(honest).ball == JacobianBall(alpha=honest.alpha, beta=honest.beta)
+    ball = jacobian_ball(honest).ball
+    expected = JacobianBall(alpha=honest.alpha, beta=honest.beta)
+    assert ball == expected
     for scale in (1.0, 64.0, 4096.0):  # whatever multipliers stand beside it
-        told = replace(liar, multipliers=tuple(scale * t for t in liar.multipliers))
+        multipliers = tuple(scale * t for t in liar.multipliers)
+        told = replace(liar, multipliers=multipliers)
         bound = jacobian_ball(told)
         jacobians = [told.jacobian(point) for point in points]
-        eye = bound.ball.alpha * np.eye(channels)
+        alpha = bound.ball.alpha
+        eye = alpha * np.eye(channels)
         farthest = max(float(np.linalg.norm(j - eye, 2)) for j in jacobians)
         assert bound.method != "construction"
         assert liar.beta < farthest <= bound.ball.beta * (1 + 1e-9)
@@ -88,7 +107,8 @@ def test_a_ball_that_the_multipliers_do_not_prove_is_not_believed(channels: int)
 
 def test_neurons_steeper_than_one_are_not_believed_either() -> None:
     honest = trained_like(2)
-    steep = tuple(64.0 * slopes for slopes in honest.network.positive_slopes)
+    positive_slopes = honest.network.positive_slopes
+    steep = tuple(64.0 * slopes for slopes in positive_slopes)
     network = replace(honest.network, positive_slopes=steep)
     assert not is_proved_nonexpansive(network, honest.multipliers)
 
@@ -97,18 +117,20 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
     """Certified at a high rate with the small ball; at a true slope the loop is unstable."""
     honest = trained_like(1)
     liar = with_smaller_ball(honest, 64.0)
-    system = StateSpace(
-        a=np.array([[1.05, 0.2], [0.0, 0.9]]),
-        b=np.array([[0.0], [1.0]]),
-        c=np.eye(1, 2),
-        d=np.zeros((1, 1)),
-    )
+    a = np.array([[1.05, 0.2], [0.0, 0.9]])
+    b = np.array([[0.0], [1.0]])
+    c = np.eye(1, 2)
+    d = np.zeros((1, 1))
+    system = StateSpace(a=a, b=b, c=c, d=d)
     exact = JacobianBall(alpha=1.0, beta=0.0)
-    small = Balls(input=JacobianBall(alpha=liar.alpha, beta=liar.beta), output=exact)
+    balls_input = JacobianBall(alpha=liar.alpha, beta=liar.beta)
+    small = Balls(input=balls_input, output=exact)
     wanted = RiccatiSynthesis(rate_controller=0.85, rate_observer=0.5, input_weight=1e-3)
-    design = wanted.design(SimpleNamespace(linear=system), small)
+    simple_namespace = SimpleNamespace(linear=system)
+    design = wanted.design(simple_namespace, small)
     assert design.certified
-    content = json.loads(json.dumps(design.to_json()))
+    text = json.dumps(design.to_json())
+    content = json.loads(text)
     assert failed_checks(content, system, small) == []  # what was believed before
     slopes = [liar.jacobian(np.array([v]))[0, 0] for v in np.linspace(-3, 3, 400)]
     radii = [
@@ -116,7 +138,8 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
         for s in slopes
     ]
     assert max(radii) > 1
-    derived = Balls(input=jacobian_ball(liar).ball, output=exact)
+    ball = jacobian_ball(liar).ball
+    derived = Balls(input=ball, output=exact)
     claims = failed_checks(content, system, derived)
     assert any("state_feedback.alpha, beta" in claim for claim in claims)
 
@@ -124,12 +147,15 @@ def test_a_certificate_with_the_small_ball_of_an_honest_map_is_refused() -> None
 def test_the_perceptron_of_one_channel_can_saturate() -> None:
     """Both outer slopes at the floor, steep in the middle: out of reach of positive weights,
     whatever their values."""
-    frame = Frame(width=8, slopes=(0.1, 1.0), samples=np.linspace(-1, 1, 50)[:, None])
-    scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(
-        frame, np.random.default_rng(0)
-    )
+    frame_slopes = (0.1, 1.0)
+    samples = np.linspace(-1, 1, 50)[:, None]
+    frame = Frame(width=8, slopes=frame_slopes, samples=samples)
+    mlp = Mlp(depth=1, train_slopes=True, certified=True)
+    rng = np.random.default_rng(0)
+    scaffold = mlp.build(frame, rng)
     scaffold.base_0.data.fill_(-30.0)
     scaffold.jumps_0.data[0], scaffold.jumps_0.data[-1] = 200.0, -200.0
     frozen = scaffold.freeze()
     slopes = [frozen.jacobian(np.array([v]))[0, 0] for v in (-5.0, 0.0, 5.0)]
-    np.testing.assert_allclose(slopes, [0.1, 1.0, 0.1], atol=1e-9)
+    expected = [0.1, 1.0, 0.1]
+    np.testing.assert_allclose(slopes, expected, atol=1e-9)

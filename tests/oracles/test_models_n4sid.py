@@ -22,23 +22,38 @@ def test_the_input_matrix_is_recovered_from_records_with_unknown_starts() -> Non
     records = []
     for length in (60, 90):
         u = RNG.normal(size=(length, 2))
-        records.append((u, TRUE.simulate(u, RNG.normal(size=2))[0]))
-    np.testing.assert_allclose(input_matrix(TRUE.a, TRUE.c, records), TRUE.b, atol=1e-10)
+        rng = RNG.normal(size=2)
+        true = TRUE.simulate(u, rng)
+        records.append((u, true[0]))
+    actual = input_matrix(TRUE.a, TRUE.c, records)
+    np.testing.assert_allclose(actual, TRUE.b, atol=1e-10)
 
 
 def test_a_system_without_feedthrough_is_identified_without_it() -> None:
     pytest.importorskip("nfoursid")
-    system = StateSpace(a=TRUE.a, b=TRUE.b[:, :1], c=TRUE.c, d=np.zeros((1, 1)))
+    b = TRUE.b[:, :1]
+    d = np.zeros((1, 1))
+    system = StateSpace(a=TRUE.a, b=b, c=TRUE.c, d=d)
     records = []
     for name in ("training", "validation", "test"):
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
-        records.append(
-            (Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),)
-        )
-    channels = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
-    data = assemble((records[0], records[1], records[2]), (np.zeros(1), np.zeros(1)), channels, 0)
-    model = N4SID(order=2, block_rows=10).solve(data)
-    assert not model.linear.d.any()
-    u, y = data.test[0].u, system.simulate(data.test[0].u)[0]
-    assert np.sqrt(np.mean((model.simulate(u) - y) ** 2)) < 0.02 * y.std()
+        rng = RNG.normal(size=y.shape)
+        trajectory = Trajectory(u=u, y=y + 0.02 * rng, step_s=0.1, name=name)
+        records.append((trajectory,))
+    channel = Channel(name="u", unit="V")
+    channels = (channel,), (Channel(name="y", unit="m"),)
+    parts = (records[0], records[1], records[2])
+    rest = (np.zeros(1), np.zeros(1))
+    data = assemble(parts, rest, channels, 0)
+    n4_sid = N4SID(order=2, block_rows=10)
+    model = n4_sid.solve(data)
+    linear_d = model.linear.d
+    assert not linear_d.any()
+    test_u = data.test[0].u
+    response = system.simulate(data.test[0].u)
+    u, y = test_u, response[0]
+    difference = model.simulate(u) - y
+    mean = np.mean(difference**2)
+    upper_limit = 0.02 * y.std()
+    assert np.sqrt(mean) < upper_limit

@@ -35,22 +35,29 @@ def records(start_up: int = 0, **how: float) -> DataSet:
     short = record(12 + start_up, 1, **how)
     parts = (record(600, 0, **how), short), (record(200, 2, **how),)
     zero = np.zeros(1)
-    return assemble((*parts, (record(200, 3, **how),)), (zero, zero), CHANNELS, start_up)
+    rest = (zero, zero)
+    return assemble((*parts, (record(200, 3, **how),)), rest, CHANNELS, start_up)
 
 
 def test_no_row_reaches_across_two_records() -> None:
     first = (np.arange(4.0)[:, None], 10.0 + np.arange(4.0)[:, None])
     second = (100.0 + np.arange(3.0)[:, None], 200.0 + np.arange(3.0)[:, None])
-    rows, target = regression_rows([first, second], [1001, 2002])
-    np.testing.assert_array_equal(rows, [[11, 0], [12, 1], [201, 100]])
-    np.testing.assert_array_equal(target, [12, 13, 202])
+    codes = [1001, 2002]
+    rows, target = regression_rows([first, second], codes)
+    expected = [[11, 0], [12, 1], [201, 100]]
+    np.testing.assert_array_equal(rows, expected)
+    expected = [12, 13, 202]
+    np.testing.assert_array_equal(target, expected)
 
 
 @pytest.mark.parametrize("terms", [3, None])
 def test_the_system_is_found_from_records_that_do_not_join(terms: int | None) -> None:
     data = records()
-    found = NARX(lags=2, degree=1, terms=terms).solve(data)
-    gain = float(data.scale.input_scale[0] / data.scale.output_scale[0])
+    narx = NARX(lags=2, degree=1, terms=terms)
+    found = narx.solve(data)
+    input_scale = data.scale.input_scale
+    output_scale = data.scale.output_scale
+    gain = float(input_scale[0] / output_scale[0])
     theta = {int(code): value for (code,), value in zip(found.codes, found.theta, strict=True)}
     for code, value in (KNOWN | {2001: KNOWN[2001] * gain}).items():
         assert theta[code] == pytest.approx(value, abs=1e-3)
@@ -61,7 +68,8 @@ def test_forward_selection_takes_the_columns_that_explain() -> None:
     candidates = rng.normal(size=(200, 6))
     target = 3.0 * candidates[:, 4] - candidates[:, 1]
     repeated = np.column_stack([candidates, candidates[:, 4]])
-    assert forward_selection(repeated, target, 2) == [4, 1]
+    expected = [4, 1]
+    assert forward_selection(repeated, target, 2) == expected
     assert len(forward_selection(repeated, target, 10)) == 6  # the copy is never taken
 
 
@@ -69,13 +77,15 @@ def test_output_error_is_unbiased_where_arx_is_not() -> None:
     """Noise on the output biases the poles of ARX; the free run's error does not care."""
     data = records(noise=1.0)
     poles = {}
-    for name, model in {
-        "oe": output_error(data, 2, 1),
-        "arx": NARX(lags=2, degree=1).solve(data),
-    }.items():
+    oe = output_error(data, 2, 1)
+    narx = NARX(lags=2, degree=1)
+    arx = narx.solve(data)
+    for name, model in {"oe": oe, "arx": arx}.items():
         poles[name] = model.theta[1:3]
-    assert poles["oe"] == pytest.approx([1.2, -0.5], abs=0.06)
-    assert abs(poles["arx"][0] - 1.2) > 0.2
+    expected = [1.2, -0.5]
+    assert poles["oe"] == pytest.approx(expected, abs=0.06)
+    difference = abs(poles["arx"][0] - 1.2)
+    assert difference > 0.2
 
 
 def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
@@ -84,19 +94,25 @@ def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     assert best is not None
     assert "NARX" in best.words
     assert mean_fit(best.model, data.test, data) > 90.0
-    linear = mean_fit(OutputError(order=2).solve(data), data.test, data)
-    assert linear < mean_fit(best.model, data.test, data) - 5.0
+    model = OutputError(order=2).solve(data)
+    linear = mean_fit(model, data.test, data)
+    upper_limit = mean_fit(best.model, data.test, data) - 5.0
+    assert linear < upper_limit
 
 
 def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:
     data = records(start_up=20)
-    model = NARX(lags=2, degree=1).solve(data)
+    narx = NARX(lags=2, degree=1)
+    model = narx.solve(data)
     assert mean_fit(model, data.test, data) > 99.9
     piece = data.test[0]
-    from_rest = model.simulate(piece.u)[:40] - piece.y[:40]
-    assert np.abs(from_rest).max() > 0.5
+    response = model.simulate(piece.u)
+    from_rest = response[:40] - piece.y[:40]
+    largest = np.abs(from_rest).max()
+    assert largest > 0.5
 
 
 def test_lags_longer_than_every_record_are_refused() -> None:
+    narx = NARX(lags=600, degree=1)
     with pytest.raises(BadRequest, match="longest training record has 600 samples"):
-        NARX(lags=600, degree=1).solve(records())
+        narx.solve(records())

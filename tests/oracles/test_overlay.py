@@ -19,22 +19,26 @@ from ssm_study.signals import fit_percent
 @pytest.fixture
 def runs(tmp_path: Path) -> list[Path]:
     """Three runs: two of one record, one of another."""
-    folders = [
-        tmp_path / name for name in ("order4-seed0-aa", "order8-seed0-bb", "order4-seed1-cc")
-    ]
+    names = ("order4-seed0-aa", "order8-seed0-bb", "order4-seed1-cc")
+    folders = [tmp_path / name for name in names]
     for seed, folder in zip((0, 0, 1), folders, strict=True):
-        write_recordings(random_run(folder, kind="mlp", channels=1, seed=1), seed=seed)
+        run = random_run(folder, kind="mlp", channels=1, seed=1)
+        write_recordings(run, seed=seed)
         (folder / "record.json").write_text("{}")
     return folders
 
 
 def test_the_table_has_the_fit_of_each_runs_own_recording(runs: list[Path]) -> None:
     comparison = overlay(runs[:2])
-    test = RunFolder(path=runs[0]).test
+    run_folder = RunFolder(path=runs[0])
+    test = run_folder.test
     assert test is not None
     own_fit = fit_percent(test["measured"][0], test["simulated"][0])
-    assert comparison.table["fit_percent"].tolist() == pytest.approx([own_fit, own_fit])
-    assert set(comparison.table.index) == {"order4-aa", "order8-bb"}
+    expected = [own_fit, own_fit]
+    assert comparison.table["fit_percent"].tolist() == pytest.approx(expected)
+    index = comparison.table.index
+    expected = {"order4-aa", "order8-bb"}
+    assert set(index) == expected
     assert isinstance(comparison.plot(), Figure)
 
 
@@ -43,7 +47,8 @@ def test_runs_of_different_records_are_refused_in_a_sentence(runs: list[Path]) -
         overlay(runs)
     with pytest.raises(BadRequest, match="name two different runs or more"):
         overlay(runs[:1])
-    (runs[1] / "test.mcap").unlink()
+    test_path = runs[1] / "test.mcap"
+    test_path.unlink()
     with pytest.raises(BadRequest, match="it left no test record"):
         overlay(runs[:2])
 
@@ -61,27 +66,29 @@ def test_the_command_prints_the_table_and_draws(
 
 
 def test_names_of_runs_in_two_studies_that_are_alike_say_their_study(runs: list[Path]) -> None:
-    other = runs[0].parent / "other" / runs[0].name
+    other_path = runs[0].parent / "other"
+    other = other_path / runs[0].name
     shutil.copytree(runs[0], other)
     names = short_names([runs[0], other])
-    assert names == [f"{path.parent.name}/{path.name}" for path in (runs[0], other)]
+    paths = (runs[0], other)
+    expected = [f"{path.parent.name}/{path.name}" for path in paths]
+    assert names == expected
 
 
 def test_several_records_are_scored_together_and_the_longest_is_drawn() -> None:
     rng = np.random.default_rng(0)
     measured = [rng.standard_normal((n, 1)) for n in (50, 80)]
-    simulated = {"good": [0.9 * y for y in measured], "bad": [0.1 * y for y in measured]}
+    good = [0.9 * y for y in measured]
+    bad = [0.1 * y for y in measured]
+    simulated = {"good": good, "bad": bad}
+    states = {"good": 2, "bad": None}
     comparison = compare_simulations(
-        measured,
-        simulated,
-        output_names=["y"],
-        step_s=0.1,
-        states={"good": 2, "bad": None},
-        start_up_samples=10,
+        measured, simulated, output_names=["y"], step_s=0.1, states=states, start_up_samples=10
     )
-    assert list(comparison.table.index) == ["good", "bad"]
+    index = list(comparison.table.index)
+    assert index == ["good", "bad"]
     whole = np.concatenate([y[10:] for y in measured])
-    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(
-        fit_percent(whole, 0.9 * whole)
-    )
-    assert len(comparison.measured) == len(comparison.time_s) == 80
+    expected = fit_percent(whole, 0.9 * whole)
+    assert comparison.table.loc["good", "fit_percent"] == pytest.approx(expected)
+    expected = len(comparison.time_s)
+    assert len(comparison.measured) == expected == 80

@@ -26,12 +26,16 @@ def levels(samples: int, amplitude: float, seed: int = 0) -> np.ndarray:
 
 def test_the_fast_motor_converges_to_the_exact_one_with_order_four(motor: DCMotor) -> None:
     u = levels(200, 3.0)
-    exact = simulate_exactly(motor, u, np.zeros(4))
+    x0 = np.zeros(4)
+    exact = simulate_exactly(motor, u, x0)
     assert len(exact.switch_times_s) > 5  # the record visits stick and slip, or it shows nothing
     errors = []
     for step in (5e-4, 2.5e-4, 1.25e-4):
-        x, _ = replace(motor, solver_step_s=step).simulate(u[None])
-        errors.append(np.abs(x[0] - exact.x[:-1]).max())
+        changed_motor = replace(motor, solver_step_s=step)
+        x, _ = changed_motor.simulate(u[None])
+        difference = np.abs(x[0] - exact.x[:-1])
+        largest_difference = difference.max()
+        errors.append(largest_difference)
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     assert (orders > 3.5).all(), (errors, orders)
     assert errors[0] < 1e-4
@@ -44,7 +48,9 @@ def test_the_configured_step_is_accurate_with_disturbances(motor: DCMotor, seed:
     x0 = motor.states_at(np.array([[4.0 - 2 * seed]]))
     exact = simulate_exactly(motor, u, x0[0], d)
     x, _ = motor.simulate(u[None], x0=x0, d=d[None])
-    assert np.abs(x[0, :, 2] - exact.x[:-1, 2]).max() < 1e-4  # rad/s; the measurement noise is 0.14
+    difference = np.abs(x[0, :, 2] - exact.x[:-1, 2])
+    largest_difference = difference.max()
+    assert largest_difference < 1e-4  # rad/s; the measurement noise is 0.14
 
 
 def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DCMotor) -> None:
@@ -53,19 +59,22 @@ def test_the_exact_motor_agrees_with_a_general_solver_between_switches(motor: DC
     p = frictionless.constants
 
     def rate(_: float, x: np.ndarray, v: float) -> np.ndarray:
-        shaft = p.stiffness * x[3] + p.damping * (x[1] - x[2])
+        difference = x[1] - x[2]
+        shaft = p.stiffness * x[3] + p.damping * difference
+        difference = v - p.resistance * x[0] - p.k * x[1]
         return np.array([
-            (v - p.resistance * x[0] - p.k * x[1]) / motor.inductance_h,
+            difference / motor.inductance_h,
             (p.k * x[0] - shaft - p.motor_viscous * x[1]) / motor.motor_inertia_kgm2,
             (shaft - p.load_viscous * x[2]) / motor.load_inertia_kgm2,
             x[1] - x[2],
         ])  # fmt: skip
 
     u = np.full((20, 1), 2.4)
-    exact = simulate_exactly(frictionless, u, np.zeros(4)).x[-1]
-    there = solve_ivp(
-        rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13
-    ).y[:, -1]
+    x0 = np.zeros(4)
+    exact_run = simulate_exactly(frictionless, u, x0)
+    exact = exact_run.x[-1]
+    ivp = solve_ivp(rate, (0, 20 * motor.step_s), np.zeros(4), args=(2.0,), rtol=1e-11, atol=1e-13)
+    there = ivp.y[:, -1]
     np.testing.assert_allclose(exact, there, rtol=1e-8, atol=1e-9)
 
 
@@ -83,7 +92,8 @@ def test_the_motor_sticks_exactly_under_a_torque_below_friction(motor: DCMotor) 
 
 
 def test_the_motor_comes_to_rest_and_stays_there(motor: DCMotor) -> None:
-    x, _ = motor.simulate(np.zeros((5, 400, 1)), x0=motor.states_at(np.linspace(-4, 4, 5)[:, None]))
+    x0 = motor.states_at(np.linspace(-4, 4, 5)[:, None])
+    x, _ = motor.simulate(np.zeros((5, 400, 1)), x0=x0)
     assert (x[:, -50:, 1:3] == 0.0).all()
     assert (np.ptp(x[:, -50:, 3], axis=1) == 0.0).all()  # the twist friction holds does not creep
 
@@ -91,12 +101,16 @@ def test_the_motor_comes_to_rest_and_stays_there(motor: DCMotor) -> None:
 def test_switch_times_are_located(motor: DCMotor) -> None:
     """A free run-down of one rigid speed has its stop time in closed form."""
     rigid = replace(motor, shaft_stiffness_nm_per_rad=1e-15, shaft_damping_nms_per_rad=0.0)
-    run = simulate_exactly(rigid, np.zeros((300, 1)), np.array([0.0, 0.0, 2.0, 0.0]))
+    u = np.zeros((300, 1))
+    x0 = np.array([0.0, 0.0, 2.0, 0.0])
+    run = simulate_exactly(rigid, u, x0)
     b = rigid.load_viscous_nms_per_rad
     inertia = rigid.load_inertia_kgm2
     a0 = rigid.coulomb_torque_nm
     stop = inertia / b * np.log(1 + b * 2.0 / a0)
-    assert np.abs(run.switch_times_s - stop).min() < 1e-10
+    difference = np.abs(run.switch_times_s - stop)
+    largest_difference = difference.min()
+    assert largest_difference < 1e-10
     assert SWITCH_TIME_TOLERANCE_S <= 1e-10
 
 
@@ -113,13 +127,19 @@ def test_energy_never_grows_without_input(x0: list[float]) -> None:
         motor.shaft_stiffness_nm_per_rad,
     )
     energy = 0.5 * np.sum(np.array(stored) * x[0] ** 2, axis=-1)
-    assert (np.diff(energy) <= 1e-9 * energy[0] + 1e-15).all()
+    differences = np.diff(energy)
+    upper_limit = 1e-9 * energy[0] + 1e-15
+    assert (differences <= upper_limit).all()
 
 
 def test_the_motor_is_odd(motor: DCMotor) -> None:
     u = levels(200, 3.0)[None]
     d = levels(200, 2e-3, 1)[None]
-    np.testing.assert_array_equal(motor.simulate(-u, d=-d)[0], -motor.simulate(u, d=d)[0])
+    response = motor.simulate(-u, d=-d)
+    actual = response[0]
+    response = motor.simulate(u, d=d)
+    expected = -response[0]
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_the_dead_zone_is_dead(motor: DCMotor) -> None:
@@ -131,5 +151,9 @@ def test_the_dead_zone_is_dead(motor: DCMotor) -> None:
 
 def test_a_disturbance_torque_can_break_the_load_loose(motor: DCMotor) -> None:
     u = np.zeros((1, 100, 1))
-    assert (motor.simulate(u, d=np.full((1, 100, 1), 1.9e-3))[1] == 0.0).all()
-    assert (motor.simulate(u, d=np.full((1, 100, 1), 6e-3))[1][0, -1] < 0).all()
+    d = np.full((1, 100, 1), 1.9e-3)
+    response = motor.simulate(u, d=d)
+    assert (response[1] == 0.0).all()
+    d = np.full((1, 100, 1), 6e-3)
+    response = motor.simulate(u, d=d)
+    assert (response[1][0, -1] < 0).all()

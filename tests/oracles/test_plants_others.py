@@ -19,13 +19,17 @@ from ssm_study.refusal import BadRequest
 def test_quadruple_tank_rests_where_johansson_says_with_his_time_constants() -> None:
     plant = from_yaml("plant", "quadruple_tank")
     rest = plant.equilibrium()
-    np.testing.assert_allclose(rest.x, [12.4, 12.7, 1.8, 1.4], rtol=0.1)  # table 2, measured levels
+    expected = [12.4, 12.7, 1.8, 1.4]
+    np.testing.assert_allclose(rest.x, expected, rtol=0.1)  # table 2, measured levels
     t = np.array(plant.area_cm2) / np.array(plant.outlet_cm2) * np.sqrt(2 * rest.x / 981.0)
-    np.testing.assert_allclose(t, [62, 90, 23, 30], rtol=0.06)
+    expected = [62, 90, 23, 30]
+    np.testing.assert_allclose(t, expected, rtol=0.06)
     bumped = (
         plant.advance(rest.x + 0.01 * np.eye(4), np.tile(rest.u, (4, 1)), np.zeros((4, 2))) - rest.x
     )
-    np.testing.assert_allclose(np.diag(bumped) / 0.01, np.exp(-plant.step_s / t), rtol=2e-3)
+    actual = np.diag(bumped) / 0.01
+    expected = np.exp(-plant.step_s / t)
+    np.testing.assert_allclose(actual, expected, rtol=2e-3)
 
 
 def test_quadruple_tank_agrees_with_a_general_solver() -> None:
@@ -42,11 +46,14 @@ def test_quadruple_tank_agrees_with_a_general_solver() -> None:
         pumped = np.array(
             [g[0] * k[0] * 2.2, g[1] * k[1] * 3.7, (1 - g[1]) * k[1] * 3.7, (1 - g[0]) * k[0] * 2.2]
         )
-        return (pumped + np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0]) - q) / area
+        difference = pumped + np.array([q[2] + 3.0, q[3] - 2.0, 0.0, 0.0]) - q
+        return (difference) / area
 
     x = plant.equilibrium().x
-    there = solve_ivp(rate, (0, 10 * plant.step_s), x, rtol=1e-11, atol=1e-12).y[:, -1]
-    here = plant.simulate(np.tile(u, (1, 11, 1)), x0=x[None], d=np.tile(d, (1, 11, 1)))[0][0, -1]
+    ivp = solve_ivp(rate, (0, 10 * plant.step_s), x, rtol=1e-11, atol=1e-12)
+    there = ivp.y[:, -1]
+    response = plant.simulate(np.tile(u, (1, 11, 1)), x0=x[None], d=np.tile(d, (1, 11, 1)))
+    here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-6)
 
 
@@ -54,10 +61,15 @@ def test_quadruple_tank_starts_with_the_upper_levels_at_rest() -> None:
     plant = from_yaml("plant", "quadruple_tank")
     rest = plant.equilibrium()
     y0 = np.array([[5.0, 7.0], [6.0, 6.5]])
-    np.testing.assert_allclose(plant.states_at(rest.y[None]), rest.x[None])
+    actual = plant.states_at(rest.y[None])
+    expected = rest.x[None]
+    np.testing.assert_allclose(actual, expected)
     x0 = plant.states_at(y0)
-    np.testing.assert_allclose(plant.output(x0), y0)
-    np.testing.assert_array_equal(x0[:, 2:], np.tile(rest.x[2:], (2, 1)))
+    actual = plant.output(x0)
+    np.testing.assert_allclose(actual, y0)
+    actual = x0[:, 2:]
+    expected = np.tile(rest.x[2:], (2, 1))
+    np.testing.assert_array_equal(actual, expected)
 
 
 @pytest.fixture
@@ -68,16 +80,15 @@ def tanks() -> CascadedTanks:
 def test_tanks_agree_with_a_general_solver_below_the_brim(tanks: CascadedTanks) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
         upper = tanks.pump_gain * 2.0 - tanks.outflow_upper * np.sqrt(x[0])
-        return [
-            upper,
-            tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1]) + 1e-3,
-        ]
+        difference = tanks.inflow_lower * np.sqrt(x[0]) - tanks.outflow_lower * np.sqrt(x[1])
+        return [upper, difference + 1e-3]
 
     x = tanks.equilibrium().x
-    there = solve_ivp(rate, (0, 20 * tanks.step_s), x, rtol=1e-11, atol=1e-12).y[:, -1]
-    here = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=np.full((1, 21, 1), 1e-3))[0][
-        0, -1
-    ]
+    ivp = solve_ivp(rate, (0, 20 * tanks.step_s), x, rtol=1e-11, atol=1e-12)
+    there = ivp.y[:, -1]
+    d = np.full((1, 21, 1), 1e-3)
+    response = tanks.simulate(np.full((1, 21, 1), 2.0), x0=x[None], d=d)
+    here = response[0][0, -1]
     np.testing.assert_allclose(here, there, rtol=1e-8)
 
 
@@ -85,18 +96,23 @@ def test_tanks_overflow_and_the_spill_reaches_the_lower_tank(tanks: CascadedTank
     u = np.full((1, 200, 1), 6.0)
     x, _ = tanks.simulate(u)
     assert x.max() == tanks.brim_v  # full to the brim, never over
-    dry, _ = replace(tanks, spill_share=0.0).simulate(u)
-    first_full = int(np.argmax(x[0, :, 0] == tanks.brim_v))
-    np.testing.assert_array_equal(dry[0, : first_full - 1], x[0, : first_full - 1])
-    assert (
-        x[0, first_full + 1 : first_full + 5, 1] > dry[0, first_full + 1 : first_full + 5, 1]
-    ).all()
+    changed_tanks = replace(tanks, spill_share=0.0)
+    dry, _ = changed_tanks.simulate(u)
+    position_of_largest = np.argmax(x[0, :, 0] == tanks.brim_v)
+    first_full = int(position_of_largest)
+    actual = dry[0, : first_full - 1]
+    expected = x[0, : first_full - 1]
+    np.testing.assert_array_equal(actual, expected)
+    lower_limit = dry[0, first_full + 1 : first_full + 5, 1]
+    assert (x[0, first_full + 1 : first_full + 5, 1] > lower_limit).all()
 
 
 def test_the_pump_never_sucks(tanks: CascadedTanks) -> None:
-    np.testing.assert_array_equal(
-        tanks.simulate(np.full((1, 50, 1), -3.0))[0], tanks.simulate(np.zeros((1, 50, 1)))[0]
-    )
+    response = tanks.simulate(np.full((1, 50, 1), -3.0))
+    actual = response[0]
+    response = tanks.simulate(np.zeros((1, 50, 1)))
+    expected = response[0]
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_tanks_that_overflow_at_rest_are_refused(tanks: CascadedTanks) -> None:
@@ -111,11 +127,14 @@ def drive() -> StribeckDrive:
 
 def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckDrive) -> None:
     def rate(_: float, x: np.ndarray) -> list[float]:
-        friction = drive.friction_nm(np.array([x[1]]))[0]
-        torque = drive.torque_constant_nm_per_a * x[0] - drive.viscous_nms_per_rad * x[1] - friction
+        w = np.array([x[1]])
+        friction = drive.friction_nm(w)[0]
+        difference = drive.torque_constant_nm_per_a * x[0] - drive.viscous_nms_per_rad * x[1]
+        torque = difference - friction
         return [(1.5 - x[0]) / drive.current_lag_s, torque / drive.inertia_kgm2]
 
-    there = solve_ivp(rate, (0, 20 * drive.step_s), [0.0, 5.0], rtol=1e-11, atol=1e-12).y[1, -1]
+    ivp = solve_ivp(rate, (0, 20 * drive.step_s), [0.0, 5.0], rtol=1e-11, atol=1e-12)
+    there = ivp.y[1, -1]
     errors = [
         abs(
             replace(drive, substeps=n).simulate(
@@ -125,28 +144,32 @@ def test_the_drive_converges_with_order_one_to_a_general_solver(drive: StribeckD
         )
         for n in (20, 40, 80)
     ]
-    assert errors[0] < 0.02 * abs(there)
-    np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / np.array(errors[1:])), 1.0, atol=0.1)
+    upper_limit = 0.02 * abs(there)
+    assert errors[0] < upper_limit
+    actual = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    np.testing.assert_allclose(actual, 1.0, atol=0.1)
 
 
 def test_the_drive_sticks_up_to_the_static_torque_and_not_beyond(drive: StribeckDrive) -> None:
     hold_a = drive.static_torque_nm / drive.torque_constant_nm_per_a
-    assert (drive.simulate(np.full((1, 100, 1), 0.99 * hold_a))[1] == 0.0).all()
-    assert (
-        drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))[1][0, -1, 0] > 0.1
-    )  # and then runs away from rest
+    response = drive.simulate(np.full((1, 100, 1), 0.99 * hold_a))
+    assert (response[1] == 0.0).all()
+    response = drive.simulate(np.full((1, 100, 1), 1.1 * hold_a))
+    assert response[1][0, -1, 0] > 0.1  # and then runs away from rest
 
 
 def test_the_drive_starts_on_both_sides_of_rest(drive: StribeckDrive) -> None:
-    assert drive.initial_range == (-drive.initial_speed_rad_per_s, drive.initial_speed_rad_per_s)
+    expected = (-drive.initial_speed_rad_per_s, drive.initial_speed_rad_per_s)
+    assert drive.initial_range == expected
 
 
 def test_the_drive_saturates(drive: StribeckDrive) -> None:
     limit = drive.current_limit_a
-    np.testing.assert_array_equal(
-        drive.simulate(np.full((1, 50, 1), 3 * limit))[0],
-        drive.simulate(np.full((1, 50, 1), limit))[0],
-    )
+    response = drive.simulate(np.full((1, 50, 1), 3 * limit))
+    actual = response[0]
+    response = drive.simulate(np.full((1, 50, 1), limit))
+    expected = response[0]
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
@@ -155,9 +178,12 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
     plant = from_yaml("plant", "quadruple_tank")
     close_loop = Mock(side_effect=InterruptedError)
     monkeypatch.setattr(regulation, "close_loop", close_loop)
-    loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
+    disturbance = StepDisturbance(size=2.0, at_s=0.0)
+    loop = regulation.Loop(horizon_s=1.0, disturbance=disturbance)
+    mock = Mock(spec=Controller)
     with pytest.raises(InterruptedError):
-        loop.simulate(
-            plant, Mock(spec=Controller), plant.equilibrium().y[None], np.zeros((1, 5, 2))
-        )
-    np.testing.assert_array_equal(close_loop.call_args.kwargs["disturbance"][0], [[2.0, 0.0]] * 5)
+        loop.simulate(plant, mock, plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+    disturbance = close_loop.call_args.kwargs["disturbance"]
+    actual = disturbance[0]
+    expected = [[2.0, 0.0]] * 5
+    np.testing.assert_array_equal(actual, expected)

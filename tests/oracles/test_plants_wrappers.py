@@ -23,19 +23,24 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 
 
 def inputs(plant: Plant, cases: int = 2) -> np.ndarray:
-    levels = np.random.default_rng(0).uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
+    rng = np.random.default_rng(0)
+    levels = rng.uniform(-1, 1, (cases, SAMPLES, len(plant.inputs)))
     return plant.equilibrium().u + levels * np.array(plant.input_amplitude)
 
 
 def test_saturation_clips(plant: Plant) -> None:
     rest = plant.equilibrium().u
     half = 0.5 * np.array(plant.input_amplitude)
-    limited = SaturatedInput(plant=plant, lower=list(rest - half), upper=list(rest + half))
+    lower = list(rest - half)
+    upper = list(rest + half)
+    limited = SaturatedInput(plant=plant, lower=lower, upper=upper)
     u = inputs(plant)
-    np.testing.assert_array_equal(
-        limited.simulate(u)[1], plant.simulate(np.clip(u, rest - half, rest + half))[1]
-    )
-    assert not np.array_equal(limited.simulate(u)[1], plant.simulate(u)[1])
+    actual = limited.simulate(u)[1]
+    response = plant.simulate(np.clip(u, rest - half, rest + half))
+    expected = response[1]
+    np.testing.assert_array_equal(actual, expected)
+    response = limited.simulate(u)
+    assert not np.array_equal(response[1], plant.simulate(u)[1])
 
 
 @pytest.mark.parametrize("samples", [1, 3])
@@ -45,27 +50,38 @@ def test_delay_shifts(plant: Plant, samples: int) -> None:
         [np.tile(plant.equilibrium().u, (2, samples, 1)), u[:, :-samples]], axis=1
     )
     delayed = DelayedInput(plant=plant, samples=samples)
-    np.testing.assert_array_equal(delayed.simulate(u)[1], plant.simulate(shifted)[1])
+    actual = delayed.simulate(u)[1]
+    expected = plant.simulate(shifted)[1]
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_random_disturbance_holds_and_repeats() -> None:
     disturbance = RandomDisturbance(amplitude=2.0, hold_s=0.05, seed=1)
     d = disturbance.signal(np.arange(1000) * 0.01)
-    assert (np.diff(np.flatnonzero(np.diff(d))) % 5 == 0).all()
-    assert 1.5 < np.abs(d).max() <= 2.0
-    np.testing.assert_array_equal(d, disturbance.signal(np.arange(1000) * 0.01))
+    differences = np.diff(d)
+    indices = np.flatnonzero(differences)
+    differences = np.diff(indices)
+    assert (differences % 5 == 0).all()
+    largest = np.abs(d).max()
+    assert 1.5 < largest <= 2.0
+    expected = disturbance.signal(np.arange(1000) * 0.01)
+    np.testing.assert_array_equal(d, expected)
 
 
 def test_wrappers_stack(plant: Plant) -> None:
     rest = plant.equilibrium().u
     reach = 2 * np.array(plant.input_amplitude)
-    limited = SaturatedInput(plant=plant, lower=list(rest - reach), upper=list(rest + reach))
+    lower = list(rest - reach)
+    upper = list(rest + reach)
+    limited = SaturatedInput(plant=plant, lower=lower, upper=upper)
     stack = DelayedInput(plant=limited, samples=2)
     x, y = stack.simulate(inputs(plant))
-    assert x.shape[2] == len(stack.states) == len(plant.states) + 2 * len(plant.inputs)
-    np.testing.assert_array_equal(
-        y, DelayedInput(plant=plant, samples=2).simulate(inputs(plant))[1]
-    )
+    expected = len(stack.states)
+    assert x.shape[2] == expected == len(plant.states) + 2 * len(plant.inputs)
+    delayed_input = DelayedInput(plant=plant, samples=2)
+    response = delayed_input.simulate(inputs(plant))
+    expected = response[1]
+    np.testing.assert_array_equal(y, expected)
 
 
 @pytest.mark.parametrize(

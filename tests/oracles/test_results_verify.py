@@ -191,7 +191,8 @@ def record(smoke_run: Path) -> dict[str, Any]:
 
 
 def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
-    judged = [judge_column(name, record, derived, {}) for name in {*derived, *record}]
+    names = {*derived, *record}
+    judged = [judge_column(name, record, derived, {}) for name in names]
     return {
         finding.claim for finding in judged if isinstance(finding, Checked) and not finding.holds
     }
@@ -199,7 +200,8 @@ def named(record: dict[str, Any], derived: dict[str, Any]) -> set[str]:
 
 def moved(record: dict[str, Any], name: str, share: float) -> float:
     """The number of the record moved by `share` of what it is allowed to differ."""
-    return record[name] + share * (NUMBERS[name] * abs(record[name]) + EIGENVALUES.get(name, 0.0))
+    eigenvalues = EIGENVALUES.get(name, 0.0)
+    return record[name] + share * (NUMBERS[name] * abs(record[name]) + eigenvalues)
 
 
 def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(
@@ -215,11 +217,10 @@ def test_every_claim_is_in_one_of_the_lists_and_the_rest_has_a_reason(
     assert len(certificates) == 7
     listed = {*NUMBERS, *COUNTS, *WORDS, *ABSENT, *REQUESTED, *FILES}
     assert claims - certificates == listed - MEMBERS
-    assert {name for name, value in record.items() if value is not None} <= {
-        *claims,
-        *verified.unchecked,
-    }
-    assert all(verified.unchecked.values())
+    upper_limit = {*claims, *verified.unchecked}
+    assert {name for name, value in record.items() if value is not None} <= upper_limit
+    signals = verified.unchecked.values()
+    assert all(signals)
     assert verified.summary().startswith(
         f"{len(claims)} of {len(claims)} claims hold; {len(verified.unchecked)} not "
     )
@@ -231,10 +232,11 @@ def test_a_number_is_named_beyond_its_tolerance_and_not_within(
 ) -> None:
     for share in (-0.9, 0.9):
         assert named(record | {name: moved(record, name, share)}, derived) == set()
+    difference = -1 - record[name]
     wrongs = (
         moved(record, name, -1.1),
         moved(record, name, 1.1),
-        -1 - record[name],
+        difference,
         None,
         "inf",
         "unknown",
@@ -296,7 +298,8 @@ def test_an_infinite_number_is_only_itself() -> None:
         (2.0, False),
         (None, False),
     ):
-        assert compare_column("mismatch_margin", stored, np.inf).holds is holds
+        checked = compare_column("mismatch_margin", stored, np.inf)
+        assert checked.holds is holds
 
 
 def test_a_part_without_certificate_is_recorded_with_its_reason(
@@ -307,12 +310,12 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
     run = RunFiles(path=smoke_run, record=record)
     kept = read_simulation(smoke_run / "validation.mcap")
     told = "riccati; not positive definite in exact arithmetic"
-    missed = replace(
-        run.design, observer=replace(run.design.observer, certified=False, solver_status=told)
-    )  # type: ignore[arg-type]
+    observer = replace(run.design.observer, certified=False, solver_status=told)
+    missed = replace(run.design, observer=observer)  # type: ignore[arg-type]
     shown = measure_mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
-        facts = design_facts(made, run.model, certified_balls(run.model), shown)
+        balls = certified_balls(run.model)
+        facts = design_facts(made, run.model, balls, shown)
         assert facts.get("uncertified_reason") == reason
 
 
@@ -322,9 +325,11 @@ def test_the_seal_says_what_it_found(copied_run: Path) -> None:
         (" ", False, "changed since: model.json"),
     ):
         path = copied_run / "model.json"
-        path.write_text(path.read_text() + change)
+        text = path.read_text()
+        path.write_text(text + change)
         (seal,) = (finding for finding in verify(copied_run) if finding.claim == "files")
-        assert (seal.holds, seal.found) == (holds, found)
+        assert seal.holds == holds
+        assert seal.found == found
         assert str(seal) == f"{'holds' if holds else 'FAILS'}  files: {found}"
 
 
@@ -347,9 +352,12 @@ def test_the_command_ends_with_one_line_and_speaks_json(
     smoke_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["verify", str(smoke_run)]) == 0
-    last = capsys.readouterr().out.splitlines()[-1]
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    last = lines[-1]
     assert main(["verify", str(smoke_run), "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
+    out = capsys.readouterr().out
+    said = json.loads(out)
     held = sum(claim["holds"] for claim in said["claims"])
     assert last.startswith(
         f"{held} of {len(said['claims'])} claims hold; {len(said['not_checked'])} not checked: "
@@ -358,4 +366,6 @@ def test_the_command_ends_with_one_line_and_speaks_json(
 
 
 def test_a_long_value_is_told_in_eighty_characters() -> None:
-    assert [len(_short("x" * length)) for length in (79, 80, 81, 500)] == [79, 80, 80, 80]
+    lengths = (79, 80, 81, 500)
+    expected = [79, 80, 80, 80]
+    assert [len(_short("x" * length)) for length in lengths] == expected

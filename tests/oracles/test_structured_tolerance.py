@@ -30,7 +30,9 @@ ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.
 
 class _Model:
     def __init__(self, system: StructuredSystem) -> None:
-        self.system, self.linear = system, system.at_slopes(np.zeros(system.neurons))
+        slopes = np.zeros(system.neurons)
+        state_space = system.at_slopes(slopes)
+        self.system, self.linear = system, state_space
 
 
 def found(
@@ -51,7 +53,8 @@ def test_gains_are_certified_just_inside_their_largest_rate() -> None:
         limit = largest_rate(*part.as_problem())
         assert again.certified
         np.testing.assert_array_equal(again.gain, part.gain)
-        assert max(part.rate, 0.998 * limit) < again.rate < limit
+        largest = max(part.rate, 0.998 * limit)
+        assert largest < again.rate < limit
 
 
 @pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])
@@ -59,13 +62,18 @@ def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndar
     """The tolerance is found by two routes that share no line: a semidefinite program, and a
     Riccati equation with a search."""
     system = drawn(2, n=4, q=3, radius=0.9)
-    still = StructuredSystem(**{**vars(system), "e": 0 * system.e, "h": 0 * system.h})
+    e = 0 * system.e
+    h = 0 * system.h
+    still = StructuredSystem(**{**vars(system), "e": e, "h": h})
     known, proved = found(still, weight)
-    linear = still.at_slopes(np.zeros(3))
-    gains = {name: known.gains[name] for name in ("k", "l")}
-    other = without_neurons(
-        VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains), weight
+    slopes = np.zeros(3)
+    linear = still.at_slopes(slopes)
+    names = ("k", "l")
+    gains = {name: known.gains[name] for name in names}
+    verification_context = VerificationContext(
+        system=linear, controlled=linear, balls=BALLS, gains=gains
     )
+    other = without_neurons(verification_context, weight)
     assert other is not None
     assert proved.s == pytest.approx(other.s, rel=2e-4)
 
@@ -76,16 +84,20 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
     above it."""
     system = drawn(seed, n=4, q=3, radius=0.9, h=h)
     known, proved = found(system)
-    k, l, l_z = (known.gains[name] for name in ("k", "l", "l_z"))  # noqa: E741
+    names = ("k", "l", "l_z")
+    k, l, l_z = (known.gains[name] for name in names)  # noqa: E741
     peaks = []
     for slopes in system.corners():
         injected = l + (system.e * slopes) @ l_z
         for slope in (0.6, 0.8, 1.0):
-            peaks.append(
-                hinf_norm(sensitivity(system.at_slopes(slopes), Gains(k=k, l=injected), slope, 0.8))
-            )
-    assert 0.2 < proved.s * max(peaks) <= 1
-    assert not StructuredTolerance.holds(**(proved.variables | {"s": 1.001 / max(peaks)}))
+            linear = system.at_slopes(slopes)
+            pair = Gains(k=k, l=injected)
+            state_space = sensitivity(linear, pair, slope, 0.8)
+            peaks.append(hinf_norm(state_space))
+    upper_limit = proved.s * max(peaks)
+    assert 0.2 < upper_limit <= 1
+    s = 1.001 / max(peaks)
+    assert not StructuredTolerance.holds(**(proved.variables | {"s": s}))
 
 
 def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
@@ -93,11 +105,12 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     raises P most."""
     stand = model()
     system = stand.system
-    balls = Balls(input=BALLS.input, output=JacobianBall(alpha=1.0, beta=0.0))
+    output = JacobianBall(alpha=1.0, beta=0.0)
+    balls = Balls(input=BALLS.input, output=output)
     gains = ASKED.design(stand, balls).gains
-    proved = largest_tolerance(
-        VerificationContext(system=system, controlled=system, balls=balls, gains=gains), np.eye(1)
-    )
+    context = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
+    weight = np.eye(1)
+    proved = largest_tolerance(context, weight)
     assert proved is not None
     rng = np.random.default_rng(0)
     k = proved.k
@@ -126,30 +139,42 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
                 + (xi[3:] - xi[:3]) @ proved.p[3:, 3:] @ (xi[3:] - xi[:3])
                 for xi, _ in after
             ]
-            xi, spent = after[int(np.argmax(energies))]
+            position_of_largest = int(np.argmax(energies))
+            xi, spent = after[position_of_largest]
             x = xi[:3]
             x_hat = xi[3:]
             budget = budget - spent
-        assert np.linalg.norm(x) < 1e-3 * start
+        norm = np.linalg.norm(x)
+        assert norm < 1e-3 * start
 
 
 @pytest.fixture(scope="module", params=[False, True])
 def stored(request: pytest.FixtureRequest) -> tuple[dict, object]:
     stand = model()
-    asked = replace(ASKED, internal_model=["step"] if request.param else [])
+    internal_model = ["step"] if request.param else []
+    asked = replace(ASKED, internal_model=internal_model)
     balls = certified_balls(stand)
-    whole = with_gain_certificates(asked.design(stand, balls), stand, balls)
+    design = asked.design(stand, balls)
+    whole = with_gain_certificates(design, stand, balls)
     assert "tolerance" in whole.extra_certificates
-    return json.loads(json.dumps(whole.to_json())), controlled_system(stand, whole.state_feedback)
+    text = json.dumps(whole.to_json())
+    content = json.loads(text)
+    system = controlled_system(stand, whole.state_feedback)
+    return content, system
 
 
 def broken(content: dict, controlled: object) -> list[str]:
-    return failed_checks(content, model().system, certified_balls(model()), controlled)
+    system = model().system
+    balls = certified_balls(model())
+    return failed_checks(content, system, balls, controlled)
 
 
 def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) -> None:
     assert broken(*stored) == []
-    assert json.loads(json.dumps(Design.from_json(stored[0]).to_json())) == stored[0]
+    design = Design.from_json(stored[0])
+    text = json.dumps(design.to_json())
+    content = json.loads(text)
+    assert content == stored[0]
 
 
 @pytest.mark.parametrize(
@@ -168,28 +193,27 @@ def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) ->
 def test_a_forged_number_is_found(
     stored: tuple[dict, object], name: str, factor: object, said: str
 ) -> None:
-    content = json.loads(json.dumps(stored[0]))
+    text = json.dumps(stored[0])
+    content = json.loads(text)
     controlled = stored[1]
     value = np.array(content["tolerance"][name]) * factor if isinstance(factor, float) else factor
     content["tolerance"][name] = (
         value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
     )
     content["tolerance"]["digest"] = digest(content["tolerance"])
-    assert any(said in claim for claim in broken(content, controlled))
+    claims = broken(content, controlled)
+    assert any(said in claim for claim in claims)
 
 
 def test_a_nonlinear_output_map_gets_none() -> None:
     known, _ = found(drawn(2, n=4, q=3, radius=0.9))
-    bent = Balls(input=BALLS.input, output=JacobianBall.from_slopes(0.7, 0.9))
-    assert (
-        largest_tolerance(
-            VerificationContext(
-                system=known.system, controlled=known.system, balls=bent, gains=known.gains
-            ),
-            np.eye(1),
-        )
-        is None
+    output = JacobianBall.from_slopes(0.7, 0.9)
+    bent = Balls(input=BALLS.input, output=output)
+    context = VerificationContext(
+        system=known.system, controlled=known.system, balls=bent, gains=known.gains
     )
+    weight = np.eye(1)
+    assert largest_tolerance(context, weight) is None
 
 
 def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
@@ -211,4 +235,5 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
     balls = Balls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
-    assert within_reach(partial(largest_tolerance, known, one)) is None
+    find = partial(largest_tolerance, known, one)
+    assert within_reach(find) is None

@@ -13,30 +13,37 @@ from ssm_study.report.study_folder import RunFolder, StudyFolder
 
 
 def test_the_training_inputs_are_kept_and_drawn(smoke_run: Path) -> None:
-    record = json.loads((smoke_run / "record.json").read_text())
+    text = (smoke_run / "record.json").read_text()
+    record = json.loads(text)
     kept = RunFolder(path=smoke_run).excitation
     validation = RunFolder(path=smoke_run).validation
     assert kept is not None
     assert validation is not None
     inputs = kept["input"]
-    assert inputs.shape == (3, 400, 1)  # experiment=smoke: data.trajectories x data.samples
-    assert min(persistency_order(u) for u in inputs) == record["excitation_order"]
+    expected = (3, 400, 1)
+    assert inputs.shape == expected  # experiment=smoke: data.trajectories x data.samples
+    smallest = min(persistency_order(u) for u in inputs)
+    assert smallest == record["excitation_order"]
     assert not any(np.array_equal(u, validation["input"][0]) for u in inputs)
 
 
 def test_the_figure_says_what_the_inputs_can_identify(smoke_run: Path, tmp_path: Path) -> None:
     study = shutil.copytree(smoke_run.parent, tmp_path / "smoke")
-    record = json.loads((smoke_run / "record.json").read_text()) | {
-        "input_coverage": 0.85,
-        "excitation_order": 8,
-    }
+    content = json.loads((smoke_run / "record.json").read_text())
+    record = content | {"input_coverage": 0.85, "excitation_order": 8}
 
     def drawn(**more: str) -> list[Axes]:
-        (study / smoke_run.name / "record.json").write_text(json.dumps(record | more))
-        return figures.drawn("excitation", StudyFolder(folder=study)).axes
+        record_path = study / smoke_run.name / "record.json"
+        text = json.dumps(record | more)
+        record_path.write_text(text)
+        study_folder = StudyFolder(folder=study)
+        return figures.drawn("excitation", study_folder).axes
 
     told = drawn()
     warned = drawn(excitation_warning="2 levels only")
-    assert told[0].get_title(loc="left") == "Training records; 85 % of the range is trained on"
-    assert told[1].get_title(loc="left") == "Persistently exciting of order 8"
-    assert "not identifiable" in warned[0].get_title(loc="left")
+    title = told[0].get_title(loc="left")
+    assert title == "Training records; 85 % of the range is trained on"
+    title = told[1].get_title(loc="left")
+    assert title == "Persistently exciting of order 8"
+    title = warned[0].get_title(loc="left")
+    assert "not identifiable" in title

@@ -28,10 +28,12 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     rng = np.random.default_rng(0)
     x = np.zeros(2)
     u = rng.uniform(-1, 1, 200).repeat(10)
-    u = np.concatenate([u - u.mean(), np.zeros(200)])
+    difference = u - u.mean()
+    u = np.concatenate([difference, np.zeros(200)])
     y = []
     for volts in u:
-        y.append(x[1] + 0.01 * rng.standard_normal())
+        white_noise = rng.standard_normal()
+        y.append(x[1] + 0.01 * white_noise)
         x = moved(x, volts)
     words = (
         "model.order=2",
@@ -43,7 +45,8 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
         "loop.horizon_s=10",
         "loop.initial_conditions=2",
     )
-    design = st.control(st.fit(u, np.array(y), 0.05, *words), *FEW)
+    model = st.fit(u, np.array(y), 0.05, *words)
+    design = st.control(model, *FEW)
     assert design.record["fit_test_percent"] > 90
     assert design.record["spectral_radius"] > 0.999
     assert design.certificate.certified
@@ -51,17 +54,23 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     assert "The output integrates its input" in design.record["evidence_reasons"]
     assert "data.decimate" not in design.record["evidence_reasons"]
     law = ObserverFeedback.of(design.model, design.certificate)
-    limits = (design.record["limit_lower"], design.record["limit_upper"])
-    rest = law.targets(np.zeros((1, 1)))[0]
+    limit_lower = design.record["limit_lower"]
+    limit_upper = design.record["limit_upper"]
+    limits = (limit_lower, limit_upper)
+    reference = np.zeros((1, 1))
+    plan = law.targets(reference)
+    rest = plan[0]
     for start in (0.2, -2.0):  # from positions far beyond one step
         x = np.array([0.0, start])
         memory = law.start(1)
         for _ in range(800):
             seen = x[None, 1:]
-            applied = np.clip(law.input(memory, seen, rest), *limits)
+            inputs = law.input(memory, seen, rest)
+            applied = np.clip(inputs, *limits)
             memory = law.advance(memory, applied, seen, rest)
             x = moved(x, float(applied[0, 0]))
-        assert x == pytest.approx([0, 0], abs=1e-3 * abs(start))
+        expected = [0, 0]
+        assert x == pytest.approx(expected, abs=1e-3 * abs(start))
 
 
 def pushed(u: np.ndarray) -> np.ndarray:
@@ -70,7 +79,8 @@ def pushed(u: np.ndarray) -> np.ndarray:
     y = []
     rng = np.random.default_rng(1)
     for volts in u:
-        y.append(x[1] + 0.01 * rng.standard_normal())
+        white_noise = rng.standard_normal()
+        y.append(x[1] + 0.01 * white_noise)
         x = moved(x, volts)
     return np.array(y)
 
@@ -78,8 +88,10 @@ def pushed(u: np.ndarray) -> np.ndarray:
 def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -> None:
     """No neuron is left of what is linear: the model has an eigenvalue of exactly one, and no
     balanced coordinates."""
-    u = np.random.default_rng(0).uniform(-1, 1, 60).repeat(10)
-    u = np.concatenate([u - u.mean(), np.zeros(60)])
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, 1, 60).repeat(10)
+    difference = u - u.mean()
+    u = np.concatenate([difference, np.zeros(60)])
     words = (
         "model.integrating_output=true",
         "model.order=1",
@@ -95,9 +107,13 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
     design = st.control(model, "synthesis=auto_integral", "loop.initial_conditions=2", *FEW)
     assert design.certificate.certified
     assert design.record["stable_fraction"] == 1
-    assert not [one.name for one in verify(design.save(tmp_path / "saved")) if not one.holds]
-    ends = st.simulate(design, np.array([0.5, -0.5])).groupby("case").last()
-    assert np.abs(ends["y"]).max() < 0.05
+    run = design.save(tmp_path / "saved")
+    verification = verify(run)
+    assert not [one.name for one in verification if not one.holds]
+    response = st.simulate(design, np.array([0.5, -0.5]))
+    ends = response.groupby("case").last()
+    largest = np.abs(ends["y"]).max()
+    assert largest < 0.05
 
 
 @pytest.mark.parametrize(
@@ -115,15 +131,18 @@ def test_integrators_from_elsewhere_are_certified_and_led_to_a_set_point(
     control = pytest.importorskip("control")
     outputs = len(c)
     asked = ("synthesis=riccati", "synthesis.rate_controller=0.05", "synthesis.rate_observer=0.05")
-    design = st.control(control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1), *asked)
+    model = control.ss(a, b, c, np.zeros((outputs, len(b[0]))), 0.1)
+    design = st.control(model, *asked)
     assert design.certificate.certified
     reach = design.within([-1.0] * len(b[0]), [1.0] * len(b[0]))
     assert (reach.lower < 0).all()
     assert (reach.upper > 0).all()
     step = ("reference@loop.reference=step", "loop.reference.after=0.3", "loop.horizon_s=30")
-    ended = st.simulate(design, np.zeros((1, outputs)), *step).filter(like="y").iloc[-1]
+    response = st.simulate(design, np.zeros((1, outputs)), *step)
+    ended = response.filter(like="y").iloc[-1]
     assert ended.to_numpy() == pytest.approx(0.3, abs=1e-3)
-    assert "_reset" in design.to_c(tmp_path / "held.h").read_text()
+    text = design.to_c(tmp_path / "held.h").read_text()
+    assert "_reset" in text
 
 
 def test_the_points_at_rest_are_all_of_them() -> None:
@@ -132,16 +151,21 @@ def test_the_points_at_rest_are_all_of_them() -> None:
     rng = np.random.default_rng(0)
     for integrators in (0, 1, 2):
         for inputs in (1, 2, 3):
-            turn = np.linalg.qr(rng.standard_normal((4, 4)))[0]
+            white_noise = rng.standard_normal((4, 4))
+            turn = np.linalg.qr(white_noise)[0]
             modes = np.diag(np.where(np.arange(4) < integrators, 1.0, rng.uniform(-0.9, 0.9, 4)))
             b = rng.standard_normal((4, inputs))
             c = rng.standard_normal((2, 4))
             d = rng.standard_normal((2, inputs))
-            system = StateSpace(a=turn @ modes @ turn.T, b=b, c=c, d=d)
+            a = turn @ modes @ turn.T
+            system = StateSpace(a=a, b=b, c=c, d=d)
             x, v, y = system.held()
             assert system.integrates == (integrators > 0)
-            assert x.shape[1] == max(inputs, integrators)
-            assert np.linalg.matrix_rank(np.vstack([x, v])) == x.shape[1]
+            expected = max(inputs, integrators)
+            assert x.shape[1] == expected
+            rank = np.linalg.matrix_rank(np.vstack([x, v]))
+            assert rank == x.shape[1]
             assert system.a @ x + b @ v == pytest.approx(x, abs=1e-9)
-            assert y == pytest.approx(c @ x + d @ v)
+            expected = c @ x + d @ v
+            assert y == pytest.approx(expected)
             assert integrators or (v == np.eye(inputs)).all()

@@ -44,34 +44,40 @@ def failing(run: Path) -> set[str]:
 
 
 def edit(path: Path, change: Callable[[dict], object]) -> None:
-    content = json.loads(path.read_text())
+    text = path.read_text()
+    content = json.loads(text)
     change(content)
-    path.write_text(json.dumps(content))
+    text = json.dumps(content)
+    path.write_text(text)
 
 
 def test_the_run_folder_is_the_public_one(smoke_run: Path) -> None:
     for name in CONTRACT_FILES:
         assert (smoke_run / name).exists(), name
-    assert {path.name for path in (smoke_run / ".hydra").iterdir()} >= {
-        "config.yaml",
-        "overrides.yaml",
-    }
+    paths = (smoke_run / ".hydra").iterdir()
+    names = {path.name for path in paths}
+    assert names >= {"config.yaml", "overrides.yaml"}
 
 
 def test_models_of_the_same_data_share_its_trials(smoke_run: Path) -> None:
     """The largest file of a run belongs to the stage of the data: a further model of them adds no
     copy."""
+    paths = smoke_run.parents[1].rglob("trials.mcap")
     stores = {
         path.relative_to(smoke_run.parents[1] / ".store").parts[0]
-        for path in smoke_run.parents[1].rglob("trials.mcap")
+        for path in paths
         if ".store" in path.parts
     }
     assert stores == {"dataset"}
-    assert "trials.mcap" in json.loads((smoke_run / "manifest.json").read_text())["files"]
+    text = (smoke_run / "manifest.json").read_text()
+    content = json.loads(text)
+    files = content["files"]
+    assert "trials.mcap" in files
 
 
 def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
-    record = json.loads((smoke_run / "record.json").read_text())
+    text = (smoke_run / "record.json").read_text()
+    record = json.loads(text)
     assert record["status"] == "ok"
     assert record["controller_certified"]
     assert record["observer_certified"]
@@ -84,26 +90,39 @@ def test_smoke_is_certified_and_settles(smoke_run: Path) -> None:
 def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
     """Training simulates by convolution (torch); `model.json` steps (NumPy). The stored fit is the
     latter's."""
-    model = SSM.from_json(json.loads((smoke_run / "model.json").read_text()))
-    groups = {
-        group.topic.removeprefix("/record_0"): group.values
-        for group in read_mcap(smoke_run / "validation.mcap")[0]
-    }
-    eigenvalues, vectors = np.linalg.eig(model.linear.a.astype(complex))
-    modes = ModalForm(
-        decay=torch.from_numpy(np.log(eigenvalues)),
-        b=torch.from_numpy(np.linalg.solve(vectors, model.linear.b.astype(complex))),
-        c=torch.from_numpy(model.linear.c @ vectors),
-        d=torch.from_numpy(model.linear.d),
-    )
-    ybar = by_convolution(modes, torch.from_numpy(model.lift(groups["/input"]))[None])[0].numpy()
-    y = model.scale.output_equilibrium + model.scale.output_scale * model.scaffold_out(ybar)
-    assert np.abs(y - groups["/simulated"]).max() < 1e-9 * np.abs(y).max()
+    text = (smoke_run / "model.json").read_text()
+    content = json.loads(text)
+    model = SSM.from_json(content)
+    mcap = read_mcap(smoke_run / "validation.mcap")
+    groups = {group.topic.removeprefix("/record_0"): group.values for group in mcap[0]}
+    linear_a = model.linear.a
+    eigenvalues, vectors = np.linalg.eig(linear_a.astype(complex))
+    decay = torch.from_numpy(np.log(eigenvalues))
+    linear_b = model.linear.b
+    solution = np.linalg.solve(vectors, linear_b.astype(complex))
+    b = torch.from_numpy(solution)
+    linear_c = model.linear.c
+    c = torch.from_numpy(linear_c @ vectors)
+    linear_d = model.linear.d
+    d = torch.from_numpy(linear_d)
+    modes = ModalForm(decay=decay, b=b, c=c, d=d)
+    u = torch.from_numpy(model.lift(groups["/input"]))[None]
+    output = by_convolution(modes, u)
+    ybar = output[0].numpy()
+    output_equilibrium = model.scale.output_equilibrium
+    output_scale = model.scale.output_scale
+    y = output_equilibrium + output_scale * model.scaffold_out(ybar)
+    difference = np.abs(y - groups["/simulated"])
+    largest_difference = difference.max()
+    largest = np.abs(y).max()
+    upper_limit = 1e-9 * largest
+    assert largest_difference < upper_limit
 
 
 def test_every_stored_claim_holds(smoke_run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(smoke_run)]) == 0
-    assert "FAILS" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "FAILS" not in out
 
 
 TAMPERING = {
@@ -136,7 +155,9 @@ def test_tampering_is_found_and_named(
     file, change = TAMPERING[what]
     edit(copied_run / file, change)
     assert main(["verify", str(copied_run)]) == 1
-    failures = [line for line in capsys.readouterr().out.splitlines() if line.startswith("FAILS")]
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    failures = [line for line in lines if line.startswith("FAILS")]
     assert len(failures) > 1  # not the seal alone: the claim itself is found not to hold
     assert failures[0].startswith("FAILS  files: changed since")
 
@@ -175,23 +196,28 @@ def test_inputs_cut_at_limits_are_replayed(tmp_path: Path) -> None:
         main(["run", *TINY, *limits, "synthesis.rate_controller=0.05", f"results_dir={tmp_path}"])
         == 0
     )
-    (run,) = (path.parent for path in tmp_path.glob("sweep/*/record.json"))
-    u = read_rollouts(run / "closed_loop.mcap")[0].u
+    paths = tmp_path.glob("sweep/*/record.json")
+    (run,) = (path.parent for path in paths)
+    rollouts = read_rollouts(run / "closed_loop.mcap")
+    u = rollouts[0].u
     assert u.min() == -0.2
     assert u.max() == 0.3
-    assert json.loads((run / "record.json").read_text())["loop__input_upper"] == 0.3
+    text = (run / "record.json").read_text()
+    content = json.loads(text)
+    assert content["loop__input_upper"] == 0.3
     assert [finding for finding in verify(run) if not finding.holds] == []
-    edit_text(run / ".hydra" / "config.yaml", "input_upper: 0.3", "input_upper: 0.29")
+    config_path = run / ".hydra" / "config.yaml"
+    edit_text(config_path, "input_upper: 0.3", "input_upper: 0.29")
     assert {"run", "closed_loop.mcap input", "loop__input_upper"} <= failing(run)
 
 
 def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
-    settings = {
-        "model": {"order": 4},
-        "plant": {"step_s": 0.01},
-        "synthesis": {"internal_model": ["step", "ramp"]},
-        "training": {"optimiser": {"_target_": "ssm_study.training.optimisers.Adam", "lr": 0.01}},
-    }
+    model = {"order": 4}
+    plant = {"step_s": 0.01}
+    synthesis = {"internal_model": ["step", "ramp"]}
+    optimiser = {"_target_": "ssm_study.training.optimisers.Adam", "lr": 0.01}
+    training = {"optimiser": optimiser}
+    settings = {"model": model, "plant": plant, "synthesis": synthesis, "training": training}
     keys = [
         "study",
         "model.order",
@@ -200,12 +226,14 @@ def test_a_setting_that_no_column_repeats_has_one_under_its_key() -> None:
         "training/optimiser",
         "a@loop.peer",
     ]
-    assert undeclared_settings(settings, keys) == {
+    facts = undeclared_settings(settings, keys)
+    expected = {
         "loop__peer": None,
         "plant__step_s": 0.01,
         "synthesis__internal_model": "['step', 'ramp']",
         "training__optimiser": "adam",
     }
+    assert facts == expected
 
 
 def edit_text(path: Path, old: str, new: str) -> None:
@@ -220,8 +248,10 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
     rates = "synthesis.rate_controller=0.02,0.05,0.999"
     asked = ["run", "-m", *TINY, f"results_dir={tmp_path}", rates, "hydra/launcher=basic"]
     assert main(asked) == 0
-    table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet").sort_values("rate_controller")
-    assert list(table["status"]) == ["ok", "ok", "infeasible"]
+    runs_path = tmp_path / "sweep" / "runs.parquet"
+    table = pd.read_parquet(runs_path).sort_values("rate_controller")
+    status = list(table["status"])
+    assert status == ["ok", "ok", "infeasible"]
     assert table["infeasible_reason"].iloc[2].count("the slopes allow only rates below") == 1
     (refused,) = tmp_path.glob(f"sweep/{table['run'].iloc[2]}")
     assert (
@@ -231,12 +261,14 @@ def test_a_sweep_over_rates_trains_once_and_infeasible_is_a_result(tmp_path: Pat
         name: [path for path in (tmp_path / ".store" / name).iterdir() if path.is_dir()]
         for name in STAGES
     }
-    assert {name: len(found) for name, found in computed.items()} == {"model": 1, "synthesis": 3}
-    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")}
+    expected = {"model": 1, "synthesis": 3}
+    assert {name: len(found) for name, found in computed.items()} == expected
+    paths = tmp_path.glob("sweep/*/record.json")
+    before = {path: path.stat().st_mtime_ns for path in paths}
     assert main(asked) == 0  # nothing to do, nothing touched
-    assert {
-        path: path.stat().st_mtime_ns for path in tmp_path.glob("sweep/*/record.json")
-    } == before
+    paths = tmp_path.glob("sweep/*/record.json")
+    st_mtime_ns_by_path = {path: path.stat().st_mtime_ns for path in paths}
+    assert st_mtime_ns_by_path == before
 
 
 def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None:
@@ -244,8 +276,10 @@ def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None
     1."""
     bad = "plant.solver_step_s=5e-4,1e-300"
     assert main(["run", "-m", *TINY, f"results_dir={tmp_path}", bad, "hydra/launcher=basic"]) == 1
-    table = pd.read_parquet(tmp_path / "sweep" / "runs.parquet")
-    assert sorted(table["status"]) == ["failed", "ok"]
+    runs_path = tmp_path / "sweep" / "runs.parquet"
+    table = pd.read_parquet(runs_path)
+    status = sorted(table["status"])
+    assert status == ["failed", "ok"]
     assert table["error_message"].notna().sum() == 1
 
 
@@ -257,7 +291,8 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     y = np.zeros(600)
     for k in range(599):
         y[k + 1] = 0.9 * y[k] + 0.1 * np.tanh(u[k])
-    columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * rng.standard_normal(600)])
+    white_noise = rng.standard_normal(600)
+    columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * white_noise])
     np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="t,volt,speed", comments="")
     data = [
         f"data.path={tmp_path / 'log.csv'}",
@@ -285,21 +320,24 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
         )
         == 0
     )
-    (path,) = (tmp_path / "results" / "mine").glob("*/record.json")
-    record = json.loads(path.read_text())
+    mine_path = tmp_path / "results" / "mine"
+    (path,) = mine_path.glob("*/record.json")
+    text = path.read_text()
+    record = json.loads(text)
     assert record["loop_on"] == "identified model"
     assert record["plant"] is None
     assert record["fit_test_percent"] > 90
     assert record["stable_count"] == 10
-    log = read_rollouts(path.parent / "closed_loop.mcap")[
-        0
-    ].u  # within what the training part of the log visited
-    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx(
-        (u[:360].min(), u[:360].max()), rel=1e-9
-    )
+    rollouts = read_rollouts(path.parent / "closed_loop.mcap")
+    log = rollouts[0].u  # within what the training part of the log visited
+    smallest = u[:360].min()
+    largest = u[:360].max()
+    expected = (smallest, largest)
+    assert (record["limit_lower"], record["limit_upper"]) == pytest.approx(expected, rel=1e-9)
+    smallest = log.min()
     assert (
         record["limit_lower"] * (1 + 1e-12)
-        <= log.min()
+        <= smallest
         < log.max()
         <= record["limit_upper"] * (1 + 1e-12)
     )
@@ -359,18 +397,19 @@ def test_a_second_run_is_compared_number_by_number() -> None:
         "threads": 1,
         "synthesis_seconds": 1.0,
     }
-    assert compare_records(then, then | {"synthesis_seconds": 2.0}) == (
-        ["3 columns compared: 3 equal to the last bit, 0 differ"],
-        True,
-    )
-    lines, agrees = compare_records(
-        then, then | {"fit_test_percent": 90.1, "order": None, "threads": 2}
-    )
+    now = then | {"synthesis_seconds": 2.0}
+    expected = (["3 columns compared: 3 equal to the last bit, 0 differ"], True)
+    assert compare_records(then, now) == expected
+    now = then | {"fit_test_percent": 90.1, "order": None, "threads": 2}
+    lines, agrees = compare_records(then, now)
     assert not agrees
-    assert lines == [
+    expected = [
         "3 columns compared: 1 equal to the last bit, 2 differ",
         "  order: 4 then, None now",
         "  fit_test_percent: 90.0 then, 90.1 now",
         "  changed since: threads 1 -> 2",
     ]
-    assert compare_records(then, then | {"fit_test_percent": 90.0 * (1 + 1e-9)})[1]
+    assert lines == expected
+    fit_test_percent = 90.0 * (1 + 1e-9)
+    now = then | {"fit_test_percent": fit_test_percent}
+    assert compare_records(then, now)[1]

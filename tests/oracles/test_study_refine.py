@@ -85,7 +85,8 @@ def steps(first: Path) -> list:
 
 @pytest.fixture(scope="module")
 def second(first: Path, steps: list) -> Path:  # noqa: ARG001 - made by the steps
-    (run,) = (path.parent for path in first.parent.glob("*/record.json") if path.parent != first)
+    paths = first.parent.glob("*/record.json")
+    (run,) = (path.parent for path in paths if path.parent != first)
     return run
 
 
@@ -105,7 +106,8 @@ def test_a_wrong_prediction_is_mended_by_the_loop_itself(first, second, steps):
 def test_a_refined_run_names_its_parent_and_trains_nothing(first, second):
     before = read_record(first)
     after = read_record(second)
-    assert (after["parent_run"], after["refinements"]) == (first.name, 1)
+    assert after["parent_run"] == first.name
+    assert after["refinements"] == 1
     assert "parent_run" not in before
     for stage in ("dataset", "model", "bounds"):
         assert after[f"stage_{stage}_key"] == before[f"stage_{stage}_key"]
@@ -114,11 +116,14 @@ def test_a_refined_run_names_its_parent_and_trains_nothing(first, second):
 
 def test_a_refined_run_is_verified_from_its_files(second, tmp_path):
     assert failing(second) == set()
-    assert "chosen is not" in verify(second).unchecked[TRIED]
+    unchecked = verify(second).unchecked
+    assert "chosen is not" in unchecked[TRIED]
     run = shutil.copytree(second, tmp_path / second.name)
-    tried = json.loads((run / TRIED).read_text())
+    text = (run / TRIED).read_text()
+    tried = json.loads(text)
     tried[0]["state_feedback"]["k"][0][0] *= 0.9
-    (run / TRIED).write_text(json.dumps(tried))
+    text = json.dumps(tried)
+    (run / TRIED).write_text(text)
     seal_run(run)
     assert failing(run) == {"trials.mcap records"}
 
@@ -128,27 +133,36 @@ def test_a_sweep_over_iterations_finds_the_same_run(hidden, second):
     config.refine = 1
     assert config.run == second.name
     outcome = STUDY.job(config)
-    assert (outcome.did, outcome.folder) == ("found", second)
+    assert outcome.did == "found"
+    assert outcome.folder == second
 
 
 def test_where_the_loop_rests_nothing_is_chosen_again(second, smoke_run):
     for run in (second, smoke_run):
-        before = sorted(run.parent.glob("*/record.json"))
+        paths = run.parent.glob("*/record.json")
+        before = sorted(paths)
         (step,) = refine(run)
         assert step.config is None
         assert "comes to rest" in step.said
-        assert sorted(run.parent.glob("*/record.json")) == before
+        paths = sorted(run.parent.glob("*/record.json"))
+        assert paths == before
 
 
 def test_a_loop_within_the_proof_needs_no_other_choice(first, second):
     """The run's own proof, with the trial of its loop among the records that it must cover."""
-    swings = _measure_trial(RunFiles(path=first, record=read_record(first)), None)
+    files = RunFiles(path=first, record=read_record(first))
+    swings = _measure_trial(files, None)
     assert swings.gain > 0
     assert not swings.ends_refinement
-    assert replace(swings, coverage=1.234).ends_refinement
-    assert "1.23 times" in replace(swings, coverage=1.234).end_sentence
-    assert not replace(swings, coverage=0.999).ends_refinement
-    rests = _measure_trial(RunFiles(path=second, record=read_record(second)), None)
+    changed_swings = replace(swings, coverage=1.234)
+    assert changed_swings.ends_refinement
+    changed_swings = replace(swings, coverage=1.234)
+    end_sentence = changed_swings.end_sentence
+    assert "1.23 times" in end_sentence
+    changed_swings = replace(swings, coverage=0.999)
+    assert not changed_swings.ends_refinement
+    files = RunFiles(path=second, record=read_record(second))
+    rests = _measure_trial(files, None)
     assert rests.ends_refinement
     assert "comes to rest" in rests.end_sentence
 
@@ -165,7 +179,9 @@ def logged(tmp_path_factory) -> Path:
     rng = np.random.default_rng(0)
     plant = PeakingGain(**PEAK)
     u = np.repeat(rng.uniform(-1, 1, 200), rng.integers(2, 20, 200))[:1600, None]
-    y = plant.simulate(u[None])[1][0] + 0.01 * rng.standard_normal(u.shape)
+    response = plant.simulate(u[None])
+    white_noise = rng.standard_normal(u.shape)
+    y = response[1][0] + 0.01 * white_noise
     log = write(folder / "log.csv", u, y)
     assert main(["run", *LOG, f"data.path={log}", "study=log", f"results_dir={folder}", *TINY]) == 0
     (record,) = folder.glob("log/*/record.json")
@@ -176,7 +192,9 @@ def trial(run: Path, to: Path, peak: float) -> Path:
     """The run's controller on a plant, from one start; the sensor's noise is the plant's."""
     plant = PeakingGain(**PEAK | {"peak": peak})
     frame = st.simulate(st.load(run), [0.5], "study=s", "loop.horizon_s=20", plant=plant)
-    noise = 0.01 * np.random.default_rng(1).standard_normal(len(frame))
+    rng = np.random.default_rng(1)
+    white_noise = rng.standard_normal(len(frame))
+    noise = 0.01 * white_noise
     return write(to, frame["input"], frame["output"] + noise)
 
 
@@ -186,20 +204,24 @@ def test_the_log_of_a_trial_that_oscillates_changes_the_choice(logged, tmp_path,
     assert main(["refine", str(logged), "--record", str(log)]) == 0
     told = capsys.readouterr().out
     assert "refine with its log" in told
-    (run,) = (path.parent for path in logged.parent.glob("*/record.json") if path.parent != logged)
+    paths = logged.parent.glob("*/record.json")
+    (run,) = (path.parent for path in paths if path.parent != logged)
     after = read_record(run)
-    assert (after["parent_run"], after["refinements"]) == (logged.name, 1)
+    assert after["parent_run"] == logged.name
+    assert after["refinements"] == 1
     assert after["stage_model_key"] == before["stage_model_key"]
     assert before["certified_tolerance"] < after["mismatch_in_loop"]
     assert after["controller_gain_norm"] < before["controller_gain_norm"]
     assert failing(run) == set()
-    log.write_text(log.read_text() + "0,0\n")
+    text = log.read_text()
+    log.write_text(text + "0,0\n")
     with pytest.raises(BadRequest, match=r"trial\.csv changed since this run was done"):
         STUDY.job(next(step.config for step in refine(logged, log)))
 
 
 def test_the_log_of_a_trial_that_rests_changes_nothing(logged, tmp_path):
-    (step,) = refine(logged, trial(logged, tmp_path / "rests.csv", 0.0))
+    log = trial(logged, tmp_path / "rests.csv", 0.0)
+    (step,) = refine(logged, log)
     assert "comes to rest" in step.said
 
 
@@ -225,12 +247,21 @@ def test_a_run_that_cannot_be_refined_is_refused(logged, first, tmp_path):
 
 def test_a_log_at_another_sampling_time_is_refused(logged, tmp_path):
     run = shutil.copytree(logged, tmp_path / "log" / logged.name)
-    config = (run / ".hydra" / "config.yaml").read_text().replace("time: null", "time: t")
-    (run / ".hydra" / "config.yaml").write_text(config.replace("step_s: 0.05", "step_s: null"))
+    config_path = run / ".hydra" / "config.yaml"
+    text = config_path.read_text()
+    config = text.replace("time: null", "time: t")
+    config_path = run / ".hydra" / "config.yaml"
+    config_path.write_text(config.replace("step_s: 0.05", "step_s: null"))
     t = np.arange(200)
-    np.savetxt(tmp_path / "slow.csv", np.column_stack([0.1 * t, np.sin(t), np.cos(t)]),
-               delimiter=",",
-               header="t,input,output", comments="")  # fmt: skip
+    sine = np.sin(t)
+    cosine = np.cos(t)
+    np.savetxt(
+        tmp_path / "slow.csv",
+        np.column_stack([0.1 * t, sine, cosine]),
+        delimiter=",",
+        header="t,input,output",
+        comments="",
+    )
     with pytest.raises(BadRequest, match=r"sampling time is 0\.05 s"):
         list(refine(run, tmp_path / "slow.csv"))
 

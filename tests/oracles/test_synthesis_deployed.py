@@ -33,15 +33,15 @@ def loop(seed: int, inputs: int = 1, order: int = 3) -> tuple[StateSpace, Balls,
     """A random stable model with a certified pair of gains."""
     rng = np.random.default_rng(seed)
     a = rng.normal(size=(order, order))
-    linear = StateSpace(
-        a=0.95 * a / np.abs(np.linalg.eigvals(a)).max(),
-        b=rng.normal(size=(order, inputs)),
-        c=rng.normal(size=(inputs, order)),
-        d=np.zeros((inputs, inputs)),
-    )
-    balls = Balls(
-        input=JacobianBall.from_slopes(0.4, 1.0), output=JacobianBall(alpha=0.8, beta=0.0)
-    )
+    eigenvalues = np.linalg.eigvals(a)
+    spectral_radius = np.abs(eigenvalues).max()
+    b = rng.normal(size=(order, inputs))
+    c = rng.normal(size=(inputs, order))
+    d = np.zeros((inputs, inputs))
+    linear = StateSpace(a=0.95 * a / spectral_radius, b=b, c=c, d=d)
+    jacobian_ball = JacobianBall.from_slopes(0.4, 1.0)
+    output = JacobianBall(alpha=0.8, beta=0.0)
+    balls = Balls(input=jacobian_ball, output=output)
     synthesis = RiccatiSynthesis(rate_controller=0.15, rate_observer=0.15, input_weight=0.3)
     return linear, balls, synthesis.design(_Model(linear), balls)
 
@@ -62,14 +62,17 @@ def feasible(part: StateFeedback, rate: float) -> bool:
     t = cp.Variable()
     coupling = (part.a + part.alpha * part.b @ part.k) @ p
     zero = np.zeros((n, m))
+    difference = (1 - rate) * p - part.b @ part.b.T
     lmi = cp.bmat(
         [
-            [(1 - rate) * p - part.b @ part.b.T, coupling, zero],
+            [difference, coupling, zero],
             [coupling.T, p, part.beta * p @ part.k.T],
             [zero.T, part.beta * part.k @ p, np.eye(m)],
         ]
     )
-    problem = cp.Problem(cp.Maximize(t), [lmi >> t * np.eye(2 * n + m), t <= 1])
+    a = cp.Maximize(t)
+    b = [lmi >> t * np.eye(2 * n + m), t <= 1]
+    problem = cp.Problem(a, b)
     problem.solve(solver="CLARABEL")
     return problem.status in ("optimal", "optimal_inaccurate") and float(t.value) > 0
 
@@ -78,9 +81,11 @@ def feasible(part: StateFeedback, rate: float) -> bool:
 def test_the_largest_rate_is_where_the_solver_stops_finding_a_metric(seed: int) -> None:
     part = loop(seed, order=2)[2].state_feedback
     assert isinstance(part, StateFeedback)
-    limit = largest_rate(part.a, part.b, part.k, JacobianBall(alpha=part.alpha, beta=part.beta))
+    jacobian_ball = JacobianBall(alpha=part.alpha, beta=part.beta)
+    limit = largest_rate(part.a, part.b, part.k, jacobian_ball)
     assert limit > part.rate
-    assert feasible(part, limit - 0.01 * (1 - limit))
+    difference = limit - 0.01 * (1 - limit)
+    assert feasible(part, difference)
     assert not feasible(part, limit + 0.01 * (1 - limit))
 
 
@@ -109,8 +114,11 @@ def test_sampled_slopes_never_contract_slower_than_proved(seed: int, inputs: int
                 if isinstance(part, StateFeedback)
                 else part.l @ jacobian @ part.c
             )
-            worst = max(worst, np.linalg.norm(root @ (part.a + moved) @ np.linalg.inv(root), 2))
-        assert worst <= again.contraction * (1 + 1e-9)
+            inverse = np.linalg.inv(root)
+            norm = np.linalg.norm(root @ (part.a + moved) @ inverse, 2)
+            worst = max(worst, norm)
+        upper_limit = again.contraction * (1 + 1e-9)
+        assert worst <= upper_limit
 
 
 def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches_its_radius() -> (
@@ -121,12 +129,15 @@ def test_a_rate_beyond_the_largest_is_not_proved_and_a_gain_without_ball_reaches
     assert isinstance(part, StateFeedback)
     ball = JacobianBall(alpha=part.alpha, beta=part.beta)
     closed = part.a + ball.alpha * part.b @ part.k
-    assert largest_rate(
-        part.a, part.b, part.k, JacobianBall(alpha=ball.alpha, beta=0.0)
-    ) == pytest.approx(1 - np.abs(np.linalg.eigvals(closed)).max() ** 2, rel=1e-12)
+    jacobian_ball = JacobianBall(alpha=ball.alpha, beta=0.0)
+    eigenvalues = np.linalg.eigvals(closed)
+    spectral_radius = np.abs(eigenvalues).max()
+    expected = 1 - spectral_radius**2
+    assert largest_rate(part.a, part.b, part.k, jacobian_ball) == pytest.approx(expected, rel=1e-12)
     again = at_largest_rate(part)
     assert again is not None
-    bold = replace(again, rate=again.rate + 0.01 * (1 - again.rate))
+    rate = again.rate + 0.01 * (1 - again.rate)
+    bold = replace(again, rate=rate)
     assert not type(bold).holds(**bold.variables)
 
 
@@ -139,17 +150,26 @@ def test_a_mode_that_the_gain_does_not_reach_does_not_hide_what_the_ball_costs(s
     a = np.diag([slow, slow + 0.4])
     b = np.array([[0.0], [1.0]])
     k = np.array([[0.0, -0.5]])
-    found = largest_rate(a, b, k, JacobianBall(alpha=1.0, beta=0.3))
-    assert found == pytest.approx(1 - (slow + 0.05) ** 2, abs=1e-5)
+    jacobian_ball = JacobianBall(alpha=1.0, beta=0.3)
+    found = largest_rate(a, b, k, jacobian_ball)
+    expected = 1 - (slow + 0.05) ** 2
+    assert found == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 3])
 def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     """`1 / ||T_ue||_inf`, to the 0.1 % by which what is stored lies inside."""
     linear, balls, design = loop(seed)
-    sharp = Balls(input=JacobianBall(alpha=balls.input.alpha, beta=0.0), output=balls.output)
-    found = largest_tolerance(known(linear, sharp, design), np.eye(1))
-    peak = hinf_norm(sensitivity(linear, design.pair, balls.input.alpha, balls.output.alpha))
+    alpha = balls.input.alpha
+    jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
+    sharp = Balls(input=jacobian_ball, output=balls.output)
+    context = known(linear, sharp, design)
+    weight = np.eye(1)
+    found = largest_tolerance(context, weight)
+    slope_in = balls.input.alpha
+    slope_out = balls.output.alpha
+    system = sensitivity(linear, design.pair, slope_in, slope_out)
+    peak = hinf_norm(system)
     assert found is not None
     assert found.certified
     assert found.s * peak == pytest.approx(0.999, rel=1e-6)
@@ -161,7 +181,8 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     Gramian."""
     linear, balls, design = loop(seed, order=2)
     weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
-    found = largest_tolerance(known(linear, balls, design), weight)
+    context = known(linear, balls, design)
+    found = largest_tolerance(context, weight)
     assert found is not None
     k = found.k
     l = found.l  # noqa: E741
@@ -179,12 +200,15 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     b = np.block([[linear.b, np.zeros((n, 1))], [np.zeros((n, 1)), -l], [np.zeros((order, 2))]])
     c_u = np.hstack([k, k, rest])
     c_w = np.hstack([d_w @ k, d_w @ k, c_w])
-    t = np.linalg.cholesky(solve_discrete_lyapunov(a, b @ b.T) + 1e-9 * np.eye(len(a)))
-    ab = np.hstack([np.linalg.solve(t, a @ t), np.linalg.solve(t, b)])
+    gramian = solve_discrete_lyapunov(a, b @ b.T)
+    t = np.linalg.cholesky(gramian + 1e-9 * np.eye(len(a)))
+    solution = np.linalg.solve(t, a @ t)
+    ab = np.hstack([solution, np.linalg.solve(t, b)])
     p = cp.Variable((len(a), len(a)), symmetric=True)
     mu = cp.Variable(nonneg=True)
     lam = cp.Variable(nonneg=True)
-    storage = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t) - mu * (c_w @ t).T @ (c_w @ t)
+    difference = p - lam * beta**2 * (c_u @ t).T @ (c_u @ t)
+    storage = difference - mu * (c_w @ t).T @ (c_w @ t)
     zero = np.zeros((len(a), 1))
     one = np.ones((1, 1))
     supply = cp.bmat(
@@ -194,8 +218,12 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
             [zero.T, 0 * one, one],
         ]
     )
-    cp.Problem(cp.Maximize(mu), [supply - ab.T @ p @ ab >> 0, p >> 0]).solve(solver="CLARABEL")
-    assert found.s == pytest.approx(float(np.sqrt(mu.value)), rel=5e-3)
+    maximize = cp.Maximize(mu)
+    difference = supply - ab.T @ p @ ab
+    problem = cp.Problem(maximize, [difference >> 0, p >> 0])
+    problem.solve(solver="CLARABEL")
+    expected = float(np.sqrt(mu.value))
+    assert found.s == pytest.approx(expected, rel=5e-3)
 
 
 @settings(max_examples=10, deadline=None)
@@ -208,7 +236,9 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     <= s |u|`.
     """
     linear, balls, design = loop(seed)
-    found = largest_tolerance(known(linear, balls, design), np.eye(1))
+    context = known(linear, balls, design)
+    weight = np.eye(1)
+    found = largest_tolerance(context, weight)
     assert found is not None
     rng = np.random.default_rng(seed)
     k = found.k
@@ -220,7 +250,8 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
         energies.append(xi @ found.p @ xi)
         u = k @ (xi[:3] + xi[3:])
         options = []
-        for slope in (found.alpha - found.beta, found.alpha, found.alpha + found.beta):
+        difference = found.alpha - found.beta
+        for slope in (difference, found.alpha, found.alpha + found.beta):
             for sign in (-1, 0, 1):
                 e = sign * found.s * u
                 x = linear.a @ xi[:3] + slope * b @ u
@@ -228,20 +259,25 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
                 options.append(np.concatenate([x, eps]))
         xi = max(options, key=lambda after: after @ found.p @ after)
     energies = np.array(energies)
-    assert (energies[1:] < energies[:-1]).all()
+    upper_limit = energies[:-1]
+    assert (energies[1:] < upper_limit).all()
 
 
 def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() -> None:
     """Negative control: the same adversary with a mismatch of the size at which constant slopes
     lose the loop."""
     linear, balls, design = loop(0)
-    found = largest_tolerance(known(linear, balls, design), np.eye(1))
+    context = known(linear, balls, design)
+    weight = np.eye(1)
+    found = largest_tolerance(context, weight)
     assert found is not None
-    peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in (0.4, 0.7, 1.0)]
+    slopes = (0.4, 0.7, 1.0)
+    peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in slopes]
     assert (
         found.s * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones
-    assert not Tolerance.holds(**(found.variables | {"s": 1.001 / max(peaks)}))
+    s = 1.001 / max(peaks)
+    assert not Tolerance.holds(**(found.variables | {"s": s}))
 
 
 @given(SEEDS)
@@ -249,7 +285,9 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
 def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: int) -> None:
     """Against the closed loop in `(x, x_hat)` on a grid of frequencies, and a simulated sine."""
     linear, balls, design = loop(seed)
-    balls = replace(balls, input=JacobianBall(alpha=balls.input.alpha, beta=0.0))
+    alpha = balls.input.alpha
+    jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
+    balls = replace(balls, input=jacobian_ball)
     gain = noise_gain(linear, design.pair, balls)
     a = linear.a
     b = linear.b
@@ -262,26 +300,30 @@ def test_a_sine_of_the_worst_frequency_moves_the_output_by_the_noise_gain(seed: 
     output = np.hstack([c, np.zeros_like(c)])
     angles = np.linspace(0, np.pi, 20001)
     shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(closed)) - closed
-    size = np.abs(
-        output @ np.linalg.solve(shifted, np.broadcast_to(noise_input, (20001, *noise_input.shape)))
-    )[:, 0, 0]
-    assert size.max() <= gain * (1 + 1e-9)
+    solution = np.linalg.solve(shifted, np.broadcast_to(noise_input, (20001, *noise_input.shape)))
+    size = np.abs(output @ solution)[:, 0, 0]
+    largest = size.max()
+    assert largest <= gain * (1 + 1e-9)
     assert gain <= 1.01 * size.max()
-    worst = float(angles[size.argmax()])
+    position_of_largest = size.argmax()
+    worst = float(angles[position_of_largest])
     time = np.arange(6000)
     sine = np.cos(worst * time)
     x = np.zeros(len(closed))
     outputs = []
     for noise in sine:
-        outputs.append((output @ x).item())
+        item = (output @ x).item()
+        outputs.append(item)
         x = closed @ x + noise_input[:, 0] * noise
-    steady = np.sqrt(np.mean(np.square(outputs[3000:])) / np.mean(np.square(sine[3000:])))
+    mean = np.mean(np.square(outputs[3000:]))
+    steady = np.sqrt(mean / np.mean(np.square(sine[3000:])))
     assert steady == pytest.approx(gain, rel=0.02)
 
 
 def test_no_noise_gain_is_finite_where_a_slope_leaves_the_loop_unstable() -> None:
     linear, balls, design = loop(0)
-    wild = replace(balls, input=JacobianBall.from_slopes(0.4, 1e3))
+    jacobian_ball = JacobianBall.from_slopes(0.4, 1e3)
+    wild = replace(balls, input=jacobian_ball)
     assert np.isfinite(noise_gain(linear, design.pair, balls))
     assert noise_gain(linear, design.pair, wild) == np.inf
 
@@ -291,19 +333,16 @@ def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     synthesis = RiccatiSynthesis(
         rate_controller=0.01, rate_observer=0.2, input_weight=0.1, output_noise=0.1
     )
-    design = replace(synthesis, internal_model=["step"], integral_weight=1e-4).design(
-        model, MOTOR_BALLS
-    )
+    changed_synthesis = replace(synthesis, internal_model=["step"], integral_weight=1e-4)
+    design = changed_synthesis.design(model, MOTOR_BALLS)
     whole = with_gain_certificates(design, model, MOTOR_BALLS)
     assert "tolerance" in whole.extra_certificates
-    assert all(part.certified for part in whole.extra_certificates.values())
-    content = json.loads(json.dumps(whole.to_json()))
-    assert (
-        failed_checks(
-            content, model.linear, MOTOR_BALLS, controlled_system(model, design.state_feedback)
-        )
-        == []
-    )
+    parts = whole.extra_certificates.values()
+    assert all(part.certified for part in parts)
+    text = json.dumps(whole.to_json())
+    content = json.loads(text)
+    system = controlled_system(model, design.state_feedback)
+    assert failed_checks(content, model.linear, MOTOR_BALLS, system) == []
 
 
 @pytest.fixture(scope="module")
@@ -313,20 +352,24 @@ def stored() -> tuple[dict, StateSpace]:
         rate_controller=0.03, rate_observer=0.2, input_weight=0.1, output_noise=0.1
     )
     limits = np.array([-4.0]), np.array([6.0])
-    whole = with_gain_certificates(synthesis.design(model, MOTOR_BALLS), model, MOTOR_BALLS, limits)
+    design = synthesis.design(model, MOTOR_BALLS)
+    whole = with_gain_certificates(design, model, MOTOR_BALLS, limits)
     expected = {"state_feedback_deployed", "observer_deployed", "tolerance"}
     assert set(whole.extra_certificates) == {
         *expected,
         "state_feedback_limited",
         "state_feedback_unlimited",
     }
-    return json.loads(json.dumps(whole.to_json())), model.linear
+    text = json.dumps(whole.to_json())
+    content = json.loads(text)
+    return content, model.linear
 
 
 def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace]) -> None:
     content, linear = stored
     assert failed_checks(content, linear, MOTOR_BALLS) == []
-    assert content["state_feedback"]["certified_rate"] == content["state_feedback_deployed"]["rate"]
+    certified_rate = content["state_feedback"]["certified_rate"]
+    assert certified_rate == content["state_feedback_deployed"]["rate"]
 
 
 @pytest.mark.parametrize(
@@ -416,7 +459,8 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     for label in ("noise", "tolerance_by_frequency"):
         content[label] = {"theorem": "noise_gain", "s": "no number", "digest": ""}
     design = Design.from_json(content)
-    assert set(design.withdrawn) == {"noise", "tolerance_by_frequency"}
+    expected = {"noise", "tolerance_by_frequency"}
+    assert set(design.withdrawn) == expected
     assert not set(design.withdrawn) & set(design.content)
     assert design.to_json() == content
     assert failed_checks(content, linear, MOTOR_BALLS) == []
@@ -428,16 +472,20 @@ def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSp
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     content["extra"] = content["tolerance"]
-    assert any(
-        "certificate.extra" in claim for claim in failed_checks(content, linear, MOTOR_BALLS)
-    )
+    claims = failed_checks(content, linear, MOTOR_BALLS)
+    assert any("certificate.extra" in claim for claim in claims)
 
 
 def test_a_nonlinear_output_map_gets_no_tolerance(stored: tuple[dict, StateSpace]) -> None:
     """Neither from the search nor from a file that claims one."""
     linear, balls, design = loop(0)
-    nonlinear = Balls(input=balls.input, output=JacobianBall.from_slopes(0.7, 0.9))
-    assert largest_tolerance(known(linear, nonlinear, design), np.eye(1)) is None
+    output = JacobianBall.from_slopes(0.7, 0.9)
+    nonlinear = Balls(input=balls.input, output=output)
+    context = known(linear, nonlinear, design)
+    weight = np.eye(1)
+    assert largest_tolerance(context, weight) is None
     content, motor = stored
-    wider = Balls(input=INPUT_BALL, output=JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01))
-    assert any("tolerance.alpha_out" in claim for claim in failed_checks(content, motor, wider))
+    output = JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01)
+    wider = Balls(input=INPUT_BALL, output=output)
+    claims = failed_checks(content, motor, wider)
+    assert any("tolerance.alpha_out" in claim for claim in claims)

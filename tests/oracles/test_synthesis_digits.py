@@ -35,10 +35,10 @@ def long_numbers() -> Iterator[None]:
 
 
 def hard_problem(gap: float) -> Problem:
-    (case,) = [case for case in trained(gap, 200) if case.kind == HARD]
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
-        case.linear, case.ball
-    )
+    cases = trained(gap, 200)
+    (case,) = [case for case in cases if case.kind == HARD]
+    closed_form_synthesis = ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5)
+    return closed_form_synthesis.problem(case.linear, case.ball)
 
 
 def longer(matrix: np.ndarray) -> arb_mat:
@@ -50,11 +50,13 @@ def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.
     400 bits."""
     r = arb(contraction)
     n = len(problem.a)
-    closed = (longer(problem.a) + arb(problem.ball.alpha) * longer(problem.b) * longer(k)) / r
+    alpha = problem.ball.alpha
+    closed = (longer(problem.a) + arb(alpha) * longer(problem.b) * longer(k)) / r
     a = closed.transpose()
     b = longer(problem.b) / r
     identity = longer(np.eye(n))
-    g = -(arb(problem.ball.beta) ** 2) * longer(k).transpose() * longer(k)
+    beta = problem.ball.beta
+    g = -(arb(beta) ** 2) * longer(k).transpose() * longer(k)
     h = b * b.transpose() + arb(SLACK) * longer(scale) * longer(scale).transpose()
     for _ in range(12):
         inverse = (identity + g * h).inv().mid()
@@ -77,13 +79,16 @@ def rounded(metric: arb_mat, bits: int) -> Exact:
     scaled = [
         [int(mantissa) << (shift + int(exponent)) for mantissa, exponent in row] for row in parts
     ]
-    return Exact(fmpq_mat(scaled) * fmpq(1, 1 << shift))
+    rational = fmpq_mat(scaled) * fmpq(1, 1 << shift)
+    return Exact(rational)
 
 
 def certified(problem: Problem, k: np.ndarray, p: arb_mat, bits: int) -> bool:
     """Theorem 1 with `Y = P`, `sigma = 1` and the metric's entries rounded to so many bits."""
     metric = rounded(p, bits)
-    ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
+    alpha = problem.ball.alpha
+    beta = problem.ball.beta
+    ball = {"alpha": alpha, "beta": beta}
     numbers = {"a": problem.a, "b": problem.b, "p": metric, "y": metric, "k": k, "sigma": 1.0}
     return StateFeedbackOfBall.holds(**numbers, **ball, rate=problem.rate)
 
@@ -107,9 +112,10 @@ def test_the_default_method_certifies_it_a_tenth_of_a_percent_inside(
     gap: float, held: bool
 ) -> None:
     problem = hard_problem(gap)
-    linear = StateSpace(a=problem.a, b=problem.b, c=np.ones((1, 6)), d=np.zeros((1, 1)))
-    part = RiccatiSynthesis(rate_controller=problem.rate, rate_observer=0.5).state_feedback(
-        linear, problem.ball
-    )
+    c = np.ones((1, 6))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=problem.a, b=problem.b, c=c, d=d)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=problem.rate, rate_observer=0.5)
+    part = riccati_synthesis.state_feedback(linear, problem.ball)
     assert part.certified == held
     assert held or "condition number" in part.solver_status + getattr(part, "reason", "")

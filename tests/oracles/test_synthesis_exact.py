@@ -56,14 +56,20 @@ def plain_ldl_is_positive(matrix: list[list[Fraction]]) -> bool:
 def test_the_exact_routes_agree_with_textbook_elimination(
     size: int, seed: int, shift: float
 ) -> None:
-    factor = np.random.default_rng(seed).normal(size=(size, size))
+    rng = np.random.default_rng(seed)
+    factor = rng.normal(size=(size, size))
     gram = factor @ factor.T
     gram = (gram + gram.T) / 2
-    matrix = gram + (shift - np.linalg.eigvalsh(gram)[0]) * np.eye(size)
+    eigenvalues = np.linalg.eigvalsh(gram)
+    difference = shift - eigenvalues[0]
+    matrix = gram + difference * np.eye(size)
     fractions = [[Fraction(float(value)) for value in row] for row in matrix]
     verdict = exact.is_positive_definite(Exact.of(matrix))
     assert verdict == plain_ldl_is_positive(fractions)
-    assert verdict == exact.has_positive_leading_minors(Exact.of(matrix).rational.numer_denom()[0])
+    rational = Exact.of(matrix).rational
+    integer = rational.numer_denom()[0]
+    expected = exact.has_positive_leading_minors(integer)
+    assert verdict == expected
 
 
 @pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
@@ -77,19 +83,30 @@ def test_every_method_is_certified_and_survives_its_file(synthesis, tmp_path) ->
         after = getattr(again, side)
         for name, value in vars(before).items():
             assert np.array_equal(value, getattr(after, name)), name
-    assert json.loads((tmp_path / "certificate.json").read_text())["observer"]["certified"] is True
+    text = (tmp_path / "certificate.json").read_text()
+    content = json.loads(text)
+    observer = content["observer"]
+    certified = observer["certified"]
+    assert certified is True
 
 
 def test_riccati_and_lmi_agree_on_the_guaranteed_cost_gain() -> None:
     rates = {"rate_controller": 0.2, "rate_observer": 0.2}
-    riccati = RiccatiSynthesis(**rates).design(Model(), BALLS)
-    lmi = LmiSynthesis(**rates, objective="guaranteed_cost").design(Model(), BALLS)
-    np.testing.assert_allclose(riccati.state_feedback.k, lmi.state_feedback.k, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(riccati.observer.l, lmi.observer.l, rtol=1e-3, atol=1e-3)
+    riccati_synthesis = RiccatiSynthesis(**rates)
+    riccati = riccati_synthesis.design(Model(), BALLS)
+    lmi_synthesis = LmiSynthesis(**rates, objective="guaranteed_cost")
+    lmi = lmi_synthesis.design(Model(), BALLS)
+    actual = riccati.state_feedback.k
+    expected = lmi.state_feedback.k
+    np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-3)
+    actual = riccati.observer.l
+    expected = lmi.observer.l
+    np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-3)
 
 
 def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
-    design = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3).design(Model(), BALLS)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.3)
+    design = riccati_synthesis.design(Model(), BALLS)
     assert not design.state_feedback.certified
     assert design.state_feedback.proved
     assert design.state_feedback.rate_limit < 0.9
@@ -99,9 +116,12 @@ def test_beyond_the_frontier_is_a_recorded_outcome_with_the_number() -> None:
 def test_minors_of_one_and_of_zero() -> None:
     """Pivots of the fraction-free elimination are integers: one is the smallest that is positive,
     zero is not."""
-    assert exact.has_positive_leading_minors(fmpz_mat([[1, 0], [0, 1]]))
-    assert not exact.has_positive_leading_minors(fmpz_mat([[1, 1], [1, 1]]))
-    assert not exact.has_positive_leading_minors(fmpz_mat([[0, 1], [1, 0]]))
+    integer = fmpz_mat([[1, 0], [0, 1]])
+    assert exact.has_positive_leading_minors(integer)
+    integer = fmpz_mat([[1, 1], [1, 1]])
+    assert not exact.has_positive_leading_minors(integer)
+    integer = fmpz_mat([[0, 1], [1, 0]])
+    assert not exact.has_positive_leading_minors(integer)
 
 
 def test_the_exact_blocks_are_the_theorems_blocks() -> None:
@@ -128,7 +148,8 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     )
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
-    np.testing.assert_allclose(exactly["inequality"].rounded(), one, atol=1e-13)
+    actual = exactly["inequality"].rounded()
+    np.testing.assert_allclose(actual, one, atol=1e-13)
     c = b.T.copy()
     gain = k.T.copy()
     v = y @ gain
@@ -142,15 +163,22 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
         ]
     )
     exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
-    np.testing.assert_allclose(exactly["inequality"].rounded(), two, atol=1e-13)
+    actual = exactly["inequality"].rounded()
+    np.testing.assert_allclose(actual, two, atol=1e-13)
 
 
 def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rows and columns in units that are `2^40` apart, one of them indefinite by its last bit."""
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
-    assert exact.is_positive_definite(Exact(fmpq_mat([[2, 2**40], [2**40, 2 * 2**80]])))
-    assert not exact.is_positive_definite(Exact(fmpq_mat([[1, 2**41], [2**41, 2**80]])))
-    assert not exact.is_positive_definite(Exact(fmpq_mat([[2**400, 2**200], [2**200, 0]])))
+    rational = fmpq_mat([[2, 2**40], [2**40, 2 * 2**80]])
+    matrix = Exact(rational)
+    assert exact.is_positive_definite(matrix)
+    rational = fmpq_mat([[1, 2**41], [2**41, 2**80]])
+    matrix = Exact(rational)
+    assert not exact.is_positive_definite(matrix)
+    rational = fmpq_mat([[2**400, 2**200], [2**200, 0]])
+    matrix = Exact(rational)
+    assert not exact.is_positive_definite(matrix)
 
 
 def test_what_is_singular_exactly_is_left_to_the_elimination(
@@ -162,7 +190,8 @@ def test_what_is_singular_exactly_is_left_to_the_elimination(
         exact, "has_positive_leading_minors", lambda integer: bool(asked.append(integer))
     )
     third = fmpz_mat([[3, 1, 4], [1, 3, 4], [4, 4, 8]])  # the last row is the sum of the others
-    assert not exact.is_positive_definite(Exact(fmpq_mat(third)))
+    matrix = Exact(fmpq_mat(third))
+    assert not exact.is_positive_definite(matrix)
     assert asked == [third]
 
 
@@ -170,7 +199,8 @@ def test_what_is_singular_exactly_is_left_to_the_elimination(
     "rows", [[[0]], [[-1]], [[0, 0], [0, 1]], [[1, 0], [0, 0]], [[0, 1], [1, 0]], [[-1, 0], [0, 1]]]
 )
 def test_zero_and_less_on_the_diagonal(rows: list[list[int]]) -> None:
-    assert not exact.is_positive_definite(Exact(fmpq_mat(rows)))
+    matrix = Exact(fmpq_mat(rows))
+    assert not exact.is_positive_definite(matrix)
 
 
 @pytest.mark.parametrize("size", [3, 40])
@@ -180,9 +210,8 @@ def test_what_floats_cannot_see_needs_no_elimination(
 ) -> None:
     """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the
     resolution of floats."""
-    lower = Exact.of(
-        np.tril(0.1 * np.random.default_rng(size).normal(size=(size, size)), -1) + np.eye(size)
-    )
+    rng = np.random.default_rng(size)
+    lower = Exact.of(np.tril(0.1 * rng.normal(size=(size, size)), -1) + np.eye(size))
     matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
     assert exact.is_positive_definite(matrix) is (smallest > 0)
@@ -192,7 +221,10 @@ def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
     """`L L^T` with `2^-20` beside ones, exact in floats: L's inverse grows by `2^20` a row."""
     factor = 2.0**-20 * np.eye(56) + np.diag(np.ones(55), -1)
     floats = factor @ factor.T
-    np.testing.assert_array_equal(np.linalg.cholesky(floats), factor)
-    assert exact.is_positive_definite(Exact.of(floats))
+    actual = np.linalg.cholesky(floats)
+    np.testing.assert_array_equal(actual, factor)
+    matrix = Exact.of(floats)
+    assert exact.is_positive_definite(matrix)
     floats[-1, -1] = 1.0  # the last pivot is zero
-    assert not exact.is_positive_definite(Exact.of(floats))
+    matrix = Exact.of(floats)
+    assert not exact.is_positive_definite(matrix)

@@ -68,26 +68,28 @@ def test_one_percent_inside_every_method_certifies(seed: int, method: type, inpu
 
 
 def holds(problem: Problem, found: Solution) -> bool:
-    return StateFeedbackOfBall.holds(**StateFeedbackOfBall.numbers_of(problem, found))
+    state_feedback_of_ball = StateFeedbackOfBall.numbers_of(problem, found)
+    return StateFeedbackOfBall.holds(**state_feedback_of_ball)
 
 
 def asked(case: Instance) -> Problem:
-    return ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5).problem(
-        case.linear, case.ball
-    )
+    closed_form_synthesis = ClosedFormSynthesis(rate_controller=case.rate, rate_observer=0.5)
+    return closed_form_synthesis.problem(case.linear, case.ball)
 
 
 @given(SEEDS, st.integers(1, 2))
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
-    assert holds(problem, whole_solution(problem, 0.5, 1.0))
+    solution = whole_solution(problem, 0.5, 1.0)
+    assert holds(problem, solution)
 
 
 @pytest.mark.parametrize("seed", [1, 10, 17, 60])
 def test_the_slow_modes_join_with_a_metric_that_holds(seed: int) -> None:
     """Ten percent inside: of the weights tried, a heavier one than the best just fails; one that
     holds is chosen."""
-    problem = asked(instance(seed, 0.1, (2, 5)))
+    orders = (2, 5)
+    problem = asked(instance(seed, 0.1, orders))
     assert holds(problem, minimum_energy_solution(problem))
 
 
@@ -95,7 +97,8 @@ def test_the_slow_modes_join_with_a_metric_that_holds(seed: int) -> None:
 def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float) -> None:
     """And its status says where; without a radius there is no frontier below one, and it stays
     finite all the same."""
-    problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=radius))
+    ball = JacobianBall(alpha=2.0, beta=radius)
+    problem = cost_problem(ball=ball)
     limit = frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
     for found in (minimum_energy_solution(problem), whole_solution(problem, 0.5, 1.0)):
@@ -118,25 +121,27 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
         apart = minimum_energy_solution(problem)
         assert condition(whole.p) < condition(apart.p) / 100
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
-        linear = StateSpace(a=problem.a, b=problem.b, c=np.ones((1, 8)), d=np.zeros((1, 1)))
+        c = np.ones((1, 8))
+        d = np.zeros((1, 1))
+        linear = StateSpace(a=problem.a, b=problem.b, c=c, d=d)
         assert method.state_feedback(linear, problem.ball).certified
 
 
 def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_not() -> None:
     ball = JacobianBall(alpha=1.0, beta=0.3)
-    problem = Problem(
-        a=np.diag([1.1, 0.5]),
-        b=np.array([[1.0], [0.0]]),
-        ball=ball,
-        rate=0.2,
-        state_weight=np.eye(2),
-        input_weight=1.0,
-    )
-    assert holds(problem, whole_solution(problem, 0.5, 1.0))
-    on = replace(problem, a=np.diag([1.1, problem.contraction]))
-    apart = split_modes(on.a, on.b, on.contraction * (1 + 1e-12))
+    a = np.diag([1.1, 0.5])
+    b = np.array([[1.0], [0.0]])
+    state_weight = np.eye(2)
+    problem = Problem(a=a, b=b, ball=ball, rate=0.2, state_weight=state_weight, input_weight=1.0)
+    solution = whole_solution(problem, 0.5, 1.0)
+    assert holds(problem, solution)
+    a = np.diag([1.1, problem.contraction])
+    on = replace(problem, a=a)
+    contraction = on.contraction * (1 + 1e-12)
+    apart = split_modes(on.a, on.b, contraction)
+    fast = fast_gain(apart, ball, on.contraction)
     with pytest.raises(NoSolution, match="on the circle"):
-        modes.whole_metric(on, apart, fast_gain(apart, ball, on.contraction), 0.9)
+        modes.whole_metric(on, apart, fast, 0.9)
 
 
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:
@@ -155,7 +160,8 @@ def test_without_fast_modes_there_is_nothing_to_couple() -> None:
 def test_one_percent_beyond_nothing_is_certified_and_the_lmi_never_contradicts(
     seed: int, inputs: int
 ) -> None:
-    case = instance(seed, -0.01, (1, 6), inputs)
+    orders = (1, 6)
+    case = instance(seed, -0.01, orders, inputs)
     refused = design(RiccatiSynthesis, case)
     assert isinstance(refused, Infeasible)
     assert refused.proved
@@ -169,7 +175,8 @@ def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
     """The verdict of the LMI, where it is one, against the closed form: ten percent inside and
     beyond."""
     for gap in (0.1, -0.1):
-        case = instance(seed, gap, (1, 5))
+        orders = (1, 5)
+        case = instance(seed, gap, orders)
         opinion = paper_lmi(case.linear, case.ball, case.rate)
         assert not (opinion.certified and gap < 0)
         if (
@@ -182,14 +189,18 @@ def test_wherever_the_solver_certifies_the_rate_lies_inside(seed: int) -> None:
 def test_the_ratio_limit_by_product_and_by_riccati(
     seed: int, inputs: int, contraction: float
 ) -> None:
-    linear = random_model(np.random.default_rng(seed), 5, "marginal", mixed=True, inputs=inputs)
-    moduli = np.abs(np.linalg.eigvals(linear.a))
+    rng = np.random.default_rng(seed)
+    linear = random_model(rng, 5, "marginal", mixed=True, inputs=inputs)
+    eigenvalues = np.linalg.eigvals(linear.a)
+    moduli = np.abs(eigenvalues)
     ah = linear.a / contraction
     bh = linear.b / contraction
-    if moduli.max() <= contraction or np.abs(moduli - contraction).min() < 0.02:
+    largest = moduli.max()
+    if largest <= contraction or np.abs(moduli - contraction).min() < 0.02:
         return
     s = scipy.linalg.solve_discrete_are(ah, bh, 1e-13 * np.eye(5), np.eye(inputs))
-    expected = 1 / np.sqrt(1 + np.linalg.eigvalsh(bh.T @ s @ bh)[-1])
+    eigenvalues = np.linalg.eigvalsh(bh.T @ s @ bh)
+    expected = 1 / np.sqrt(1 + eigenvalues[-1])
     assert ratio_limit(linear.a, linear.b, contraction) == pytest.approx(expected, rel=1e-3)
 
 
@@ -197,27 +208,37 @@ def test_the_ratio_limit_by_product_and_by_riccati(
 def test_the_frontier_is_where_the_ratio_limit_crosses(
     seed: int, kind: str, inputs: int, ratio: float
 ) -> None:
-    linear = random_model(np.random.default_rng(seed), 6, kind, mixed=True, inputs=inputs)
-    limit = frontier(linear.a, linear.b, JacobianBall(alpha=1.0, beta=ratio)).contraction_limit
-    assert ratio_limit(linear.a, linear.b, limit * (1 + 1e-6)) >= ratio * (1 - 1e-9)
-    assert ratio_limit(linear.a, linear.b, limit * (1 - 1e-6)) <= ratio * (1 + 1e-9)
+    rng = np.random.default_rng(seed)
+    linear = random_model(rng, 6, kind, mixed=True, inputs=inputs)
+    ball = JacobianBall(alpha=1.0, beta=ratio)
+    limit = frontier(linear.a, linear.b, ball).contraction_limit
+    contraction = limit * (1 + 1e-6)
+    lower_limit = ratio * (1 - 1e-9)
+    assert ratio_limit(linear.a, linear.b, contraction) >= lower_limit
+    contraction = limit * (1 - 1e-6)
+    upper_limit = ratio * (1 + 1e-9)
+    assert ratio_limit(linear.a, linear.b, contraction) <= upper_limit
 
 
 @pytest.mark.parametrize("inputs", [1, 2, 3])
 def test_without_fast_modes_every_ball_is_allowed(inputs: int) -> None:
     """`1 / sqrt(1 + 0)`: slower than the model contracts by itself, the input is not needed."""
-    linear = random_model(np.random.default_rng(0), 5, "stable", mixed=True, inputs=inputs)
-    assert ratio_limit(linear.a, linear.b, linear.spectral_radius * 1.01) == 1.0
-    assert ratio_limit(linear.a, linear.b, linear.spectral_radius * 0.99) < 1.0
+    rng = np.random.default_rng(0)
+    linear = random_model(rng, 5, "stable", mixed=True, inputs=inputs)
+    contraction = linear.spectral_radius * 1.01
+    assert ratio_limit(linear.a, linear.b, contraction) == 1.0
+    contraction = linear.spectral_radius * 0.99
+    assert ratio_limit(linear.a, linear.b, contraction) < 1.0
 
 
 def test_two_decoupled_inputs_are_two_frontiers() -> None:
     """Each input has its own mode: the limit is the worse of two scalar ones, `r = ratio
     |lambda|`."""
     for ratio in (0.3, 0.7):
-        limit = frontier(
-            np.diag([0.9, 0.5]), np.eye(2), JacobianBall(alpha=-2.0, beta=2 * ratio)
-        ).contraction_limit
+        a = np.diag([0.9, 0.5])
+        b = np.eye(2)
+        ball = JacobianBall(alpha=-2.0, beta=2 * ratio)
+        limit = frontier(a, b, ball).contraction_limit
         assert limit == pytest.approx(ratio * 0.9, rel=1e-9)
 
 
@@ -225,12 +246,12 @@ def test_the_scalar_frontier_by_hand() -> None:
     """`x+ = 0.8 x + u`: contraction 0.4 is reachable iff the slopes lie within a factor (1 +
     1/2)/(1 - 1/2) = 3."""
     one = np.ones((1, 1))
-    assert frontier(
-        0.8 * one, one, JacobianBall.from_slopes(1.0, 3.0)
-    ).contraction_limit == pytest.approx(0.4)
-    assert frontier(
-        0.8 * one, one, JacobianBall.from_slopes(-3.0, -1.0)
-    ).contraction_limit == pytest.approx(0.4)
+    ball = JacobianBall.from_slopes(1.0, 3.0)
+    contraction_limit = frontier(0.8 * one, one, ball).contraction_limit
+    assert contraction_limit == pytest.approx(0.4)
+    ball = JacobianBall.from_slopes(-3.0, -1.0)
+    contraction_limit = frontier(0.8 * one, one, ball).contraction_limit
+    assert contraction_limit == pytest.approx(0.4)
 
 
 @given(SEEDS)
@@ -240,32 +261,41 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     ball = JacobianBall.from_slopes(0.3, 1.0)
     r = 0.7
     values, vectors = np.linalg.eig(linear.a.astype(complex))
-    apart = np.abs(values[:, None] - values) + np.eye(6)
-    if min(apart.min(), np.abs(np.abs(values) - r).min()) < 1e-2:
+    difference = np.abs(values[:, None] - values)
+    apart = difference + np.eye(6)
+    difference = np.abs(np.abs(values) - r)
+    largest_difference = difference.min()
+    smallest = min(apart.min(), largest_difference)
+    if smallest < 1e-2:
         return
-    b = np.linalg.solve(vectors, linear.b.astype(complex))[:, 0]
-    k = modal_gain(values, b, ball, r) @ np.linalg.inv(vectors)
+    solution = np.linalg.solve(vectors, linear.b.astype(complex))
+    b = solution[:, 0]
+    inverse = np.linalg.inv(vectors)
+    k = modal_gain(values, b, ball, r) @ inverse
     schur = fast_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
-    np.testing.assert_allclose(
-        k.real, schur, rtol=1e-6, atol=1e-8 * np.abs(schur).max(initial=1e-9)
-    )
-    np.testing.assert_allclose(k.imag, 0, atol=1e-8 * np.abs(schur).max(initial=1e-9))
+    atol = 1e-8 * np.abs(schur).max(initial=1e-9)
+    np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=atol)
+    atol = 1e-8 * np.abs(schur).max(initial=1e-9)
+    np.testing.assert_allclose(k.imag, 0, atol=atol)
     fast = np.abs(values) > r
     w = modal_energy(values[fast], b[fast], r)
-    left = np.linalg.inv(vectors)[fast]
+    inverse = np.linalg.inv(vectors)
+    left = inverse[fast]
     modes = split_modes(linear.a, linear.b, r)
-    into = left @ np.linalg.pinv(
-        modes.left[: modes.fast]
-    )  # both are left invariant coordinates of the same space
+    pseudo_inverse = np.linalg.pinv(modes.left[: modes.fast])
+    into = left @ pseudo_inverse  # both are left invariant coordinates of the same space
     expected = w
     if modes.fast:
-        root = into @ energy_root(modes.a_fast / r, modes.b_fast / r)
+        a = modes.a_fast / r
+        root = into @ energy_root(a, modes.b_fast / r)
         expected = root @ root.conj().T
-    np.testing.assert_allclose(w, expected, rtol=1e-5, atol=1e-8 * np.abs(w).max(initial=1e-9))
+    atol = 1e-8 * np.abs(w).max(initial=1e-9)
+    np.testing.assert_allclose(w, expected, rtol=1e-5, atol=atol)
 
 
 def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
-    linear = random_model(np.random.default_rng(5), 6, "unstable", mixed=True)
+    rng = np.random.default_rng(5)
+    linear = random_model(rng, 6, "unstable", mixed=True)
     ball = JacobianBall(alpha=2.0, beta=0.0)
     gain = fast_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
     before = np.linalg.eigvals(linear.a)
@@ -273,38 +303,48 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     mirrored = np.where(
         np.abs(before) > 0.8, 0.64 / np.maximum(np.abs(before), 1e-9), np.abs(before)
     )
-    np.testing.assert_allclose(np.sort(np.abs(after)), np.sort(mirrored), rtol=1e-6)
+    actual = np.sort(np.abs(after))
+    expected = np.sort(mirrored)
+    np.testing.assert_allclose(actual, expected, rtol=1e-6)
 
 
 @given(SEEDS, st.integers(1, 12), st.floats(0.1, 100.0))
 def test_doubling_solves_what_scipy_solves(seed: int, order: int, kappa: float) -> None:
-    linear = random_model(np.random.default_rng(seed), order, "unstable", mixed=True)
+    rng = np.random.default_rng(seed)
+    linear = random_model(rng, order, "unstable", mixed=True)
     q = linear.c.T @ linear.c + 0.1 * np.eye(order)
     s = solve_riccati(linear.a, linear.b, q, kappa)
     expected = scipy.linalg.solve_discrete_are(linear.a, linear.b, q, np.eye(1) / kappa)
-    np.testing.assert_allclose(s, expected, rtol=1e-5, atol=1e-5 * np.abs(expected).max())
+    largest = np.abs(expected).max()
+    atol = 1e-5 * largest
+    np.testing.assert_allclose(s, expected, rtol=1e-5, atol=atol)
 
 
 def test_doubling_gives_up_on_a_mode_out_of_reach() -> None:
+    a = np.diag([2.0, 0.5])
+    b = np.array([[0.0], [1.0]])
+    q = np.eye(2)
     with pytest.raises(NoSolution):
-        solve_riccati(np.diag([2.0, 0.5]), np.array([[0.0], [1.0]]), np.eye(2), 1.0)
+        solve_riccati(a, b, q, 1.0)
 
 
 def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    linear = random_model(np.random.default_rng(3), 4, "unstable", mixed=True)
+    rng = np.random.default_rng(3)
+    linear = random_model(rng, 4, "unstable", mixed=True)
     q = np.eye(4)
     expected = solve_riccati(linear.a, linear.b, q, 2.0)
-    for spoilt in (None, expected + 1e-4 * np.abs(expected).max() * np.eye(4)):
+    largest = np.abs(expected).max()
+    for spoilt in (None, expected + 1e-4 * largest * np.eye(4)):
         monkeypatch.setattr(
             "ssm_study.certificates.riccati.solve_riccati_by_doubling", lambda *_, s=spoilt: s
         )
-        np.testing.assert_allclose(
-            solve_riccati(linear.a, linear.b, q, 2.0), expected, rtol=1e-6, atol=1e-6
-        )
+        actual = solve_riccati(linear.a, linear.b, q, 2.0)
+        np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-6)
 
 
 def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem:
-    linear = random_model(np.random.default_rng(2), 4, "stable", mixed=True)
+    rng = np.random.default_rng(2)
+    linear = random_model(rng, 4, "stable", mixed=True)
     weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
     ball = ball or JacobianBall.from_slopes(0.4, 1.0)
     return Problem(
@@ -315,8 +355,10 @@ def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem
 def test_doubling_gives_up_where_a_step_is_singular() -> None:
     """`I + G H = 0`: no solution by this route, said without an exception."""
     one = np.ones((1, 1))
-    assert solve_riccati_by_doubling(one, -one, one) is None
-    assert solve_riccati_by_doubling(one, 0.5 * one, one) is not None
+    riccati_by_doubling = solve_riccati_by_doubling(one, -one, one)
+    assert riccati_by_doubling is None
+    riccati_by_doubling = solve_riccati_by_doubling(one, 0.5 * one, one)
+    assert riccati_by_doubling is not None
 
 
 def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
@@ -325,7 +367,8 @@ def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
     problem = cost_problem()
     solution = guaranteed_cost(problem)
     tau = float(solution.status.split()[1])
-    s = tau * np.linalg.inv(solution.p)
+    inverse = np.linalg.inv(solution.p)
+    s = tau * inverse
     rng = np.random.default_rng(0)
     for _ in range(20):
         x = x0 = rng.normal(size=4)
@@ -336,7 +379,8 @@ def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
             cost += discount * float(x @ problem.state_weight @ x + problem.input_weight * u @ u)
             x = problem.a @ x + problem.b @ (rng.choice([0.4, 1.0]) * u)
             discount /= problem.contraction**2
-        assert cost <= float(x0 @ s @ x0) * (1 + 1e-5)
+        upper_limit = float(x0 @ s @ x0) * (1 + 1e-5)
+        assert cost <= upper_limit
 
 
 def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
@@ -345,42 +389,55 @@ def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
     for tau in np.geomspace(1e-2, 1e6, 400):
         point = at_tau(problem, tau)
         best = min(best, np.inf if point is None else point.cost)
-    tau = float(guaranteed_cost(problem).status.split()[1])
+    status = guaranteed_cost(problem).status
+    tau = float(status.split()[1])
     found = at_tau(problem, tau)
     assert found is not None
-    assert found.cost <= best * (1 + 1e-3)
+    upper_limit = best * (1 + 1e-3)
+    assert found.cost <= upper_limit
 
 
 def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> None:
     """`kappa > 0` iff `tau > R / (alpha^2 - beta^2)`; alpha is not one here."""
-    problem = cost_problem(ball=JacobianBall(alpha=2.0, beta=0.5))
-    smallest = problem.input_weight / (2.0**2 - 0.5**2)
-    assert at_tau(problem, smallest * (1 - 1e-6)) is None
+    ball = JacobianBall(alpha=2.0, beta=0.5)
+    problem = cost_problem(ball=ball)
+    difference = 2.0**2 - 0.5**2
+    smallest = problem.input_weight / difference
+    tau = smallest * (1 - 1e-6)
+    assert at_tau(problem, tau) is None
     assert at_tau(problem, smallest * 1e9) is not None
 
 
 def test_the_cost_is_of_output_state_and_input() -> None:
     """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that
     users rely on."""
-    linear = random_model(np.random.default_rng(2), 4, "stable", mixed=True)
+    rng = np.random.default_rng(2)
+    linear = random_model(rng, 4, "stable", mixed=True)
     ball = JacobianBall(alpha=1.0, beta=0.3)
     rates = {"rate_controller": 0.1, "rate_observer": 0.1}
-    asked = RiccatiSynthesis(**rates).problem(linear, ball)
-    np.testing.assert_allclose(asked.state_weight, linear.c.T @ linear.c + 1e-4 * np.eye(4))
+    riccati_synthesis = RiccatiSynthesis(**rates)
+    asked = riccati_synthesis.problem(linear, ball)
+    expected = linear.c.T @ linear.c + 1e-4 * np.eye(4)
+    np.testing.assert_allclose(asked.state_weight, expected)
     other = RiccatiSynthesis(**rates, output_weight=3.0, state_weight=0.5, input_weight=7.0)
     asked = other.problem(linear, ball)
-    np.testing.assert_allclose(asked.state_weight, 3.0 * linear.c.T @ linear.c + 0.5 * np.eye(4))
+    expected = 3.0 * linear.c.T @ linear.c + 0.5 * np.eye(4)
+    np.testing.assert_allclose(asked.state_weight, expected)
     assert asked.input_weight == 7.0
-    told = RiccatiSynthesis(**rates, input_noise=3.0, state_noise=0.5, output_noise=7.0).problem(
-        linear, ball, observes=True
+    riccati_synthesis = RiccatiSynthesis(
+        **rates, input_noise=3.0, state_noise=0.5, output_noise=7.0
     )
-    np.testing.assert_allclose(told.state_weight, 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4))
+    told = riccati_synthesis.problem(linear, ball, observes=True)
+    expected = 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4)
+    np.testing.assert_allclose(told.state_weight, expected)
     assert told.input_weight == 7.0
 
 
 def test_no_admissible_tau_is_no_solution() -> None:
+    ball = JacobianBall.from_slopes(0.01, 1.0)
+    problem = cost_problem(rate=0.9, ball=ball)
     with pytest.raises(NoSolution):
-        guaranteed_cost(cost_problem(rate=0.9, ball=JacobianBall.from_slopes(0.01, 1.0)))
+        guaranteed_cost(problem)
 
 
 OBJECTIVES = ["feasibility", "largest_margin", "smallest_gain", "guaranteed_cost"]
@@ -393,7 +450,8 @@ OBJECTIVES = ["feasibility", "largest_margin", "smallest_gain", "guaranteed_cost
 def test_every_objective_form_and_solver_is_certified(
     objective: str, solver: str, full: bool
 ) -> None:
-    case = instance(4, 0.5, (3, 3))
+    orders = (3, 3)
+    case = instance(4, 0.5, orders)
     part = design(
         LmiSynthesis, case, objective=objective, full=full, solver=solver, state_weight=0.1
     )
@@ -402,48 +460,58 @@ def test_every_objective_form_and_solver_is_certified(
 
 def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
     problem = cost_problem()
+    state_weight = np.eye(4)
     shared = CompiledLmi(
         a=problem.a,
         b=problem.b,
         objective="smallest_gain",
         full=False,
-        state_weight=np.eye(4),
+        state_weight=state_weight,
         input_weight=1.0,
     )
     for rate in (0.05, 0.1, 0.2):
         case = cost_problem(rate)
+        state_weight = np.eye(4)
         fresh = CompiledLmi(
             a=problem.a,
             b=problem.b,
             objective="smallest_gain",
             full=False,
-            state_weight=np.eye(4),
+            state_weight=state_weight,
             input_weight=1.0,
         )
-        np.testing.assert_allclose(shared.solve(case).k, fresh.solve(case).k, rtol=1e-6, atol=1e-9)
+        actual = shared.solve(case).k
+        expected = fresh.solve(case).k
+        np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("inputs", [1, 2])
 def test_smallest_gain_is_no_larger_than_the_others(inputs: int) -> None:
-    case = instance(7, 0.3, (4, 4), inputs)
+    orders = (4, 4)
+    case = instance(7, 0.3, orders, inputs)
     smallest = design(LmiSynthesis, case, objective="smallest_gain")
     other = design(ClosedFormSynthesis, case)
     assert isinstance(smallest, StateFeedback)
     assert isinstance(other, StateFeedback)
     assert smallest.certified
-    assert smallest.gain_norm <= other.gain_norm * (1 + 1e-3)
+    upper_limit = other.gain_norm * (1 + 1e-3)
+    assert smallest.gain_norm <= upper_limit
 
 
 def test_theorem_two_is_theorem_one_transposed() -> None:
-    linear = random_model(np.random.default_rng(3), 4, "stable", mixed=True)
-    dual = StateSpace(
-        a=linear.a.T.copy(), b=linear.c.T.copy(), c=linear.b.T.copy(), d=np.zeros((1, 1))
-    )
+    rng = np.random.default_rng(3)
+    linear = random_model(rng, 4, "stable", mixed=True)
+    a = linear.a.T.copy()
+    b = linear.c.T.copy()
+    c = linear.b.T.copy()
+    d = np.zeros((1, 1))
+    dual = StateSpace(a=a, b=b, c=c, d=d)
     ball = JacobianBall.from_slopes(0.5, 1.0)
     method = ClosedFormSynthesis(rate_controller=0.3, rate_observer=0.3)
     observer = method.observer(linear, ball)
     feedback = method.state_feedback(dual, ball)
     assert not isinstance(observer, Infeasible)
     assert not isinstance(feedback, Infeasible)
-    np.testing.assert_array_equal(observer.l.T, feedback.k)
+    actual = observer.l.T
+    np.testing.assert_array_equal(actual, feedback.k)
     np.testing.assert_array_equal(observer.q, feedback.p)

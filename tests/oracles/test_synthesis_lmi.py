@@ -44,10 +44,11 @@ def block(asked: Problem, found: Solution, rows: np.ndarray | None = None) -> np
     rows = np.zeros((0, n)) if rows is None else rows
     beside = np.zeros((n, len(rows))), np.zeros((m, len(rows)))
     corner = (1 - asked.rate) * found.p - found.sigma * b @ b.T
+    difference = found.y + found.y.T - found.p
     return np.block(
         [
             [corner, coupling, np.zeros((n, m)), beside[0]],
-            [coupling.T, found.y + found.y.T - found.p, border, rows.T],
+            [coupling.T, difference, border, rows.T],
             [np.zeros((m, n)), border.T, found.sigma * np.eye(m), beside[1]],
             [beside[0].T, rows, beside[1].T, np.eye(len(rows))],
         ]
@@ -55,7 +56,8 @@ def block(asked: Problem, found: Solution, rows: np.ndarray | None = None) -> np
 
 
 def least(matrix: np.ndarray) -> float:
-    return float(np.linalg.eigvalsh(matrix)[0])
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    return float(eigenvalues[0])
 
 
 FORMS = pytest.mark.parametrize(("inputs", "full"), [(1, False), (2, False), (2, True)])
@@ -64,7 +66,8 @@ FORMS = pytest.mark.parametrize(("inputs", "full"), [(1, False), (2, False), (2,
 @FORMS
 def test_feasibility_is_the_block_matrix_above_the_identity(inputs: int, full: bool) -> None:
     asked = problem(inputs)
-    assert least(block(asked, solved(asked, "feasibility", full)[0])) > 1 - 1e-4
+    matrix = block(asked, solved(asked, "feasibility", full)[0])
+    assert least(matrix) > 1 - 1e-4
 
 
 @FORMS
@@ -85,8 +88,11 @@ def test_the_smallest_gain_is_below_the_root_of_what_was_minimised(inputs: int, 
     asked = problem(inputs)
     found, value = solved(asked, "smallest_gain", full)
     assert least(found.p) > 1 - 1e-4
-    assert least(block(asked, found)) > 0
-    assert np.linalg.norm(found.k, 2) ** 2 <= value * (1 + 1e-4)
+    matrix = block(asked, found)
+    assert least(matrix) > 0
+    norm = np.linalg.norm(found.k, 2)
+    upper_limit = value * (1 + 1e-4)
+    assert norm**2 <= upper_limit
 
 
 @FORMS
@@ -94,13 +100,18 @@ def test_the_guaranteed_cost_is_the_trace_of_the_inverse_metric(inputs: int, ful
     """And the Riccati route finds the same; the bordered block matrix is what bounds the cost."""
     asked = problem(inputs)
     found, value = solved(asked, "guaranteed_cost", full)
-    assert value == pytest.approx(np.trace(np.linalg.inv(found.p)), rel=1e-4)
+    inverse = np.linalg.inv(found.p)
+    expected = np.trace(inverse)
+    assert value == pytest.approx(expected, rel=1e-4)
     root = np.sqrt(asked.state_weight)  # diagonal
     rows = np.vstack([root @ found.y, np.sqrt(asked.input_weight) * found.k @ found.y])
-    assert least(block(asked, found, rows)) > -1e-6
+    matrix = block(asked, found, rows)
+    assert least(matrix) > -1e-6
     other = guaranteed_cost(asked)
     tau = float(other.status.split()[1])
-    assert value == pytest.approx(tau * np.trace(np.linalg.inv(other.p)), rel=1e-2)
+    inverse = np.linalg.inv(other.p)
+    expected = tau * np.trace(inverse)
+    assert value == pytest.approx(expected, rel=1e-2)
 
 
 def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,24 +120,32 @@ def test_theorem_one_as_printed_has_a_y_of_its_own(monkeypatch: pytest.MonkeyPat
     solve = CompiledLmi.solve
 
     def noted(self: CompiledLmi, *given: object) -> Solution:
-        kept.append(solve(self, *given))  # type: ignore[arg-type]
+        solution = solve(self, *given)
+        kept.append(solution)  # type: ignore[arg-type]
         return kept[-1]
 
     monkeypatch.setattr(lmi.CompiledLmi, "solve", noted)
-    linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
+    c = np.ones((1, 3))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=asked.a, b=asked.b, c=c, d=d)
     assert paper_lmi(linear, asked.ball, asked.rate).certified
     (found,) = kept
-    assert np.abs(found.y - found.p).max() > 1e-3 * np.abs(found.p).max()
+    difference = np.abs(found.y - found.p)
+    largest_difference = difference.max()
+    largest = np.abs(found.p).max()
+    lower_limit = 1e-3 * largest
+    assert largest_difference > lower_limit
 
 
 def test_the_inequality_is_solved_with_y_equal_to_p_unless_asked_otherwise() -> None:
     """A third of the unknowns, and nothing lost."""
     asked = problem(1)
-    linear = StateSpace(a=asked.a, b=asked.b, c=np.ones((1, 3)), d=np.zeros((1, 1)))
+    c = np.ones((1, 3))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=asked.a, b=asked.b, c=c, d=d)
     for options, equal in (({}, True), ({"full": True}, False)):
-        part = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options).state_feedback(
-            linear, asked.ball
-        )
+        lmi_synthesis = LmiSynthesis(rate_controller=0.1, rate_observer=0.1, **options)
+        part = lmi_synthesis.state_feedback(linear, asked.ball)
         assert isinstance(part, StateFeedback)
         assert part.certified
         assert np.array_equal(part.p, part.y) is equal
@@ -138,15 +157,20 @@ def test_modes_that_cannot_be_told_from_the_circle_are_no_solution() -> None:
 
     def split(a: np.ndarray, radius: float) -> np.ndarray:
         try:
-            modes = split_modes(a, np.ones((7, 1)), radius)
+            b = np.ones((7, 1))
+            modes = split_modes(a, b, radius)
         except NoSolution:
             return np.eye(7)
         return modes.left @ modes.right
 
     for seed in (102, 108, 176, 335, 503):
-        a = np.random.default_rng(seed).normal(size=(7, 7))
-        for modulus in np.abs(np.linalg.eigvals(a)):
-            np.testing.assert_allclose(split(a, float(modulus)), np.eye(7), atol=1e-6)
+        rng = np.random.default_rng(seed)
+        a = rng.normal(size=(7, 7))
+        eigenvalues = np.linalg.eigvals(a)
+        for modulus in np.abs(eigenvalues):
+            actual = split(a, float(modulus))
+            expected = np.eye(7)
+            np.testing.assert_allclose(actual, expected, atol=1e-6)
 
 
 def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach() -> None:
@@ -157,8 +181,10 @@ def test_the_energy_root_is_a_root_of_the_energy_and_there_is_none_out_of_reach(
     root = energy_root(a, b)
     inverse = np.linalg.inv(a)
     w = root @ root.T
-    np.testing.assert_allclose(w, inverse @ (w + b @ b.T) @ inverse.T, rtol=1e-12)
-    np.testing.assert_array_equal(root, np.tril(root))
+    expected = inverse @ (w + b @ b.T) @ inverse.T
+    np.testing.assert_allclose(w, expected, rtol=1e-12)
+    expected = np.tril(root)
+    np.testing.assert_array_equal(root, expected)
     with pytest.raises(NoSolution, match="out of the input's reach"):
         energy_root(np.diag([2.0, 3.0]), np.array([[1.0], [0.0]]))
     with pytest.raises(NoSolution, match="out of the input's reach"):

@@ -47,8 +47,13 @@ SIDES = {"state_feedback": StructuredStateFeedback, "observer": StructuredObserv
 def sampled(system: StructuredSystem, side: str, ball: JacobianBall, found) -> float:
     slopes = slopes_of_all(system, 0, random=100)
     if side == "state_feedback":
-        return slowest(np.linalg.inv(found.p), controlled_steps(system, found.k, ball, slopes))
-    return slowest(found.p, observing_steps(system, found.k.T, found.k_w.T, ball, slopes))
+        metric = np.linalg.inv(found.p)
+        steps = controlled_steps(system, found.k, ball, slopes)
+        return slowest(metric, steps)
+    l_ = found.k.T
+    l_z = found.k_w.T
+    steps = observing_steps(system, l_, l_z, ball, slopes)
+    return slowest(found.p, steps)
 
 
 @given(
@@ -63,16 +68,17 @@ def test_no_sampled_slope_contracts_slower_than_certified(
     seed: int, side: str, ball, h: float, share: float
 ) -> None:
     system = drawn(seed, h=h if side == "observer" else 0.0)
-    limit = controller_frontier(
-        system if side == "state_feedback" else dual(system), ball
-    ).rate_limit
-    problem = asked(system, side, ball, rate=max(share * limit, 1e-3))
+    frontier = controller_frontier(system if side == "state_feedback" else dual(system), ball)
+    limit = frontier.rate_limit
+    rate = max(share * limit, 1e-3)
+    problem = asked(system, side, ball, rate=rate)
     try:
         found = least_cost(problem)
     except NoSolution:
         return
     assert is_confirmed(problem, found)
-    assert sampled(system, side, ball, found) <= problem.contraction * (1 + 1e-9)
+    upper_limit = problem.contraction * (1 + 1e-9)
+    assert sampled(system, side, ball, found) <= upper_limit
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -83,10 +89,10 @@ def test_the_largest_rate_holds_and_no_more(side: str, ball: JacobianBall, h: fl
     system = drawn(5, h=h if side == "observer" else 0.0)
     rate = largest_rate(asked(system, side, ball, 0.5))
     problem = asked(system, side, ball, 0.99 * rate)
-    found = StructuredLmi(problem=problem, objective="largest_margin").solve(problem.rate)
-    limit = controller_frontier(
-        system if side == "state_feedback" else dual(system), ball
-    ).rate_limit
+    structured_lmi = StructuredLmi(problem=problem, objective="largest_margin")
+    found = structured_lmi.solve(problem.rate)
+    frontier = controller_frontier(system if side == "state_feedback" else dual(system), ball)
+    limit = frontier.rate_limit
     assert rate <= limit
     assert sampled(system, side, ball, found) <= problem.contraction
     faster = asked(system, side, ball, 1 - (0.8 * problem.contraction) ** 2)
@@ -98,8 +104,11 @@ def test_the_largest_rate_holds_and_no_more(side: str, ball: JacobianBall, h: fl
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_neurons_without_effect_leave_the_exact_frontier(side: str, seed: int) -> None:
     still = drawn(seed, radius=1.1)
-    still = StructuredSystem(**{**vars(still), "e": 0 * still.e, "h": 0 * still.h})
-    exact = controller_frontier(still if side == "state_feedback" else dual(still), WIDE)
+    e = 0 * still.e
+    h = 0 * still.h
+    still = StructuredSystem(**{**vars(still), "e": e, "h": h})
+    system = still if side == "state_feedback" else dual(still)
+    exact = controller_frontier(system, WIDE)
     found = np.sqrt(1 - largest_rate(asked(still, side, WIDE, 0.1)))
     assert exact.contraction_limit <= found <= exact.contraction_limit + 2e-3
 
@@ -111,13 +120,16 @@ def test_the_game_has_the_cost_of_the_inequality(side: str, ball: JacobianBall, 
     equations with a search."""
     system = drawn(9, h=h if side == "observer" else 0.0)
     problem = asked(system, side, ball, 0.15)
-    slow = StructuredLmi(problem=problem, objective="guaranteed_cost").solve(problem.rate)
+    structured_lmi = StructuredLmi(problem=problem, objective="guaranteed_cost")
+    slow = structured_lmi.solve(problem.rate)
     fast = least_cost(problem)
     costs = [float(np.trace(np.linalg.inv(found.p))) for found in (slow, fast)]
     if side == "observer":
         costs[1] *= 1 - problem.rate  # its noise enters a step later
-    assert costs[0] <= costs[1] * (1 + 1e-3)
-    assert costs[1] <= costs[0] * 1.05
+    upper_limit = costs[1] * (1 + 1e-3)
+    assert costs[0] <= upper_limit
+    upper_limit = costs[0] * 1.05
+    assert costs[1] <= upper_limit
 
 
 @pytest.mark.parametrize("barrier", [0.0, 0.5])
@@ -136,16 +148,16 @@ def test_the_gradient_is_that_of_the_goal(side: str, ball: JacobianBall, barrier
         )
         for d in step
     ]
-    np.testing.assert_allclose(
-        evaluate_saddle(game, logs, barrier).gradient,
-        [(up - down) / 2e-5 for up, down in ends],
-        rtol=1e-4,
-        atol=1e-7,
-    )
-    assert (
-        evaluate_saddle(game, minimise_goal(game, logs, barrier, 20), barrier).goal
-        <= evaluate_saddle(game, logs, barrier).goal
-    )
+    saddle = evaluate_saddle(game, logs, barrier)
+    actual = saddle.gradient
+    expected = [(up - down) / 2e-5 for up, down in ends]
+    np.testing.assert_allclose(actual, expected, rtol=1e-4, atol=1e-7)
+    vector = minimise_goal(game, logs, barrier, 20)
+    saddle = evaluate_saddle(game, vector, barrier)
+    goal = saddle.goal
+    saddle = evaluate_saddle(game, logs, barrier)
+    upper_limit = saddle.goal
+    assert goal <= upper_limit
 
 
 @pytest.mark.parametrize(("side", "ball"), list(product(SIDES, (WIDE, KNOWN))))
@@ -160,14 +172,17 @@ def test_the_search_from_known_multipliers_ends_where_the_search_from_nothing_do
     dear = replace(problem, input_weight=10.0)
     cold = least_cost(problem)
     first = least_cost(dear, near=best)
-    np.testing.assert_allclose(logs_of(problem, cold), cold.logs, atol=1e-9)
-    for found in (least_cost(problem, near=best), least_cost(problem, near=first)):
+    actual = logs_of(problem, cold)
+    np.testing.assert_allclose(actual, cold.logs, atol=1e-9)
+    solution = least_cost(problem, near=best)
+    for found in (solution, least_cost(problem, near=first)):
         assert is_confirmed(problem, found)
-        assert np.trace(np.linalg.inv(found.p)) == pytest.approx(
-            np.trace(np.linalg.inv(cold.p)), rel=0.02
-        )
+        inverse = np.linalg.inv(found.p)
+        expected = np.trace(np.linalg.inv(cold.p))
+        assert np.trace(inverse) == pytest.approx(expected, rel=0.02)
     near_the_limit = asked(system, side, ball, 0.95 * rate)
-    assert is_confirmed(near_the_limit, least_cost(near_the_limit, near=best))
+    solution = least_cost(near_the_limit, near=best)
+    assert is_confirmed(near_the_limit, solution)
 
 
 def test_a_negative_multiplier_certifies_nothing() -> None:
@@ -184,13 +199,9 @@ def test_a_negative_multiplier_certifies_nothing() -> None:
         "u": one,
         "l": 0 * one,
     }
-    numbers |= {
-        "alpha": 1.0,
-        "beta": 0.0,
-        "lambda_": np.ones(1),
-        "l_z": 0 * one,
-        "rate": 1 - 0.9**2,
-    }
+    lambda_ = np.ones(1)
+    rate = 1 - 0.9**2
+    numbers |= {"alpha": 1.0, "beta": 0.0, "lambda_": lambda_, "l_z": 0 * one, "rate": rate}
     without_row_two = 0.9**2 + 2.0 - 1.2**2
     assert without_row_two > 0
     assert not StructuredObserver.holds(**numbers, eta=-2.0)
@@ -203,16 +214,20 @@ def test_injection_where_the_output_sees_the_neurons_is_refused() -> None:
     problem = asked(system, "observer", KNOWN, 0.1)
     numbers = StructuredObserver.numbers_of(problem, least_cost(problem))
     assert StructuredObserver.holds(**numbers)
-    assert not StructuredObserver.holds(**{**numbers, "l_z": 1e-9 * np.ones_like(numbers["l_z"])})
+    l_z = 1e-9 * np.ones_like(numbers["l_z"])
+    assert not StructuredObserver.holds(**{**numbers, "l_z": l_z})
 
 
 def test_integrators_are_states_like_others() -> None:
     """An integrator of the output is certified at a rate that the plant alone, with its mode at
     one, cannot have."""
-    system = augmented(drawn(9, h=0.1), np.eye(1), np.eye(1))
+    gain = np.eye(1)
+    modes = np.eye(1)
+    system = augmented(drawn(9, h=0.1), gain, modes)
     problem = asked(system, "state_feedback", WIDE, 0.02)
     found = least_cost(problem)
     assert is_confirmed(problem, found)
     assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
-    alone = [linear.a for linear in map(system.at_slopes, system.corners())]
+    linears = map(system.at_slopes, system.corners())
+    alone = [linear.a for linear in linears]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)

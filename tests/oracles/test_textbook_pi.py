@@ -20,21 +20,17 @@ STEP_S = 0.1
 def lag() -> SSM:
     """Two lags and no nonlinearity, in physical units of one."""
     one = np.ones(1)
-    eye = LinearScaffold(gain=np.eye(1))
-    return SSM(
-        linear=StateSpace(
-            a=np.array([[0.9, 0.1], [0.0, 0.8]]),
-            b=np.array([[0.0], [0.2]]),
-            c=np.array([[1.0, 0.0]]),
-            d=np.zeros((1, 1)),
-        ),
-        scaffold_in=eye,
-        scaffold_out=eye,
-        scale=Scale(
-            input_scale=one, output_scale=one, input_equilibrium=0 * one, output_equilibrium=0 * one
-        ),
-        step_s=STEP_S,
+    gain = np.eye(1)
+    eye = LinearScaffold(gain=gain)
+    a = np.array([[0.9, 0.1], [0.0, 0.8]])
+    b = np.array([[0.0], [0.2]])
+    c = np.array([[1.0, 0.0]])
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    scale = Scale(
+        input_scale=one, output_scale=one, input_equilibrium=0 * one, output_equilibrium=0 * one
     )
+    return SSM(linear=linear, scaffold_in=eye, scaffold_out=eye, scale=scale, step_s=STEP_S)
 
 
 def test_its_columns_are_those_of_the_loop_written_out() -> None:
@@ -51,15 +47,19 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
         integral = 0.0
         outside = [0]
         for k in range(noise.shape[1]):
-            error = -float(model.linear.c[0] @ x)
+            linear_c = model.linear.c
+            error = -float(linear_c[0] @ x)
             if abs(error) > plant.settling_band:
                 outside.append(k + 1)
             u = pi.gain * (error + integral)
             integral += STEP_S / pi.integral_s * error
-            x = model.linear.a @ x + model.linear.b[:, 0] * u
+            linear_a = model.linear.a
+            linear_b = model.linear.b
+            x = linear_a @ x + linear_b[:, 0] * u
         times_s.append(STEP_S * outside[-1])
     assert facts["stable_count_pi"] == 3
-    assert facts["settling_time_pi_s"] == pytest.approx(np.mean(times_s))
+    expected = np.mean(times_s)
+    assert facts["settling_time_pi_s"] == pytest.approx(expected)
 
 
 def test_it_starts_where_every_controller_starts() -> None:
@@ -67,11 +67,16 @@ def test_it_starts_where_every_controller_starts() -> None:
     plant = IdentifiedPlant.of(model)
     loop = Loop(initial_conditions=4).fitted(model)
     runs = loop.on_plant(plant, tyreus_luyben(model), 7)
-    settled = [time for time in settling_times_s(runs.judged, plant.settling_band) if time]
-    assert pi_facts(plant, model, loop, 7)["settling_time_pi_s"] == pytest.approx(np.mean(settled))
+    times = settling_times_s(runs.judged, plant.settling_band)
+    settled = [time for time in times if time]
+    settling_time_pi_s = pi_facts(plant, model, loop, 7)["settling_time_pi_s"]
+    expected = np.mean(settled)
+    assert settling_time_pi_s == pytest.approx(expected)
 
 
 def test_nothing_is_said_where_the_rule_has_no_answer_or_there_is_no_plant() -> None:
-    two = random_model(np.random.default_rng(0), "linear", 2)
+    rng = np.random.default_rng(0)
+    two = random_model(rng, "linear", 2)
     assert pi_facts(None, lag(), Loop(), 0) == {}
-    assert pi_facts(IdentifiedPlant.of(lag()), two, Loop(), 0) == {}
+    plant = IdentifiedPlant.of(lag())
+    assert pi_facts(plant, two, Loop(), 0) == {}

@@ -29,24 +29,35 @@ def least_squares_model(plant: Titration) -> SSM:
     """ARX model of a broadband record, in observer form and scaled to unit deviations."""
     rng = np.random.default_rng(0)
     held = np.repeat(rng.uniform(-1, 1, 800), rng.integers(1, 12, 800))[:3000, None]
-    y = plant.simulate(held[None])[1][0]
-    input_scale, output_scale = held.std(), y.std()
+    response = plant.simulate(held[None])
+    y = response[1][0]
+    standard_deviation = held.std()
+    input_scale, output_scale = standard_deviation, y.std()
     u, y = held / input_scale, y / output_scale
     past = range(1, ORDER + 1)
     columns = [y[ORDER - lag : -lag, 0] for lag in past] + [
         u[ORDER - lag : -lag, 0] for lag in past
     ]
-    weights = np.linalg.lstsq(np.column_stack(columns), y[ORDER:, 0], rcond=None)[0]
+    least_squares = np.linalg.lstsq(np.column_stack(columns), y[ORDER:, 0], rcond=None)
+    weights = least_squares[0]
     a = np.eye(ORDER, k=1)
     a[:, 0] = weights[:ORDER]
-    linear = StateSpace(a=a, b=weights[ORDER:, None], c=np.eye(1, ORDER), d=np.zeros((1, 1)))
+    b = weights[ORDER:, None]
+    c = np.eye(1, ORDER)
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
+    scale_input_scale = np.array([input_scale])
+    scale_output_scale = np.array([output_scale])
+    input_equilibrium = np.zeros(1)
+    output_equilibrium = np.zeros(1)
     scale = Scale(
-        input_scale=np.array([input_scale]),
-        output_scale=np.array([output_scale]),
-        input_equilibrium=np.zeros(1),
-        output_equilibrium=np.zeros(1),
+        input_scale=scale_input_scale,
+        output_scale=scale_output_scale,
+        input_equilibrium=input_equilibrium,
+        output_equilibrium=output_equilibrium,
     )
-    return replace(SSM.of(linear, plant.step_s), scale=scale)
+    ssm = SSM.of(linear, plant.step_s)
+    return replace(ssm, scale=scale)
 
 
 def swing_of(plant: Titration, model: SSM, design: Design) -> float:
@@ -61,8 +72,10 @@ def swing_of(plant: Titration, model: SSM, design: Design) -> float:
         innovation = x_hat @ linear.c.T - y
         x_hat = x_hat @ linear.a.T + u @ linear.b.T + innovation @ gains.l.T
         x = plant.advance(x, model.scale.physical_input(u), np.zeros((3, 0)))
-        sizes.append(np.abs(y).max())
-    return float(max(sizes[-80:]))
+        largest = np.abs(y).max()
+        sizes.append(largest)
+    largest = max(sizes[-80:])
+    return float(largest)
 
 
 def judged(
@@ -79,7 +92,8 @@ def judged(
     design = request.design(model, balls)
     assert design.certified
     lines = peak_lines(model, design.pair, balls, PERIOD)
-    records = sine_records(plant, np.random.default_rng([0, 13]), NOISE, lines)
+    rng = np.random.default_rng([0, 13])
+    records = sine_records(plant, rng, NOISE, lines)
     sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
     facts = sine_facts(design, model, balls, mismatch, sines)
     return facts["predicted_stable"], swing_of(plant, model, design)
@@ -89,7 +103,8 @@ def judged(
 def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
     plant = request.param
     model = least_squares_model(plant)
-    trials = mismatch_records(plant, np.random.default_rng(0), NOISE)
+    rng = np.random.default_rng(0)
+    trials = mismatch_records(plant, rng, NOISE)
     full = tuple(trial for trial in trials if trial.name == "trial_at_1")
     mismatch = measure_mismatch(model, full, 0, trials)
     assert mismatch.rests

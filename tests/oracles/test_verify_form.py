@@ -22,13 +22,15 @@ Lie = Callable[[Path, dict[str, Any]], None]
 def make_run(folder: Path, *words: str) -> Path:
     place = [f"results_dir={folder}", "study=honest", "progress=false"]
     assert main(["run", "experiment=smoke", "+data.trials=false", *words, *place]) == 0
-    return next(path.parent for path in (folder / "honest").glob("*/record.json"))
+    paths = (folder / "honest").glob("*/record.json")
+    return next(path.parent for path in paths)
 
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory, made_once: None) -> Path:
     del made_once
-    return make_run(tmp_path_factory.mktemp("results"), "synthesis=riccati")
+    folder = tmp_path_factory.mktemp("results")
+    return make_run(folder, "synthesis=riccati")
 
 
 def wrong_claims(run: Path) -> set[str]:
@@ -60,7 +62,8 @@ def mark_model(run: Path, _: dict[str, Any]) -> None:
 def shift_band(run: Path, _: dict[str, Any]) -> None:
     path = run / "closed_loop_model.mcap"
     groups, about = read_mcap(path)
-    write_mcap(path, tuple(groups), dict(about) | {"settling_band": "100.0"})
+    metadata = dict(about) | {"settling_band": "100.0"}
+    write_mcap(path, tuple(groups), metadata)
 
 
 def set_column(name: str, value: Any) -> Lie:
@@ -92,17 +95,23 @@ def test_a_lie_about_the_form_is_named(case: str, honest: Path, tmp_path: Path) 
 
 def test_the_unaltered_run_is_accepted(honest: Path, tmp_path: Path) -> None:
     assert told(lambda *_: None, honest, tmp_path) == set()
-    assert json.loads((honest / "record.json").read_text())["record_version"] == 2
+    text = (honest / "record.json").read_text()
+    content = json.loads(text)
+    record_version = content["record_version"]
+    assert record_version == 2
 
 
 def test_an_infeasible_design_with_an_internal_model_is_accepted(tmp_path: Path) -> None:
     """It was accused: its limit is that of the model with the internal model."""
     run = make_run(tmp_path, "synthesis=auto_integral", "synthesis.rate_controller=0.58")
-    assert (read_record(run) or {})["status"] == "infeasible"
+    status = (read_record(run) or {})["status"]
+    assert status == "infeasible"
     assert wrong_claims(run) == set()
-    certificate = json.loads((run / "certificate.json").read_text())
+    text = (run / "certificate.json").read_text()
+    certificate = json.loads(text)
     certificate["state_feedback"]["reason"] = "proved for every plant\n" * 30
-    (run / "certificate.json").write_text(json.dumps(certificate))
+    text = json.dumps(certificate)
+    (run / "certificate.json").write_text(text)
     assert "certificate.state_feedback reason" in wrong_claims(run)
 
 
@@ -124,4 +133,5 @@ KINDS = [
 
 @pytest.mark.parametrize(("kind", "value", "expected"), KINDS)
 def test_kinds_of_columns(kind: Any, value: Any, expected: bool) -> None:
-    assert has_declared_kind(Column("x", kind), value) is expected
+    column = Column("x", kind)
+    assert has_declared_kind(column, value) is expected

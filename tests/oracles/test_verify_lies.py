@@ -144,14 +144,17 @@ def test_the_command_gathers_anew_whatever_table_lies_there(
     study = copied_run.parent
     true = gather(study)
     true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
-    index = unsealed((study / MARKS).read_bytes()) or {}
+    content = (study / MARKS).read_bytes()
+    index = unsealed(content) or {}
     sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
-    write_json_atomically(
-        study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums)
-    )
-    assert gather(study)["fit_test_percent"].item() == 99.9
+    body = {k: v for k, v in index.items() if k != "sha256"} | sums
+    write_json_atomically(study / MARKS, sealed(body))
+    fit_test_percent = gather(study)["fit_test_percent"]
+    item = fit_test_percent.item()
+    assert item == 99.9
     assert main([command, str(study)]) == 0
-    assert "99.9" not in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "99.9" not in out
     pd.testing.assert_frame_equal(gather(study), true)
 
 
@@ -181,7 +184,8 @@ def test_without_its_log_a_run_claims_no_prediction() -> None:
     assert isinstance(found, NotChecked)
     told = {"predicted_stable": True}
     assert "cannot be read" in judge_column("predicted_stable", told, told, found.reasons)  # type: ignore[operator]
-    assert compare_column("predicted_stable", True, True).holds
+    checked = compare_column("predicted_stable", True, True)
+    assert checked.holds
 
 
 @pytest.mark.parametrize("place", ["where the run was made", "where the command is given"])
@@ -194,16 +198,23 @@ def test_a_log_is_found_from_another_folder(
     elsewhere = tmp_path / "elsewhere"
     run = made / "results" / "mine" / "order2"
     (run / ".hydra").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").write_text("results_dir: results\nstudy: mine\nrun: order2\n")
+    config_path = run / ".hydra" / "config.yaml"
+    config_path.write_text("results_dir: results\nstudy: mine\nrun: order2\n")
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
-    u = np.random.default_rng(0).standard_normal(200)
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(200)
     log = (made if "was made" in place else elsewhere) / "log.csv"
-    pd.DataFrame({"u": u, "y": np.cumsum(u)}).to_csv(log, index=False)
+    y = np.cumsum(u)
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(log, index=False)
     source = RecordedData(path="log.csv", input="u", output="y", step_s=0.1)
     files = RunFiles(path=run, record={})
     vars(files)["specification"] = SimpleNamespace(plant=None, seed=0, refine=None, data=source)
-    assert sum(map(len, (*files.data.training, *files.data.validation, *files.data.test))) == 200
+    training = files.data.training
+    validation = files.data.validation
+    test = files.data.test
+    assert sum(map(len, (*training, *validation, *test))) == 200
     assert Path.cwd() == elsewhere
 
 
@@ -218,10 +229,11 @@ def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> No
     on."""
 
     def found() -> tuple[set[str], dict[str, str]]:
-        run = RunFiles(path=copied_run, record=read_record(copied_run) or {})
-        vars(run)["specification"] = replace(
-            run.specification, plant=Rig(plant=run.specification.plant)
-        )
+        record = read_record(copied_run) or {}
+        run = RunFiles(path=copied_run, record=record)
+        rig_plant = run.specification.plant
+        plant = Rig(plant=rig_plant)
+        vars(run)["specification"] = replace(run.specification, plant=plant)
         told = list(section_loop(run))
         wrong = {one.claim for one in told if isinstance(one, Checked) and not one.holds}
         return wrong, {
@@ -232,21 +244,26 @@ def test_of_a_device_the_loop_on_the_model_is_made_again(copied_run: Path) -> No
         }
 
     recorded_on = "closed_loop.mcap loop_on"  # here the plant that was simulated
-    assert found() == (
+    expected = (
         {recorded_on},
         {"closed_loop.mcap output, states": "recorded on a device, which is not run again"},
     )
+    assert found() == expected
     lie_about_loop(copied_run, "/states", MODEL_LOOP)
-    assert found()[0] == {recorded_on, MODEL_LOOP}
+    expected = {recorded_on, MODEL_LOOP}
+    assert found()[0] == expected
 
 
 def logged(folder: Path) -> list[str]:
     """The words for a log of a system that answers its input at once."""
-    u = np.random.default_rng(0).uniform(-3, 3, 120).repeat(5)
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-3, 3, 120).repeat(5)
     x = np.zeros(len(u) + 1)
     for k in range(len(u)):
         x[k + 1] = 0.9 * x[k] + 0.2 * np.tanh(u[k])
-    pd.DataFrame({"u": u, "y": x[:-1] + 0.1 * u}).to_csv(folder / "log.csv", index=False)
+    y = x[:-1] + 0.1 * u
+    table = pd.DataFrame({"u": u, "y": y})
+    table.to_csv(folder / "log.csv", index=False)
     return [
         "data=recorded",
         f"data.path={folder}/log.csv",
@@ -272,15 +289,19 @@ def test_a_run_without_controller_has_no_certificate_and_no_loop(
             main(["run", *asked, "progress=false", f"results_dir={tmp_path}", f"study={study}"])
             == 0
         )
-        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
+        paths = (tmp_path / study).glob("*/record.json")
+        (run,) = (path.parent for path in paths)
         assert failing(run) == set()
-        assert (read_record(run) or {})["model"] == {"none": "ssm", "baseline": "gru"}[study]
+        model = (read_record(run) or {})["model"]
+        expected = {"none": "ssm", "baseline": "gru"}[study]
+        assert model == expected
         for name in ("certificate.json", "closed_loop.mcap")[study == "none" :]:
             shutil.copy(copied_run / name, run / name)
         sealed_anew(run)
-        assert failing(run) == {"certificate.json", "closed_loop.mcap"} - {
+        expected = {"certificate.json", "closed_loop.mcap"} - {
             "certificate.json" * (study == "none")
         }
+        assert failing(run) == expected
 
 
 def test_a_model_that_answers_at_once_is_certified_without_a_loop(
@@ -296,19 +317,21 @@ def test_a_model_that_answers_at_once_is_certified_without_a_loop(
         "model.draws=2",
         "training.max_epochs=5",
     ]
-    shape += [f"+synthesis.{name}={values}".replace(" ", "") for name, values in FEW.items()]
-    for study, path in {
-        "idle": [],
-        "neurons": ["model.input_path=free", "model.output_path=free"],
-    }.items():
+    few = FEW.items()
+    shape += [f"+synthesis.{name}={values}".replace(" ", "") for name, values in few]
+    neurons = ["model.input_path=free", "model.output_path=free"]
+    for study, path in {"idle": [], "neurons": neurons}.items():
         assert (
             main(["run", *log, *shape, *path, f"study={study}", f"model.neurons={len(path)}"]) == 0
         )
-        assert "certified, not tried: both certificates hold" in " ".join(
-            capsys.readouterr().out.split()
-        )
-        (run,) = (path.parent for path in (tmp_path / study).glob("*/record.json"))
-        assert ("neurons" in json.loads((run / "model.json").read_text())) == (study == "neurons")
+        out = capsys.readouterr().out
+        text = " ".join(out.split())
+        assert "certified, not tried: both certificates hold" in text
+        paths = (tmp_path / study).glob("*/record.json")
+        (run,) = (path.parent for path in paths)
+        text = (run / "model.json").read_text()
+        content = json.loads(text)
+        assert ("neurons" in content) == (study == "neurons")
         assert failing(run) == set()
     lie_about_start(run)
     missed = failing(run)

@@ -53,12 +53,15 @@ def test_a_bias_is_listed_exactly_if_no_signal_changes_with_it() -> None:
             moved = [row.copy() for row in biases]
             moved[layer][number] += 1e-6
             other = replace(network, biases=tuple(moved))
-            if np.abs(other(signal) - network(signal)).max() < 1e-12:
+            difference = np.abs(other(signal) - network(signal))
+            largest_difference = difference.max()
+            if largest_difference < 1e-12:
                 without_effect.add(f"model.json scaffold_in.biases.{layer}.{number}")
     assert listed == without_effect
     assert 4 < len(listed) < 17
     only_linear = cancelled_biases("scaffold_out", network, None)
-    assert list(only_linear) == [
+    expected = [
         "model.json scaffold_out.biases.0: 0, 3, 6",
         "model.json scaffold_out.biases.1: 0, 3, 6",
     ]
+    assert list(only_linear) == expected

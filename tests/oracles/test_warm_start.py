@@ -30,12 +30,11 @@ START_UP = 20
 
 def model() -> SSM:
     """A slow and a fast lag whose sum is the output: twenty samples hardly show the slow one."""
-    linear = StateSpace(
-        a=np.diag([SLOW, 0.5]),
-        b=np.array([[1 - SLOW], [0.5]]),
-        c=np.ones((1, 2)),
-        d=np.zeros((1, 1)),
-    )
+    a = np.diag([SLOW, 0.5])
+    b = np.array([[1 - SLOW], [0.5]])
+    c = np.ones((1, 2))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     return SSM.of(linear, 0.1)
 
 
@@ -44,8 +43,12 @@ def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Traje
     rng = np.random.default_rng(3)
     u = np.repeat(rng.uniform(-1, 1, samples // 50), 50)[:, None]
     y = model().simulate(u)
-    wander = np.cumsum(rng.standard_normal(samples))[:, None]
-    coloured = scipy.signal.lfilter([1.0], [1.0, -0.9], rng.standard_normal(samples))[:, None]
+    white_noise = rng.standard_normal(samples)
+    running_sum = np.cumsum(white_noise)
+    wander = running_sum[:, None]
+    white_noise = rng.standard_normal(samples)
+    filtered_signal = scipy.signal.lfilter([1.0], [1.0, -0.9], white_noise)
+    coloured = filtered_signal[:, None]
     y = y + noise * coloured + drift * wander
     return Trajectory(u=u, y=y, step_s=0.1, log=1)
 
@@ -53,25 +56,34 @@ def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Traje
 def cut(record: Trajectory, splitter=None) -> DataSet:
     parts = by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
     rest = (np.zeros(1), np.zeros(1))
-    channels = ((Channel(name="u", unit=""),), (Channel(name="y", unit=""),))
+    channel = Channel(name="u", unit="")
+    channels = ((channel,), (Channel(name="y", unit=""),))
     data = assemble(parts, rest, channels, START_UP)
-    return replace(data, scale=model().scale)
+    scale = model().scale
+    return replace(data, scale=scale)
 
 
 def test_the_state_from_the_past_is_that_of_the_plant() -> None:
     record = log()
     data = cut(record)
-    state = state_from_past(model(), data, data.test[0])
-    _, expected = model().linear.simulate(record.u[: data.test[0].first])
+    piece = data.test[0]
+    state = state_from_past(model(), data, piece)
+    linear = model().linear
+    first = data.test[0].first
+    _, expected = linear.simulate(record.u[:first])
     assert state is not None
     np.testing.assert_allclose(state, expected, atol=1e-3)
 
 
 def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_samples() -> None:
     noisy = cut(log(noise=0.1))
-    assert choose_piece_starts(model(), noisy).choice == PAST
+    piece_starts = choose_piece_starts(model(), noisy)
+    choice = piece_starts.choice
+    assert choice == PAST
     wandering = cut(log(drift=0.1))
-    assert choose_piece_starts(model(), wandering).choice == SAMPLES
+    piece_starts = choose_piece_starts(model(), wandering)
+    choice = piece_starts.choice
+    assert choice == SAMPLES
 
 
 @pytest.mark.parametrize("splitter", [None, in_blocks])
@@ -83,7 +95,8 @@ def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitt
     assert facts["piece_start"] == PAST
     assert facts["fit_test_other_start_percent"] == from_samples.fit_percent
     assert test.fit_percent > from_samples.fit_percent
-    assert all(state is not None for state in (*validation.starts, *test.starts))
+    states = (*validation.starts, *test.starts)
+    assert all(state is not None for state in states)
 
 
 def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> None:
@@ -91,9 +104,13 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
     from_samples = Simulation.of(model(), data.test, START_UP, (np.array([3.0, 0.0]),))
     validation, test = simulate_parts(model(), data)
     case = Case(data=data, model=model(), validation=validation, test=test)
-    apart = abs(start_facts(model(), data, test)["fit_test_other_start_percent"] - test.fit_percent)
-    assert len(fit.starts_apart(case)) == int(apart > fit.STARTS_APART)
-    (finding,) = fit.starts_apart(replace(case, test=from_samples))
+    fit_test_other_start_percent = start_facts(model(), data, test)["fit_test_other_start_percent"]
+    difference = fit_test_other_start_percent - test.fit_percent
+    apart = abs(difference)
+    expected = int(apart > fit.STARTS_APART)
+    assert len(fit.starts_apart(case)) == expected
+    changed_case = replace(case, test=from_samples)
+    (finding,) = fit.starts_apart(changed_case)
     assert finding.level == "doubt"
     assert f"{from_samples.fit_percent:.1f} % from the log before it" in finding.sentence
     assert "from its first samples" in finding.sentence
@@ -102,12 +119,21 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
 def test_a_record_without_a_past_has_one_start() -> None:
     """Simulated records, the beginning of a log, a piece behind a hole, no start-up samples."""
     simulated = cut(replace(log(), log=0))
-    assert choose_piece_starts(model(), simulated).choice is None
-    test = simulate_parts(model(), simulated)[1]
-    assert start_facts(model(), simulated, test)["piece_start"] is None
+    piece_starts = choose_piece_starts(model(), simulated)
+    choice = piece_starts.choice
+    assert choice is None
+    parts = simulate_parts(model(), simulated)
+    test = parts[1]
+    piece_start = start_facts(model(), simulated, test)["piece_start"]
+    assert piece_start is None
     data = cut(log())
-    assert log_before(data, data.training[0]) is None
-    behind_a_hole = replace(data.test[0], first=data.test[0].first + 7)
-    assert log_before(replace(data, test=(behind_a_hole,)), behind_a_hole) is None
+    piece = data.training[0]
+    assert log_before(data, piece) is None
+    first = data.test[0].first + 7
+    behind_a_hole = replace(data.test[0], first=first)
+    changed_data = replace(data, test=(behind_a_hole,))
+    assert log_before(changed_data, behind_a_hole) is None
     from_rest = replace(data, start_up_samples=0)
-    assert choose_piece_starts(model(), from_rest).choice is None
+    piece_starts = choose_piece_starts(model(), from_rest)
+    choice = piece_starts.choice
+    assert choice is None

@@ -48,7 +48,8 @@ def one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     """The sentence with which the command ends, with status 2."""
     assert main(words) == 2
     said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
+    lines = said.splitlines()
+    assert len(lines) == 1
     assert said.startswith("ssm-study: ")
     return said
 
@@ -57,9 +58,10 @@ def one_sentence(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_whatever_is_raised_is_one_sentence(
     command: str, study: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = {"new": ["new", "x"], "run": ["run", "seed=0"]}.get(
-        command, [command, str(study), *NEEDED.get(command, [])]
-    )
+    new = ["new", "x"]
+    run = ["run", "seed=0"]
+    needed = NEEDED.get(command, [])
+    words = {"new": new, "run": run}.get(command, [command, str(study), *needed])
     if command == "excite":
         words = ["excite", *(word for name in NEEDED_BY_EXCITE for word in (f"--{name}", "1"))]
     for error in RAISED:
@@ -116,9 +118,11 @@ def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
     wrong."""
     SPARSE[what](run_of(study) / name)
     (status,) = gather(study)["status"]
-    assert status == ("corrupt" if name == "record.json" else "ok")
+    expected = "corrupt" if name == "record.json" else "ok"
+    assert status == expected
+    verification = verify(run_of(study))
     with pytest.raises(BadRequest, match=r"do not hold|there is no record\.json"):
-        verify(run_of(study)).demand("run", study)
+        verification.demand("run", study)
 
 
 # The table is made anew; what `verify` makes of each damage has tests of its own, and `export`
@@ -135,8 +139,9 @@ def test_damaged_files(
         study = shutil.copytree(smoke_study, tmp_path / what)
         DAMAGES[what](study)
         if exports:
+            out_path = str(study / "out")
             assert "claims do not hold" in one_sentence(
-                [command, str(run_of(study)), "--to", str(study / "out")], capsys
+                [command, str(run_of(study)), "--to", out_path], capsys
             )
             assert not (study / "out").exists()
         else:
@@ -163,14 +168,18 @@ def test_a_certificate_that_lies_is_not_exported(
 ) -> None:
     """Sealed anew, consistent in itself, and another gain than the one that was proved."""
     run = run_of(study)
-    content = json.loads((run / "certificate.json").read_text())
+    text = (run / "certificate.json").read_text()
+    content = json.loads(text)
     part = content["state_feedback"]
     part["k"] = [[5 * number for number in row] for row in part["k"]]
     part["digest"] = digest(part)
-    (run / "certificate.json").write_text(json.dumps(content))
+    text = json.dumps(content)
+    (run / "certificate.json").write_text(text)
     seal_run(run)
-    write_record(run, read_record(run) or {})
-    said = one_sentence(["export", str(run), "--to", str(study / "out")], capsys)
+    record = read_record(run) or {}
+    write_record(run, record)
+    out_path = str(study / "out")
+    said = one_sentence(["export", str(run), "--to", out_path], capsys)
     assert "certificate.state_feedback" in said
     assert not (study / "out").exists()
 
@@ -179,7 +188,8 @@ def test_a_certificate_that_lies_is_not_exported(
 def read_only(study: Path) -> Iterator[Path]:
     (study / "runs.parquet").unlink()
     for words in (["--bind", str(study), str(study)], ["-o", "remount,bind,ro", str(study)]):
-        if subprocess.run(["mount", *words], capture_output=True).returncode != 0:
+        returncode = subprocess.run(["mount", *words], capture_output=True).returncode
+        if returncode != 0:
             pytest.skip("mounting a folder read-only needs more rights")
     yield study
     subprocess.run(["umount", "-l", str(study)], check=True)
@@ -189,7 +199,8 @@ def test_a_folder_that_may_only_be_read(
     read_only: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = run_of(read_only)
-    for words in (["gather"], ["show"], ["report"], ["export", "--to", str(read_only / "out")]):
+    out_path = str(read_only / "out")
+    for words in (["gather"], ["show"], ["report"], ["export", "--to", out_path]):
         of = run if words[0] == "export" else read_only
         assert (
             "ead-only" in one_sentence([words[0], str(of), *words[1:]], capsys)

@@ -57,7 +57,9 @@ def test_a_column_that_is_named_twice_is_refused_before_any_run(
     """It was a failed run."""
     log = tmp_path / "log.csv"
     rng = np.random.default_rng(0)
-    pd.DataFrame(rng.normal(size=(400, 2)), columns=["u", "y"]).to_csv(log, index=False)
+    columns = ["u", "y"]
+    table = pd.DataFrame(rng.normal(size=(400, 2)), columns=columns)
+    table.to_csv(log, index=False)
     words = ["data=recorded", f"data.path={log}", "data.output=y", "data.step_s=0.1"]
     results = tmp_path / "results"
     assert main(["run", *words, "data.input=[u,u]", f"results_dir={results}"]) == WRONG_REQUEST
@@ -86,7 +88,8 @@ def test_texts_from_python_arrive_as_they_are() -> None:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parser = OverridesParser.create()
-    assert parser.parse_override(f"key={write_value(TEXTS)}").value() == TEXTS
+    override = parser.parse_override(f"key={write_value(TEXTS)}")
+    assert override.value() == TEXTS
 
 
 NAMES = {
@@ -130,10 +133,15 @@ def test_an_error_that_nobody_foresaw_asks_for_a_report(
 
 
 def test_the_systems_that_it_runs_on_are_named_alike_everywhere() -> None:
-    root = Path(__file__).resolve().parents[2]
-    classifiers = tomllib.loads((root / "pyproject.toml").read_text())["project"]["classifiers"]
+    parents = Path(__file__).resolve().parents
+    root = parents[2]
+    text = (root / "pyproject.toml").read_text()
+    content = tomllib.loads(text)
+    project = content["project"]
+    classifiers = project["classifiers"]
     systems = {
         name.rpartition(" :: ")[2] for name in classifiers if name.startswith("Operating System")
     }
     assert systems == {"Linux", "MacOS"}
-    assert "Linux, macOS, and WSL on Windows" in (root / "README.md").read_text()
+    text = (root / "README.md").read_text()
+    assert "Linux, macOS, and WSL on Windows" in text

@@ -46,8 +46,10 @@ def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # ty
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
     by_time = pd.Series(U, name="power", index=INDEX)
     for u in (U, U[:, None], np.ma.masked_array(U), by_time, by_time.to_frame()):
-        paths = write_log_files(u, Y, tmp_path, 0.01).paths
-        assert np.array_equal(pd.read_parquet(paths[0]).iloc[:, 0], U)
+        logged_arrays = write_log_files(u, Y, tmp_path, 0.01)
+        paths = logged_arrays.paths
+        table = pd.read_parquet(paths[0])
+        assert np.array_equal(table.iloc[:, 0], U)
 
 
 def test_frames_are_matched_by_the_names_of_their_columns() -> None:
@@ -74,8 +76,9 @@ def test_frames_are_matched_by_the_names_of_their_columns() -> None:
 )
 def test_an_index_that_is_no_even_clock_of_the_sampling_time(tmp_path, index, says: str) -> None:  # type: ignore[no-untyped-def]
     u = pd.Series(U, index=index, name="u")
+    y = pd.Series(Y, index=index, name="y")
     with pytest.raises(BadRequest, match=says):
-        write_log_files(u, pd.Series(Y, index=index, name="y"), tmp_path, 0.01)
+        write_log_files(u, y, tmp_path, 0.01)
 
 
 def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
@@ -83,17 +86,21 @@ def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
     for index in (INDEX, zoned, np.arange(T) * 0.010009, np.arange(T), list("abcd") * (T // 4)):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            check_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
+            u = pd.Series(U, index=index)
+            y = pd.Series(Y, index=index)
+            check_index(u, y, 0.01)
 
 
 def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
     """Two inputs of unlike effect on two outputs."""
-    u = np.repeat(RNG.uniform(-1, 1, (60, 2)), 10, axis=0)
+    rng = RNG.uniform(-1, 1, (60, 2))
+    u = np.repeat(rng, 10, axis=0)
     y = np.zeros((601, 2))
     for k in range(600):
         y[k + 1] = 0.9 * y[k] + u[k] @ np.array([[0.1, -0.2], [0.3, 0.05]])
     index = pd.timedelta_range("0s", periods=600, freq="100ms")
-    return pd.DataFrame(u, index, ["a", "b"]), pd.DataFrame(y[:600], index, ["c", "d"])
+    table = pd.DataFrame(u, index, ["a", "b"])
+    return table, pd.DataFrame(y[:600], index, ["c", "d"])
 
 
 def test_predict_score_simulate_and_compare_take_frames_by_name_and_at_their_times() -> None:
@@ -103,14 +110,18 @@ def test_predict_score_simulate_and_compare_take_frames_by_name_and_at_their_tim
     swapped_y = y[["d", "c"]]
     assert model.score(swapped_u, swapped_y) == model.score(u, y) > 95
     assert model.predict(swapped_u).equals(model.predict(u))
-    assert st.simulate(model, swapped_u).equals(st.simulate(model, u))
-    ours = st.compare([model], swapped_u, swapped_y).table
-    assert ours.equals(st.compare([model], u, y).table)
+    response = st.simulate(model, swapped_u)
+    assert response.equals(st.simulate(model, u))
+    model_comparison = st.compare([model], swapped_u, swapped_y)
+    ours = model_comparison.table
+    model_comparison = st.compare([model], u, y)
+    assert ours.equals(model_comparison.table)
     slower = u.set_axis(pd.timedelta_range("0s", periods=600, freq="1s"))
     for call in (model.predict, lambda frame: st.simulate(model, frame)):
         with pytest.raises(BadRequest, match="the index of u shows 1 s"):
             call(slower)
     with pytest.raises(BadRequest, match="their indexes differ"):
         model.score(u, y.shift(freq="100ms"))
+    columns = {"d": "e"}
     with pytest.raises(BadRequest, match="the model's channels are c, d"):
-        model.score(u, y.rename(columns={"d": "e"}))
+        model.score(u, y.rename(columns=columns))

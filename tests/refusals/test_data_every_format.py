@@ -29,9 +29,8 @@ def written(folder: Path, suffix: str, columns: dict[str, np.ndarray], unit: str
     units."""
     path = folder / f"log{suffix}"
     if suffix == ".csv":
-        pd.DataFrame(columns).rename(columns={"y": f"y [{unit}]"} if unit else {}).to_csv(
-            path, index=False
-        )
+        table = pd.DataFrame(columns)
+        table.rename(columns={"y": f"y [{unit}]"} if unit else {}).to_csv(path, index=False)
     elif suffix == ".parquet":
         fields = [
             pa.field(n, pa.float64(), metadata={"unit": unit} if unit and n == "y" else None)
@@ -46,17 +45,18 @@ def written(folder: Path, suffix: str, columns: dict[str, np.ndarray], unit: str
         signals = {name: values for name, values in columns.items() if name != "t"}
         channels = tuple(Channel(name=name, unit=unit if name == "y" else "") for name in signals)
         values = np.stack(list(signals.values()), axis=1)
-        write_mcap(
-            path,
-            (SignalGroup(topic="/log", time_s=columns["t"], channels=channels, values=values),),
-            {},
+        signal_group = SignalGroup(
+            topic="/log", time_s=columns["t"], channels=channels, values=values
         )
+        groups = (signal_group,)
+        write_mcap(path, groups, {})
     return path
 
 
 def build(path: Path, **changes: object) -> DataSet:
     fields: dict[str, object] = {"path": str(path), "input": "u", "output": "y", "step_s": 0.01}
-    return RecordedData(**(fields | changes)).build(0)  # type: ignore[arg-type]
+    recorded_data = RecordedData(**(fields | changes))
+    return recorded_data.build(0)  # type: ignore[arg-type]
 
 
 def refused(path: Path, says: str, **changes: object) -> None:
@@ -91,14 +91,20 @@ def test_a_missing_value_cuts_the_record(tmp_path: Path, suffix: str) -> None:
     y = GOOD["y"].copy()
     y[50] = np.nan
     built = build(written(tmp_path, suffix, GOOD | {"y": y}))
-    assert [len(record) for record in built.training] == [50, 69]
-    np.testing.assert_array_equal(built.training[1].y[:, 0], GOOD["y"][51:120])
-    assert built.training[1].first == 51
+    expected = [50, 69]
+    assert [len(record) for record in built.training] == expected
+    training_y = built.training[1].y
+    actual = training_y[:, 0]
+    expected = GOOD["y"][51:120]
+    np.testing.assert_array_equal(actual, expected)
+    first = built.training[1].first
+    assert first == 51
     assert "cut at 1 rows with missing values in 1 places" in built.metadata["reading"]
 
 
 def test_text_in_a_number_column_of_parquet(tmp_path: Path) -> None:
-    words = pd.DataFrame(GOOD).astype({"y": str})
+    table = pd.DataFrame(GOOD)
+    words = table.astype({"y": str})
     words.to_parquet(tmp_path / "log.parquet")
     refused(
         tmp_path / "log.parquet", r"log.parquet \(column\) = y: holds (large_)?string, not numbers"
@@ -108,7 +114,9 @@ def test_text_in_a_number_column_of_parquet(tmp_path: Path) -> None:
 @pytest.mark.parametrize("suffix", STATING)
 def test_a_declared_unit_that_the_file_contradicts(tmp_path: Path, suffix: str) -> None:
     path = written(tmp_path, suffix, GOOD, unit="rad/s")
-    assert build(path, output_unit="rad/s").outputs[0].unit == "rad/s"
+    outputs = build(path, output_unit="rad/s").outputs
+    unit = outputs[0].unit
+    assert unit == "rad/s"
     refused(
         path, rf"unit of y = rpm: log\{suffix} states rad/s; declare the unit", output_unit="rpm"
     )
@@ -137,7 +145,8 @@ def foreign(folder: Path, times_s: np.ndarray, y: list[object]) -> Path:
         channel = writer.register_channel(topic="/log", message_encoding="json", schema_id=schema)
         for time_s, u_k, y_k in zip(times_s, GOOD["u"], y, strict=True):
             at = round(1e9 * time_s)
-            message = json.dumps({"u": u_k, "y": y_k}).encode()
+            text = json.dumps({"u": u_k, "y": y_k})
+            message = text.encode()
             writer.add_message(channel, log_time=at, publish_time=at, data=message)
         writer.finish()
     return path
@@ -157,8 +166,11 @@ def test_another_programs_recording(tmp_path: Path) -> None:
 def test_times_that_no_clock_has_made_and_the_offer_to_resample(
     tmp_path: Path, suffix: str
 ) -> None:
-    t = np.cumsum(np.random.default_rng(0).exponential(0.01, T))
-    path = written(tmp_path, suffix, {"t": t, "u": np.cos(t), "y": np.sin(t)})
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.exponential(0.01, T))
+    u = np.cos(t)
+    y = np.sin(t)
+    path = written(tmp_path, suffix, {"t": t, "u": u, "y": y})
     clock: dict[str, object] = (
         {"step_s": 0.01} if suffix == ".mcap" else {"step_s": 0.01, "time": "t"}
     )

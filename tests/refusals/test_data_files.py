@@ -34,37 +34,45 @@ def data(log: Path, **changes: object) -> RecordedData:
 def csv(folder: Path, text: str | None = None, **columns: np.ndarray) -> Path:
     path = folder / "log.csv"
     if text is None:
-        pd.DataFrame(GOOD | columns).to_csv(path, index=False)
+        table = pd.DataFrame(GOOD | columns)
+        table.to_csv(path, index=False)
     else:
         path.write_text(text)
     return path
 
 
 def lines() -> list[str]:
-    return pd.DataFrame(GOOD).to_csv(index=False).splitlines()
+    table = pd.DataFrame(GOOD)
+    return table.to_csv(index=False).splitlines()
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".parquet", ".mcap"])
 def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"log{suffix}"
     if suffix == ".csv":
-        pd.DataFrame(GOOD).to_csv(path, index=False)
+        table = pd.DataFrame(GOOD)
+        table.to_csv(path, index=False)
     elif suffix == ".parquet":
-        pd.DataFrame(GOOD).to_parquet(path)
+        table = pd.DataFrame(GOOD)
+        table.to_parquet(path)
     elif suffix == ".mat":
         savemat(path, GOOD)
     else:
-        channels = (Channel(name="u", unit="V"), Channel(name="y", unit="rad/s"))
+        channel = Channel(name="u", unit="V")
+        channels = (channel, Channel(name="y", unit="rad/s"))
         values = np.stack([GOOD["u"], GOOD["y"]], axis=1)
-        write_mcap(
-            path,
-            (SignalGroup(topic="/log", time_s=GOOD["t"], channels=channels, values=values),),
-            {},
-        )
+        signal_group = SignalGroup(topic="/log", time_s=GOOD["t"], channels=channels, values=values)
+        groups = (signal_group,)
+        write_mcap(path, groups, {})
     built = data(path).build(0)
-    y = np.concatenate([built.training[0].y, built.validation[0].y, built.test[0].y])
-    np.testing.assert_array_equal(y[:, 0], GOOD["y"])
-    assert [len(built.training[0]), len(built.validation[0]), len(built.test[0])] == [120, 40, 40]
+    training_y = built.training[0].y
+    validation_y = built.validation[0].y
+    test_y = built.test[0].y
+    y = np.concatenate([training_y, validation_y, test_y])
+    actual = y[:, 0]
+    np.testing.assert_array_equal(actual, GOOD["y"])
+    expected = [120, 40, 40]
+    assert [len(built.training[0]), len(built.validation[0]), len(built.test[0])] == expected
     assert built.step_s == 0.01
 
 
@@ -94,8 +102,9 @@ def test_all_formats_give_the_same_numbers(tmp_path: Path, suffix: str) -> None:
           "no rows", "empty file", "nul"],
 )  # fmt: skip
 def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore[no-untyped-def]
+    text = "\n".join(edit(lines()))
     with pytest.raises(BadRequest, match=says) as refusal:
-        data(csv(tmp_path, "\n".join(edit(lines())))).build(0)
+        data(csv(tmp_path, text)).build(0)
     assert "\n" not in str(refusal.value)
 
 
@@ -105,24 +114,31 @@ def test_malformed_csv(tmp_path: Path, edit, says: str) -> None:  # type: ignore
 def test_dates_and_times_are_seconds_since_the_first(tmp_path: Path, form: str) -> None:
     """In text and in Parquet; a date among numbers, or a number among dates, is refused where it
     stands."""
-    times = pd.Timestamp(form) + pd.to_timedelta(np.round(GOOD["t"] * 1000), unit="ms")
+    timestamp = pd.Timestamp(form)
+    times = timestamp + pd.to_timedelta(np.round(GOOD["t"] * 1000), unit="ms")
     dated = pd.DataFrame(GOOD | {"t": times})
     path = tmp_path / "log.csv"
-    dated.assign(t=[one.isoformat() for one in times]).to_csv(path, index=False)
+    t = [one.isoformat() for one in times]
+    dated.assign(t=t).to_csv(path, index=False)
     dated.to_parquet(tmp_path / "log.parquet")
     for one in (path, tmp_path / "log.parquet"):
         built = data(one, time="t", step_s=None).build(0)
         assert built.step_s == pytest.approx(0.01, rel=1e-6)
-        np.testing.assert_array_equal(built.training[0].u[:, 0], GOOD["u"][:120])
+        training_u = built.training[0].u
+        actual = training_u[:, 0]
+        expected = GOOD["u"][:120]
+        np.testing.assert_array_equal(actual, expected)
     rows = path.read_text().splitlines()
     for at, cell, says in (
         (50, "0.5", "line 51 = 0.5: no date and time as"),
         (1, "soon", "line 2 = soon: no number"),
     ):
-        path.write_text("\n".join([*rows[:at], f"{cell},1.0,1.0", *rows[at + 1 :]]))
+        text = "\n".join([*rows[:at], f"{cell},1.0,1.0", *rows[at + 1 :]])
+        path.write_text(text)
         with pytest.raises(BadRequest, match=says):
             data(path, time="t", step_s=None).build(0)
-    path.write_text("\n".join([*lines()[:50], f"{form},1.0,1.0", *lines()[51:]]))
+    text = "\n".join([*lines()[:50], f"{form},1.0,1.0", *lines()[51:]])
+    path.write_text(text)
     with pytest.raises(BadRequest, match=r"line 51 = 2026.*: no number"):
         data(path, time="t", step_s=None).build(0)
 
@@ -132,16 +148,26 @@ def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> 
     found in the line where it stands."""
     path = csv(tmp_path)
     bare = tmp_path / "bare.csv"
-    bare.write_text("\n".join(lines()[1:]))
+    text = "\n".join(lines()[1:])
+    bare.write_text(text)
     numbered = data(bare, input=1, output=2, time=0, step_s=None).build(0)
     named = data(path, time="t", step_s=None).build(0)
-    np.testing.assert_array_equal(numbered.training[0].u, named.training[0].u)
-    np.testing.assert_array_equal(numbered.test[0].y, named.test[0].y)
-    assert (numbered.inputs[0].name, numbered.outputs[0].name) == ("input_1", "output_2")
-    bare.write_text("\n".join([*lines()[1:50], "0.49,slow,1.0", *lines()[51:]]))
+    actual = numbered.training[0].u
+    expected = named.training[0].u
+    np.testing.assert_array_equal(actual, expected)
+    actual = numbered.test[0].y
+    expected = named.test[0].y
+    np.testing.assert_array_equal(actual, expected)
+    name = numbered.inputs[0].name
+    assert name == "input_1"
+    name = numbered.outputs[0].name
+    assert name == "output_2"
+    text = "\n".join([*lines()[1:50], "0.49,slow,1.0", *lines()[51:]])
+    bare.write_text(text)
     with pytest.raises(BadRequest, match=r"column 1, line 50 = slow: no number"):
         data(bare, input=1, output=2).build(0)
-    bare.write_text("\n".join([*lines()[1:50], "0.49,1.0,inf", *lines()[51:]]))
+    text = "\n".join([*lines()[1:50], "0.49,1.0,inf", *lines()[51:]])
+    bare.write_text(text)
     with pytest.raises(BadRequest, match=r"column 2, line 50 = inf"):
         data(bare, input=1, output=2).build(0)
     with pytest.raises(
@@ -149,12 +175,15 @@ def test_columns_of_a_file_without_names_go_by_their_numbers(tmp_path: Path) -> 
     ):
         data(bare, input=1, output=3).build(0)
     counted = data(path, input=1, output=2).build(0)
-    np.testing.assert_array_equal(counted.test[0].u, named.test[0].u)
+    actual = counted.test[0].u
+    expected = named.test[0].u
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_names_that_count_are_names(tmp_path: Path) -> None:
     """Column names may be numbers, as pandas writes an array."""
-    pd.DataFrame(np.stack([GOOD["u"], GOOD["y"]], axis=1)).to_csv(tmp_path / "log.csv", index=False)
+    table = pd.DataFrame(np.stack([GOOD["u"], GOOD["y"]], axis=1))
+    table.to_csv(tmp_path / "log.csv", index=False)
     built = data(tmp_path / "log.csv", input=0, output=1).build(0)
     assert len(built.training[0]) == 120
 
@@ -162,45 +191,69 @@ def test_names_that_count_are_names(tmp_path: Path) -> None:
 def apart(folder: Path, u: pd.DataFrame, y: pd.DataFrame, **changes: object) -> RecordedData:
     u.to_csv(folder / "in.csv", index=False)
     y.to_csv(folder / "out.csv", index=False)
-    fields = {"output_path": str(folder / "out.csv"), "input": "value", "output": "value"} | changes
+    output_path = str(folder / "out.csv")
+    fields = {"output_path": output_path, "input": "value", "output": "value"} | changes
     return data(folder / "in.csv", **fields)
 
 
 def test_input_and_output_in_two_files(tmp_path: Path) -> None:
     """Equal names tell the sides apart; every file counts as one that the data set rests on."""
-    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
+    sides = ("u", "y")
+    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in sides)
     source = apart(tmp_path, u, y, time="t", step_s=None)
     built = source.build(0)
     one = data(csv(tmp_path), time="t", step_s=None).build(0)
-    np.testing.assert_array_equal(built.validation[0].u, one.validation[0].u)
-    np.testing.assert_array_equal(built.validation[0].y, one.validation[0].y)
-    assert (built.inputs[0].name, built.outputs[0].name) == ("input_value", "output_value")
-    assert [path.name for path in source.files()] == ["in.csv", "out.csv"]
-    files = [str(path) for path in source.files()]
-    y.rename(columns={"value": "speed"}).to_csv(files[1], index=False)
+    actual = built.validation[0].u
+    expected = one.validation[0].u
+    np.testing.assert_array_equal(actual, expected)
+    actual = built.validation[0].y
+    expected = one.validation[0].y
+    np.testing.assert_array_equal(actual, expected)
+    name = built.inputs[0].name
+    assert name == "input_value"
+    name = built.outputs[0].name
+    assert name == "output_value"
+    paths = source.files()
+    names = [path.name for path in paths]
+    assert names == ["in.csv", "out.csv"]
+    paths = source.files()
+    files = [str(path) for path in paths]
+    columns = {"value": "speed"}
+    y.rename(columns=columns).to_csv(files[1], index=False)
     both = data(csv(tmp_path), path=files, input="value", output="speed").build(0)
-    assert (len(both.training), both.inputs[0].name, both.outputs[0].name) == (1, "value", "speed")
-    np.testing.assert_array_equal(both.test[0].y, one.test[0].y)
+    assert len(both.training) == 1
+    name = both.inputs[0].name
+    assert name == "value"
+    name = both.outputs[0].name
+    assert name == "speed"
+    actual = both.test[0].y
+    expected = one.test[0].y
+    np.testing.assert_array_equal(actual, expected)
     tested = apart(
         tmp_path, u, y, test_path=source.path, test_output_path=source.output_path
     ).build(0)
-    np.testing.assert_array_equal(tested.test[0].y[:, 0], GOOD["y"])
+    test_y = tested.test[0].y
+    actual = test_y[:, 0]
+    np.testing.assert_array_equal(actual, GOOD["y"])
 
 
 def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
-    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in ("u", "y"))
+    sides = ("u", "y")
+    u, y = (pd.DataFrame({"t": GOOD["t"], "value": GOOD[side]}) for side in sides)
     with pytest.raises(
         BadRequest, match=r"data.output_path = .*out.csv: has 199 rows, in.csv 200; cut them alike"
     ):
         apart(tmp_path, u, y[:-1]).build(0)
+    t = y.t + 0.2
     with pytest.raises(
         BadRequest, match=r"its rows are up to 0.2 s away from those of the inputs; log both on one"
     ):
-        apart(tmp_path, u, y.assign(t=y.t + 0.2), time="t").build(0)
+        apart(tmp_path, u, y.assign(t=t), time="t").build(0)
+    output_path = ["a.csv", "b.csv"]
     with pytest.raises(
         BadRequest, match=r"data.output_path = \['a.csv', 'b.csv'\]: 2 files of outputs, 1 expected"
     ):
-        apart(tmp_path, u, y, output_path=["a.csv", "b.csv"])
+        apart(tmp_path, u, y, output_path=output_path)
     with pytest.raises(
         BadRequest, match=r"data.test_output_path = \[\]: 0 files of outputs, 1 expected"
     ):
@@ -209,9 +262,11 @@ def test_two_files_that_do_not_go_together(tmp_path: Path) -> None:
         apart(tmp_path, u, y, output_path=None)
     recordings = []
     for name, side in (("in", u), ("out", y)):
-        group = (Channel(name="value", unit=""),)
+        channel = Channel(name="value", unit="")
+        group = (channel,)
+        signal_group_values = side[["value"]].to_numpy()
         group = SignalGroup(
-            topic="/log", time_s=GOOD["t"], channels=group, values=side[["value"]].to_numpy()
+            topic="/log", time_s=GOOD["t"], channels=group, values=signal_group_values
         )
         write_mcap(tmp_path / f"{name}.mcap", (group,), {})
         recordings.append(str(tmp_path / f"{name}.mcap"))
@@ -253,17 +308,24 @@ def test_a_clock_that_wanders_is_interpolated_and_says_so(tmp_path: Path) -> Non
     """Rows that no clock has made are refused, and resampling offered."""
     t = GOOD["t"].copy()
     t[100:] += 0.003
-    path = csv(tmp_path, t=t, y=np.sin(t), u=np.cos(t))
+    sine = np.sin(t)
+    u = np.cos(t)
+    path = csv(tmp_path, t=t, y=sine, u=u)
     for changes in ({"step_s": None}, {"step_s": 0.01, "resample": True}):
         built = data(path, time="t", **changes).build(0)
         assert "50% of the samples interpolated" in built.metadata["reading"]
         y = np.concatenate([r.y for r in (*built.training, *built.validation, *built.test)])[:, 0]
-        np.testing.assert_allclose(y, np.sin(0.01 * np.arange(len(y))), atol=1e-4)
-    t = np.cumsum(np.random.default_rng(0).exponential(0.01, T))
-    path = csv(tmp_path, t=t, y=np.sin(t), u=np.cos(t))
+        expected = np.sin(0.01 * np.arange(len(y)))
+        np.testing.assert_allclose(y, expected, atol=1e-4)
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.exponential(0.01, T))
+    sine = np.sin(t)
+    u = np.cos(t)
+    path = csv(tmp_path, t=t, y=sine, u=u)
     with pytest.raises(BadRequest, match=r"no clock; .*data\.resample=true.*ssm-study look"):
         data(path, step_s=None).build(0)
-    assert data(path, step_s=0.01, resample=True).build(0).step_s == 0.01
+    step_s = data(path, step_s=0.01, resample=True).build(0).step_s
+    assert step_s == 0.01
 
 
 @pytest.mark.parametrize("constant", ["u", "y"])
@@ -273,7 +335,8 @@ def test_a_constant_channel(tmp_path: Path, constant: str) -> None:
 
 
 def test_mat_of_unequal_lengths(tmp_path: Path) -> None:
-    savemat(tmp_path / "log.mat", GOOD | {"y": GOOD["y"][:-1]})
+    y = GOOD["y"][:-1]
+    savemat(tmp_path / "log.mat", GOOD | {"y": y})
     with pytest.raises(BadRequest, match="columns differ in length"):
         data(tmp_path / "log.mat").build(0)
 
@@ -337,7 +400,9 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
     """Zeros pack to nothing. MCAP's test: tests/oracles/test_data_mcap.py."""
     zeros = np.zeros(10_000_000)
     savemat(tmp_path / "a.mat", {"u": zeros, "y": zeros}, do_compression=True)
-    table = pa.table({"u": zeros[:1_000_000], "y": zeros[:1_000_000]})
+    u = zeros[:1_000_000]
+    y = zeros[:1_000_000]
+    table = pa.table({"u": u, "y": y})
     with parquet.ParquetWriter(tmp_path / "a.parquet", table.schema) as writer:
         for _ in range(40):
             writer.write_table(table)
@@ -346,10 +411,14 @@ def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_pa
         ("a.mat", "more than 128 MiB"),
         ("a.parquet", "40000000 rows are more than 16777216"),
     ):
-        assert (tmp_path / name).stat().st_size < 2**20
+        st_size = (tmp_path / name).stat().st_size
+        assert st_size < 2**20
+        wanted = {"u": "", "y": ""}
         with pytest.raises(BadRequest, match=words):
-            read_table(tmp_path / name, {"u": "", "y": ""})
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 350_000  # kilobytes
+            read_table(tmp_path / name, wanted)
+    ru_maxrss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    difference = ru_maxrss - before
+    assert difference < 350_000  # kilobytes
 
 
 @pytest.mark.parametrize(
@@ -376,7 +445,13 @@ def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str)
 
 @pytest.mark.parametrize("change", [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}])
 def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
-    sides = {"input_scale": [1.0, 1.0], "output_scale": [1.0], "input_equilibrium": [0.0, 0.0]}
+    input_scale = [1.0, 1.0]
+    input_equilibrium = [0.0, 0.0]
+    sides = {
+        "input_scale": input_scale,
+        "output_scale": [1.0],
+        "input_equilibrium": input_equilibrium,
+    }
     numbers = sides | {"output_equilibrium": [0.0]} | change
     with pytest.raises(BadRequest, match="needs positive gains about as many finite numbers"):
         Scale(**{name: np.array(values) for name, values in numbers.items()})
@@ -384,7 +459,8 @@ def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
 
 @pytest.mark.parametrize("part", ["training", "validation", "test"])
 def test_experiments_without_a_recording(part: str) -> None:
-    one = [Recording(path="log.csv", input="u", output="y", step_s=0.01)]
+    recording = Recording(path="log.csv", input="u", output="y", step_s=0.01)
+    one = [recording]
     parts = dict.fromkeys(("training", "validation", "test"), one)
     RecordedExperiments(benchmark="own", **parts)
     with pytest.raises(

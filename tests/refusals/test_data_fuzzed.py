@@ -24,19 +24,21 @@ WANTED = {"u": "", "y": ""}
 def whole(suffix: str, folder: Path) -> bytes:
     path = folder / f"whole{suffix}"
     if suffix == ".csv":
-        pd.DataFrame(COLUMNS).to_csv(path, index=False)
+        table = pd.DataFrame(COLUMNS)
+        table.to_csv(path, index=False)
     elif suffix == ".parquet":
-        pd.DataFrame(COLUMNS).to_parquet(path)
+        table = pd.DataFrame(COLUMNS)
+        table.to_parquet(path)
     elif suffix.endswith(".mat"):
         savemat(path, COLUMNS, format="4" if suffix == ".4.mat" else "5")
     else:
         channels = tuple(Channel(name=name, unit="V") for name in COLUMNS)
-        values = np.stack(list(COLUMNS.values()), axis=1)
-        write_mcap(
-            path,
-            (SignalGroup(topic="/log", time_s=np.arange(40.0), channels=channels, values=values),),
-            {},
-        )
+        columns = list(COLUMNS.values())
+        values = np.stack(columns, axis=1)
+        time_s = np.arange(40.0)
+        signal_group = SignalGroup(topic="/log", time_s=time_s, channels=channels, values=values)
+        groups = (signal_group,)
+        write_mcap(path, groups, {})
     return path.read_bytes()
 
 
@@ -62,8 +64,11 @@ def read_or_refuse(path: Path) -> None:
 
 
 def check(table: Table) -> None:
-    assert len(table.columns["u"]) == len(table.columns["y"])
-    assert all(np.isfinite(column).all() for column in table.columns.values())
+    u = table.columns["u"]
+    expected = len(table.columns["y"])
+    assert len(u) == expected
+    columns = table.columns.values()
+    assert all(np.isfinite(column).all() for column in columns)
 
 
 edits = st.lists(
@@ -79,7 +84,8 @@ edits = st.lists(
 
 def edited(content: bytes, changes: list[tuple[str, float, bytes]]) -> bytes:
     for kind, where, extra in changes:
-        at = int(where * max(len(content) - 1, 0))
+        largest = max(len(content) - 1, 0)
+        at = int(where * largest)
         if kind == "flip" and content:
             content = content[:at] + bytes([content[at] ^ (1 << extra[0] % 8)]) + content[at + 1 :]
         elif kind == "cut":
@@ -95,7 +101,9 @@ def edited(content: bytes, changes: list[tuple[str, float, bytes]]) -> bytes:
 def test_the_sound_file_is_read(sound, suffix: str) -> None:  # type: ignore[no-untyped-def]
     content, path = sound(suffix)
     path.write_bytes(content)
-    np.testing.assert_array_equal(read_table(path, WANTED).columns["y"], COLUMNS["y"])
+    columns = read_table(path, WANTED).columns
+    actual = columns["y"]
+    np.testing.assert_array_equal(actual, COLUMNS["y"])
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".mat", ".4.mat", ".parquet", ".mcap"])
@@ -130,7 +138,8 @@ def test_csv_of_arbitrary_cells(sound, cells: list[list[object]]) -> None:  # ty
     text = io.StringIO()
     longest = max((len(row) for row in cells), default=0)
     padded = [[*row, *[None] * (longest - len(row))] for row in cells]
-    pd.DataFrame(padded).to_csv(text, index=False, header=False)
+    table = pd.DataFrame(padded)
+    table.to_csv(text, index=False, header=False)
     path.write_text(
         "u,y\n" + text.getvalue().replace("\0", ""), encoding="utf-8", errors="surrogatepass"
     )
@@ -147,7 +156,8 @@ def test_no_damaged_recording_gives_other_numbers(
         (group,), _ = read_mcap(path)
     except BadRequest:
         return
-    np.testing.assert_array_equal(group.values[:, 1], COLUMNS["y"])
+    actual = group.values[:, 1]
+    np.testing.assert_array_equal(actual, COLUMNS["y"])
 
 
 def test_a_library_that_answers_in_lines_is_quoted_in_one() -> None:

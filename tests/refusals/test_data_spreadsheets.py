@@ -22,14 +22,18 @@ def test_a_sheet_is_read_as_a_text_with_its_names_units_and_dates(
     times = pd.date_range("2026-01-01", periods=200, freq="1min")
     u = np.repeat([0.0, 1.0, -1.0, 0.5], 50)
     rows = [["time", "u", "y"], ["", "V", "rpm"]]
-    rows += [list(row) for row in zip(times, u, np.cumsum(u), strict=True)]
+    running_sum = np.cumsum(u)
+    rows += [list(row) for row in zip(times, u, running_sum, strict=True)]
     sheet = pd.DataFrame(rows, dtype=object)
     monkeypatch.setattr(pd, "read_excel", lambda *_, **__: sheet)
     path = tmp_path / "log.xlsx"
     path.write_bytes(b"PK")
     pieces, remark = source(path).read_pieces(path)
     assert pieces[0].step_s == 60.0
-    np.testing.assert_array_equal(pieces[0].y[:, 0], np.cumsum(u))
+    pieces_y = pieces[0].y
+    actual = pieces_y[:, 0]
+    expected = np.cumsum(u)
+    np.testing.assert_array_equal(actual, expected)
     assert "clock time (dates)" in remark
 
 
@@ -49,12 +53,14 @@ def test_a_sheet_without_an_engine_or_damaged(
     monkeypatch.setattr(pd, "read_excel", refuse)
     path = tmp_path / "log.xlsx"
     path.write_bytes(b"PK")
+    recorded_data = source(path, step_s=1.0)
     with pytest.raises(BadRequest, match=says):
-        source(path, step_s=1.0).read_pieces(path)
+        recorded_data.read_pieces(path)
 
 
 def test_a_mat_file_of_version_7_3_that_is_damaged(tmp_path: Path) -> None:
     path = tmp_path / "log.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file" + bytes(200))
+    recorded_data = source(path, step_s=1.0)
     with pytest.raises(BadRequest, match=r"not a complete MAT file|save it with -v7"):
-        source(path, step_s=1.0).read_pieces(path)
+        recorded_data.read_pieces(path)

@@ -43,20 +43,27 @@ def test_a_stored_configuration_that_stands_for_more_than_itself_is_refused(
 def test_what_the_engine_writes_is_read_although_a_value_stands_in_it_twice(tmp_path: Path) -> None:
     shared = {"order": 4}
     file = tmp_path / "config.yaml"
-    file.write_text(yaml_text({"model": shared, "again": shared, "few": [1.0e-5, "1e5"]}))
+    few = [1.0e-5, "1e5"]
+    file.write_text(yaml_text({"model": shared, "again": shared, "few": few}))
     assert "&" not in file.read_text()
-    assert yaml.safe_load(read_stored_yaml(file))["again"] == shared
+    content = yaml.safe_load(read_stored_yaml(file))
+    again = content["again"]
+    assert again == shared
     file.write_text("few: &few [1, 2]\nagain: *few\n")  # the control: a few aliases are no bomb
-    assert yaml.safe_load(read_stored_yaml(file))["again"] == [1, 2]
+    content = yaml.safe_load(read_stored_yaml(file))
+    again = content["again"]
+    assert again == [1, 2]
 
 
 def test_reproduce_answers_at_once(tmp_path: Path) -> None:
     run = tmp_path / "study" / "run"
     (run / ".hydra").mkdir(parents=True)
-    (run / ".hydra" / "config.yaml").write_text(ALIASES)
+    config_path = run / ".hydra" / "config.yaml"
+    config_path.write_text(ALIASES)
     from ssm_study.engine.records import write_record
 
-    write_record(run, {"status": "ok", "study": "study", "run": "run"})
+    record = {"status": "ok", "study": "study", "run": "run"}
+    write_record(run, record)
     command = [sys.executable, "-m", "ssm_study.cli", "reproduce", str(run)]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
@@ -67,18 +74,20 @@ def test_reproduce_answers_at_once(tmp_path: Path) -> None:
 def test_one_cause_is_one_line() -> None:
     """One unreadable file was told seven times, and eighty columns after it."""
     cause = "cannot be derived: the file is damaged"
+    checked = Checked(claim="files", holds=True, found="as written")
     findings = [
-        Checked(claim="files", holds=True, found="as written"),
+        checked,
         Checked(claim="data", holds=False, found=cause),
         Checked(claim="order", holds=False, found=f"stored 4, yet {UNGIVEN}"),
         Checked(claim="model", holds=False, found=cause),
         Checked(claim="seed", holds=False, found=f"stored 0, yet {UNGIVEN}"),
         Checked(claim="run", holds=False, found="derived a, stored b"),
     ]
-    assert finding_lines(findings) == [
+    expected = [
         "holds  files: as written",
         f"FAILS  data, model: {cause}",
         f"FAILS  order, seed: {UNGIVEN}",
         "FAILS  run: derived a, stored b",
     ]
+    assert finding_lines(findings) == expected
     assert finding_lines(findings[1:3])[1] == f"FAILS  order: stored 4, yet {UNGIVEN}"

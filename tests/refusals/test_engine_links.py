@@ -27,7 +27,8 @@ def victim(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def study(tmp_path: Path) -> Path:
-    return report_tables.write_study(tmp_path / "a<!--data-->b", report_tables.table(3))
+    frame = report_tables.table(3)
+    return report_tables.write_study(tmp_path / "a<!--data-->b", frame)
 
 
 def test_the_page_replaces_a_link_and_does_not_follow_it(study: Path, victim: Path) -> None:
@@ -51,11 +52,13 @@ def test_the_figures_replace_links_and_a_linked_folder_is_refused(
     linked.symlink_to(elsewhere)
     with pytest.raises(BadRequest, match="link"):
         style.save(style.canvas(), linked, "a")
-    assert list(elsewhere.iterdir()) == []
+    paths = list(elsewhere.iterdir())
+    assert paths == []
 
 
 def test_the_export_replaces_links(tmp_path: Path, victim: Path) -> None:
-    run = random_run(tmp_path / "study" / "run", kind="linear", channels=1, seed=0)
+    run_path = tmp_path / "study" / "run"
+    run = random_run(run_path, kind="linear", channels=1, seed=0)
     folder = tmp_path / "to"
     folder.mkdir()
     for name in ("controller.h", "controller.json", "controller.py"):
@@ -91,8 +94,12 @@ def test_the_live_page_answers_to_the_names_of_this_machine_alone(study: Path, h
     """A page elsewhere can give its own name our address, and then read what we answer."""
     assert is_loopback(host) is HOSTS[host]
     with serve(study, 0, lambda _: None) as server:
-        Thread(target=server.serve_forever, daemon=True).start()
+        thread = Thread(target=server.serve_forever, daemon=True)
+        thread.start()
         connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])
-        connection.request("GET", "/state", headers={"Host": host})
-        assert connection.getresponse().status == (200 if HOSTS[host] else 403)
+        headers = {"Host": host}
+        connection.request("GET", "/state", headers=headers)
+        status = connection.getresponse().status
+        expected = 200 if HOSTS[host] else 403
+        assert status == expected
         server.shutdown()

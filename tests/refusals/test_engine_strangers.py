@@ -51,15 +51,22 @@ EVIL_TARGETS = [
 @pytest.mark.parametrize("target", EVIL_TARGETS)
 def test_foreign_targets_are_refused_wherever_they_stand(target: object) -> None:
     assert not is_ours(target)
+    model = {"scaffold": {"_target_": target}}
+    b = [{"_target_": target}]
+    a = [{"b": b}]
+    callbacks = {"c": {"_target_": target}}
+    hydra = {"callbacks": callbacks}
+    launcher = {"_target_": target}
     for tree in (
         {"_target_": target},
-        {"model": {"scaffold": {"_target_": target}}},
-        {"a": [{"b": [{"_target_": target}]}]},
-        {"hydra": {"callbacks": {"c": {"_target_": target}}}},
-        {"hydra": {"launcher": {"_target_": target}}},
+        {"model": model},
+        {"a": a},
+        {"hydra": hydra},
+        {"hydra": {"launcher": launcher}},
     ):
+        config = OmegaConf.create({"x": "os.system", **tree})
         with pytest.raises(BadRequest, match="_target_"):
-            refuse_foreign_targets(OmegaConf.create({"x": "os.system", **tree}))
+            refuse_foreign_targets(config)
 
 
 @pytest.mark.parametrize(
@@ -91,7 +98,8 @@ def test_other_ways_in_are_refused(text: str) -> None:
 def test_everything_we_ship_is_allowed() -> None:
     targets = []
     for path in (ROOT / "conf").rglob("*.yaml"):
-        for line in path.read_text().splitlines():
+        text = path.read_text()
+        for line in text.splitlines():
             word = line.strip().removeprefix("- ")
             if word.startswith("_target_:"):
                 targets.append((path.parent, word.split(":", 1)[1].split("#")[0].strip()))
@@ -139,7 +147,8 @@ def test_an_evil_experiment_given_to_the_command_does_nothing(
         f"{{_target_: pathlib.Path.touch, self: {{_target_: pathlib.Path, _args_: ['{marker}']}}}}"
     )
     evil = f"# @package _global_\nstudy: evil\nhydra:\n  callbacks:\n    evil: {touch}\n"
-    (tmp_path / "experiment" / "evil.yaml").write_text(evil)
+    evil_path = tmp_path / "experiment" / "evil.yaml"
+    evil_path.write_text(evil)
     words = [
         "--config-dir",
         str(tmp_path),
@@ -161,11 +170,13 @@ class Evil:
 
 def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
     marker = tmp_path / "marker"
-    pickle.loads(pickle.dumps(Evil(marker)))
+    text = pickle.dumps(Evil(marker))
+    pickle.loads(text)
     assert marker.exists(), "the trap does not work"
     marker.unlink()
+    text = pickle.dumps(Evil(marker))
     for content in (
-        pickle.dumps(Evil(marker)),
+        text,
         b'{"status": "ok"}',
         b"[]",
         b"",
@@ -173,7 +184,8 @@ def test_an_evil_record_is_only_corrupt(tmp_path: Path) -> None:
         json.dumps({"sha256": 1}).encode(),
         b"[" * 100_000,
     ):
-        assert parse_record(content) == {"status": "corrupt"}
+        expected = {"status": "corrupt"}
+        assert parse_record(content) == expected
     assert not marker.exists()
 
 
@@ -181,7 +193,8 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
     """Static: no module of the package imports pickle or calls a loader that runs code."""
     offences = []
     for path in (ROOT / "ssm_study").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        text = path.read_text()
+        for node in ast.walk(ast.parse(text)):
             names = (
                 [alias.name for alias in node.names]
                 if isinstance(node, (ast.Import, ast.ImportFrom))
@@ -207,12 +220,12 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
 
 
 def test_our_options_become_hydras() -> None:
-    assert translate(["seed=1,2", "-m", "--retry-failed"]) == [
-        "--multirun",
-        "seed=1,2",
-        "retry_failed=true",
-    ]
+    arguments = ["seed=1,2", "-m", "--retry-failed"]
+    expected = ["--multirun", "seed=1,2", "retry_failed=true"]
+    assert translate(arguments) == expected
     launcher = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=HEAD:6399"]
     launcher += ["++hydra.launcher.ray.init.object_store_memory=null", "~hydra.launcher.partition"]
-    planned = translate(["-m", "seed=1,2", *launcher, "--dry-run"])
-    assert planned == ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]
+    arguments = ["-m", "seed=1,2", *launcher, "--dry-run"]
+    planned = translate(arguments)
+    expected = ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]
+    assert planned == expected

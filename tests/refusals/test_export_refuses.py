@@ -17,7 +17,8 @@ def test_a_run_without_controller(tmp_path: Path) -> None:
 
 def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
-    certificate = json.loads((run / "certificate.json").read_text())
+    text = (run / "certificate.json").read_text()
+    certificate = json.loads(text)
     certificate["state_feedback"] = {
         "theorem": "state_feedback", "alpha": 0.5, "beta": 0.4, "rate": 0.9, "rate_limit": 0.2,
         "proved": True,
@@ -25,7 +26,8 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
         "solver_status": "none",
         "seconds": 0.0, "feasible": False, "certified": False,
     }  # fmt: skip
-    (run / "certificate.json").write_text(json.dumps(certificate))
+    text = json.dumps(certificate)
+    (run / "certificate.json").write_text(text)
     with pytest.raises(
         BadRequest, match=r"rate 0\.9 lies beyond the frontier 0\.2; export another"
     ):
@@ -37,13 +39,19 @@ def test_a_file_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("mine")
     with pytest.raises(BadRequest, match="is a file; name a folder"):
         export(run, tmp_path / "out")
-    assert (tmp_path / "out").read_text() == "mine"
+    text = (tmp_path / "out").read_text()
+    assert text == "mine"
 
 
 def test_a_certificate_of_another_model(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
-    model = json.loads((run / "model.json").read_text())
-    model |= {"a": [[0.5]], "b": [[1.0]], "c": [[1.0]]}
-    (run / "model.json").write_text(json.dumps(model))
+    text = (run / "model.json").read_text()
+    model = json.loads(text)
+    a = [[0.5]]
+    b = [[1.0]]
+    c = [[1.0]]
+    model |= {"a": a, "b": b, "c": c}
+    text = json.dumps(model)
+    (run / "model.json").write_text(text)
     with pytest.raises(BadRequest, match="the model has order 1"):
         export(run, tmp_path / "out")

@@ -38,29 +38,37 @@ def test_values_out_of_range(values, names):
 
 def test_a_controller_for_other_dimensions():
     model = random_model(0, inputs=2, outputs=1)
-    controller = ObserverFeedback(model=model, gains=Gains(k=np.zeros((2, 4)), l=np.zeros((4, 1))))
+    k = np.zeros((2, 4))
+    gains = Gains(k=k, l=np.zeros((4, 1)))
+    controller = ObserverFeedback(model=model, gains=gains)
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
         LOOP.on_plant(motor(), controller, seed=0)
 
 
 def test_a_controller_for_another_sampling_time():
     design = motor_design()
-    controller = ObserverFeedback(model=replace(motor_model(), step_s=0.02), gains=design.pair)
+    model = replace(motor_model(), step_s=0.02)
+    controller = ObserverFeedback(model=model, gains=design.pair)
     with pytest.raises(BadRequest, match="step_s"):
         LOOP.on_plant(motor(), controller, seed=0)
 
 
 def test_gains_of_another_model():
+    k = np.zeros((1, 5))
+    gains = Gains(k=k, l=np.zeros((5, 1)))
     with pytest.raises(BadRequest, match=r"k = .*shape"):
-        ObserverFeedback(model=motor_model(), gains=Gains(k=np.zeros((1, 5)), l=np.zeros((5, 1))))
+        ObserverFeedback(model=motor_model(), gains=gains)
+    k = np.zeros((1, 2))
+    gains = Gains(k=k, l=np.zeros((2, 2)))
     with pytest.raises(BadRequest, match=r"l = .*shape"):
-        ObserverFeedback(model=motor_model(), gains=Gains(k=np.zeros((1, 2)), l=np.zeros((2, 2))))
+        ObserverFeedback(model=motor_model(), gains=gains)
 
 
 def test_an_infeasible_design_closes_no_loop():
-    infeasible = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.2).state_feedback(
-        motor_model().linear, JacobianBall.from_slopes(0.01, 1.0)
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.9, rate_observer=0.2)
+    system = motor_model().linear
+    ball = JacobianBall.from_slopes(0.01, 1.0)
+    infeasible = riccati_synthesis.state_feedback(system, ball)
     with pytest.raises(BadRequest, match="state_feedback"):
         LOOP.run(
             motor(),
@@ -72,20 +80,26 @@ def test_an_infeasible_design_closes_no_loop():
 
 def test_a_model_with_feedthrough_in_the_plants_place():
     model = motor_model()
-    linear = StateSpace(a=model.linear.a, b=model.linear.b, c=model.linear.c, d=np.ones((1, 1)))
+    a = model.linear.a
+    b = model.linear.b
+    c = model.linear.c
+    d = np.ones((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     with pytest.raises(BadRequest, match="feedthrough"):
         IdentifiedPlant.of(model.with_linear(linear))
+    channel = Channel(name="x", unit="1")
     with pytest.raises(BadRequest, match="name each of its signals"):
-        IdentifiedPlant.of(model, (Channel(name="x", unit="1"),) * 2)
+        IdentifiedPlant.of(model, (channel,) * 2)
 
 
 def test_a_diverging_loop_is_stopped_and_labelled():
     """Gains with the wrong sign: every case leaves the bound, no overflow, no NaN, and the record
     says when."""
     design = motor_design()
-    wrong = ObserverFeedback(
-        model=motor_model(), gains=Gains(k=-5 * design.state_feedback.k, l=design.observer.l)
-    )
+    k = -5 * design.state_feedback.k
+    observer_l = design.observer.l
+    gains = Gains(k=k, l=observer_l)
+    wrong = ObserverFeedback(model=motor_model(), gains=gains)
     loop = Loop(
         horizon_s=1.0, measurement_noise_variance=0.02
     )  # noise carries the slowest case out of the dead-zone
@@ -97,20 +111,24 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     assert columns["settling_time_mean_s"] is None
     assert columns["settling_time_worst_s"] is None
     assert columns["unsettled_as"] == "10 lost"
-    assert all(isinstance(value, str | None) or np.isfinite(value) for value in columns.values())
+    signals = columns.values()
+    assert all(isinstance(value, str | None) or np.isfinite(value) for value in signals)
     run = result.controlled
     assert (np.abs(run.y) <= run.bound).all()
     for case, at in enumerate(run.left_at_sample):
-        assert (run.y[case, at:] == run.y[case, at - 1]).all()
+        expected = run.y[case, at - 1]
+        assert (run.y[case, at:] == expected).all()
 
 
 def test_an_unstable_observer_is_stopped_before_it_overflows():
     design = motor_design()
-    wild = ObserverFeedback(
-        model=motor_model(), gains=Gains(k=0 * design.state_feedback.k, l=1e3 * design.observer.l)
-    )
+    k = 0 * design.state_feedback.k
+    observer_l = design.observer.l
+    gains = Gains(k=k, l=1e3 * observer_l)
+    wild = ObserverFeedback(model=motor_model(), gains=gains)
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
-    run = loop.on_plant(motor(), wild, seed=0).controlled
+    loop_runs = loop.on_plant(motor(), wild, seed=0)
+    run = loop_runs.controlled
     assert not run.stayed.any()
     assert np.isfinite(run.estimate).all()
 
@@ -128,13 +146,16 @@ def test_references_out_of_order():
 def test_a_malformed_reference_file(tmp_path, content):
     path = tmp_path / "reference.csv"
     path.write_text(content)
+    file_reference = FileReference(path=str(path))
     with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
-        FileReference(path=str(path)).signal(np.arange(3.0))
+        file_reference.signal(np.arange(3.0))
 
 
 def test_a_missing_reference_file(tmp_path):
+    path = str(tmp_path / "none.csv")
+    file_reference = FileReference(path=path)
     with pytest.raises(BadRequest, match=r"loop\.reference\.path"):
-        FileReference(path=str(tmp_path / "none.csv")).signal(np.arange(3.0))
+        file_reference.signal(np.arange(3.0))
 
 
 def test_a_reference_that_needs_more_than_the_limits_allow():
@@ -151,7 +172,9 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
 
 
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:
-    assert [Loop(horizon_s=horizon).samples(0.01) for horizon in (1e-6, 0.02, 0.031)] == [2, 2, 3]
+    horizons = (1e-6, 0.02, 0.031)
+    expected = [2, 2, 3]
+    assert [Loop(horizon_s=horizon).samples(0.01) for horizon in horizons] == expected
 
 
 def test_a_withdrawn_controller_is_refused_with_the_line_of_the_changelog():

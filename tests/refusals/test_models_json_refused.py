@@ -15,15 +15,15 @@ from ssm_study.systems import StateSpace
 
 
 def stored() -> dict[str, Any]:
-    linear = StateSpace(a=np.eye(2) * 0.5, b=np.ones((2, 1)), c=np.ones((1, 2)), d=np.zeros((1, 1)))
+    a = np.eye(2) * 0.5
+    b = np.ones((2, 1))
+    c = np.ones((1, 2))
+    d = np.zeros((1, 1))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     identity = LinearScaffold.identity(1)
-    return SSM(
-        linear=linear,
-        scaffold_in=identity,
-        scaffold_out=identity,
-        scale=Scale.unit(1, 1),
-        step_s=0.01,
-    ).to_json()
+    scale = Scale.unit(1, 1)
+    ssm = SSM(linear=linear, scaffold_in=identity, scaffold_out=identity, scale=scale, step_s=0.01)
+    return ssm.to_json()
 
 
 @pytest.mark.parametrize("key", sorted(stored()))
@@ -63,20 +63,25 @@ def test_a_scaffolding_that_does_not_fit_the_linear_part_is_refused() -> None:
 
 
 def test_a_monotone_scaffolding_with_crossed_break_points_is_refused() -> None:
+    breakpoints = [[1.0, 0.0]]
+    slopes = [[1.0, 1.0, 1.0]]
     with pytest.raises(BadRequest, match="breakpoints"):
-        Scaffold.from_json(
-            {"kind": "monotone", "breakpoints": [[1.0, 0.0]], "slopes": [[1.0, 1.0, 1.0]]}
-        )
+        Scaffold.from_json({"kind": "monotone", "breakpoints": breakpoints, "slopes": slopes})
 
 
 def test_a_residual_scaffolding_without_its_certificate_is_refused() -> None:
+    weights = [[[1.0]], [[1.0]]]
+    biases = [[0.0]]
+    negative_slopes = [[0.0]]
+    positive_slopes = [[1.0]]
     layer = {
-        "weights": [[[1.0]], [[1.0]]],
-        "biases": [[0.0]],
-        "negative_slopes": [[0.0]],
-        "positive_slopes": [[1.0]],
+        "weights": weights,
+        "biases": biases,
+        "negative_slopes": negative_slopes,
+        "positive_slopes": positive_slopes,
     }
+    multipliers = [[-1.0]]
     with pytest.raises(BadRequest, match="multipliers"):
         Scaffold.from_json(
-            {"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": [[-1.0]], **layer}
+            {"kind": "residual", "alpha": 1.0, "beta": 0.5, "multipliers": multipliers, **layer}
         )

@@ -28,10 +28,12 @@ def run_of(study: Path) -> Path:
 def forged(study: Path) -> None:
     """A certificate with another gain that still says certified, its digest made anew."""
     path = run_of(study) / "certificate.json"
-    content = json.loads(path.read_text())
+    text = path.read_text()
+    content = json.loads(text)
     content["state_feedback"]["k"][0][0] *= 1.5
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
-    path.write_text(json.dumps(content))
+    text = json.dumps(content)
+    path.write_text(text)
 
 
 DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
@@ -51,7 +53,8 @@ def test_damage_is_one_sentence(what: str, study: Path, capsys: pytest.CaptureFi
     assert main(["report", str(study), "--only", "learned_dead_zone"]) == 2
     error = capsys.readouterr().err
     assert said in error
-    assert len(error.splitlines()) == 1
+    lines = error.splitlines()
+    assert len(lines) == 1
 
 
 def test_a_forged_certificate_is_not_exported_as_one(study: Path) -> None:

@@ -109,9 +109,11 @@ def refused(overrides: list[str], results: Path, capfd: pytest.CaptureFixture[st
     except SystemExit as end:  # of the parser of arguments
         status = int(str(end.code))
     assert status == 2
-    said = capfd.readouterr().err.strip()
+    err = capfd.readouterr().err
+    said = err.strip()
     assert "Traceback" not in said
-    assert not [path for path in results.rglob("*") if path.is_file()]
+    paths = results.rglob("*")
+    assert not [path for path in paths if path.is_file()]
     return said
 
 
@@ -127,12 +129,14 @@ def test_one_sentence(
     said = refused([*small, *overrides], tmp_path / "results", capfd)
     assert names in said
     if "--nonsense" not in overrides:
-        assert len(said.splitlines()) == 1
+        lines = said.splitlines()
+        assert len(lines) == 1
 
 
 def log(path: Path, columns: dict[str, np.ndarray]) -> Path:
     header = ",".join(columns)
-    values = np.column_stack(list(columns.values()))
+    signals = list(columns.values())
+    values = np.column_stack(signals)
     np.savetxt(path, values, delimiter=",", header=header, comments="")
     return path
 
@@ -153,7 +157,8 @@ def test_malformed_recordings(what: str, tmp_path: Path, capfd: pytest.CaptureFi
     path = log(tmp_path / "log.csv", MALFORMED[what])
     said = refused([*RECORDED, f"data.path={path}", "data.time=time"], tmp_path / "results", capfd)
     assert what in said
-    assert len(said.splitlines()) == 1
+    lines = said.splitlines()
+    assert len(lines) == 1
     assert ";" in said
 
 
@@ -191,7 +196,8 @@ def test_limits_beyond_the_rest_of_a_log(
 
 def test_unequal_lengths(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "log.csv"
-    path.write_text("time,u,y\n" + "".join(f"{t},{t % 3},{t}\n" for t in range(50)) + "50,1\n")
+    text = "".join(f"{t},{t % 3},{t}\n" for t in range(50))
+    path.write_text("time,u,y\n" + text + "50,1\n")
     said = refused([*RECORDED, f"data.path={path}", "data.time=time"], tmp_path / "results", capfd)
     assert "Row #52: Expected 3 columns, got 2" in said
 
@@ -221,7 +227,8 @@ def test_one_thread_unless_asked(tmp_path: Path) -> None:
     words = ["-m", "hydra/launcher=basic", "seed=0,1"]
     command = [sys.executable, "-c", program, f"results_dir={tmp_path}", *words]
     said = subprocess.run(command, env=clean, capture_output=True, text=True, check=True).stdout
-    assert said.split() == ["2", "1"]
+    expected = ["2", "1"]
+    assert said.split() == expected
 
 
 @pytest.mark.skipif(
@@ -240,8 +247,10 @@ def test_a_refused_study_leaves_nothing_where_it_points(
     monkeypatch.chdir(tmp_path / "here")
     for word in ("study=..", "study=../..", "results_dir="):
         assert main(["run", "-m", "experiment=smoke", "results_dir=r", word, "seed=0,1"]) == 2
-        assert word.split("=")[0] in capfd.readouterr().err
-    assert list(tmp_path.rglob("*")) == [tmp_path / "here"]
+        err = capfd.readouterr().err
+        assert word.split("=")[0] in err
+    paths = list(tmp_path.rglob("*"))
+    assert paths == [tmp_path / "here"]
 
 
 def test_what_was_meant_is_found_beside_a_swept_choice() -> None:
@@ -255,9 +264,12 @@ def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     study = Path("results/paper")
     for name in ("order8-width32-seed0-0a1b2c3d4e", "order4-width32-seed0-5f6a7b8c9d"):
         (study / name).mkdir(parents=True)
-        write_record(study / name, {"run": name, "status": "ok"})
-    assert run_folder(study / "0a1b2c3d4e") == study / "order8-width32-seed0-0a1b2c3d4e"
-    assert run_folder(study / "order4-width32-seed0-5f6a7b8c9d").name.startswith("order4")
+        record = {"run": name, "status": "ok"}
+        write_record(study / name, record)
+    folder = run_folder(study / "0a1b2c3d4e")
+    assert folder == study / "order8-width32-seed0-0a1b2c3d4e"
+    folder = run_folder(study / "order4-width32-seed0-5f6a7b8c9d")
+    assert folder.name.startswith("order4")
     with pytest.raises(
         BadRequest, match="2 runs are there; name one: order4-width32-seed0-5f6a7b8c9d, order8"
     ):
@@ -279,7 +291,8 @@ def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
-    write_record(tmp_path / "a", {"run": "a", "status": "ok"})
+    record = {"run": "a", "status": "ok"}
+    write_record(tmp_path / "a", record)
     assert run_folder(tmp_path) == tmp_path / "a"
 
 
@@ -322,7 +335,8 @@ def test_what_was_silently_accepted(
     words = ["experiment=smoke", f"results_dir={tmp_path / 'r'}", word, *many]
     assert main(["run", *words]) == 2
     assert said in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    paths = list(tmp_path.iterdir())
+    assert paths == []
 
 
 def test_a_single_dry_run_computes_nothing(
@@ -337,7 +351,8 @@ def test_a_single_dry_run_computes_nothing(
     assert main(["run", *words]) == 0
     said = capsys.readouterr().out
     assert "1 runs: 0 finished, 1 to do" in said
-    assert not list(tmp_path.rglob("*.json"))
+    paths = tmp_path.rglob("*.json")
+    assert not list(paths)
 
 
 @pytest.mark.parametrize(
@@ -346,10 +361,15 @@ def test_a_single_dry_run_computes_nothing(
 def test_a_cluster_may_have_what_this_machine_lacks(
     launcher: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    there = OmegaConf.create({"hydra": {"launcher": {"_target_": f"hydra_plugins.{launcher}"}}})
+    hydra = {"launcher": {"_target_": f"hydra_plugins.{launcher}"}}
+    there = OmegaConf.create({"hydra": hydra})
     config = composed(["experiment=smoke", "training.accelerator=none"])
-    monkeypatch.setattr(HydraConfig.instance(), "cfg", there)
-    assert STUDY.check(STUDY.settings(config)).training.accelerator == "none"
+    hydra_config = HydraConfig.instance()
+    monkeypatch.setattr(hydra_config, "cfg", there)
+    study = STUDY.check(STUDY.settings(config))
+    training = study.training
+    accelerator = training.accelerator
+    assert accelerator == "none"
 
 
 def test_a_finished_run_says_that_its_data_have_changed(
@@ -363,10 +383,8 @@ def test_a_finished_run_says_that_its_data_have_changed(
         y = np.zeros(801)
         for k in range(800):
             y[k + 1] = 0.9 * y[k] + 0.2 * scale * u[k]
-        log.write_text(
-            "u,y\n"
-            + "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y[:800].tolist(), strict=True))
-        )
+        text = "\n".join(f"{a!r},{b!r}" for a, b in zip(u.tolist(), y[:800].tolist(), strict=True))
+        log.write_text("u,y\n" + text)
 
     words = [
         "data=recorded",

@@ -30,7 +30,8 @@ BALLS = Balls(input=JacobianBall.from_slopes(0.3, 1.0), output=JacobianBall.from
 
 def system(a: list[list[float]], b: list[float], c: list[float]) -> StateSpace:
     columns = np.array(b)[:, None], np.array(c)[None, :]
-    return StateSpace(a=np.array(a), b=columns[0], c=columns[1], d=np.zeros((1, 1)))
+    d = np.zeros((1, 1))
+    return StateSpace(a=np.array(a), b=columns[0], c=columns[1], d=d)
 
 
 PLANT = system([[0.95, 0.1], [-0.1, 0.9]], [0.0, 1.0], [1.0, 0.5])
@@ -42,7 +43,9 @@ class Model:
 
 @pytest.fixture(scope="module")
 def stored() -> dict:
-    return json.loads(json.dumps(RiccatiSynthesis(**RATES).design(Model(), BALLS).to_json()))
+    riccati_synthesis = RiccatiSynthesis(**RATES)
+    text = json.dumps(riccati_synthesis.design(Model(), BALLS).to_json())
+    return json.loads(text)
 
 
 def test_an_untouched_certificate_has_no_broken_claim(stored: dict) -> None:
@@ -62,7 +65,8 @@ def test_any_tampering_with_any_matrix_is_found(
     rows = content[where[0]][where[1]]
     i, j = divmod(entry % (len(rows) * len(rows[0])), len(rows[0]))
     rows[i][j] = rows[i][j] * (1 + share) if rows[i][j] else share
-    assert any(claim.startswith(where[0]) for claim in failed_checks(content, PLANT, BALLS))
+    claims = failed_checks(content, PLANT, BALLS)
+    assert any(claim.startswith(where[0]) for claim in claims)
 
 
 def test_the_digest_covers_every_field(stored: dict) -> None:
@@ -83,10 +87,8 @@ def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) 
     content = copy.deepcopy(stored)
     content["state_feedback"]["rate"] = 0.9
     content["state_feedback"]["digest"] = digest(content["state_feedback"])
-    assert any(
-        "in exact arithmetic the inequality fails" in claim
-        for claim in failed_checks(content, PLANT, BALLS)
-    )
+    claims = failed_checks(content, PLANT, BALLS)
+    assert any("in exact arithmetic the inequality fails" in claim for claim in claims)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +100,8 @@ def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, 
     content = copy.deepcopy(stored)
     content[side][name][0][0] *= 1 + 1e-9
     content[side]["digest"] = digest(content[side])
-    assert any("differs from what" in claim for claim in failed_checks(content, PLANT, BALLS))
+    claims = failed_checks(content, PLANT, BALLS)
+    assert any("differs from what" in claim for claim in claims)
 
 
 def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
@@ -108,18 +111,23 @@ def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
     off = 2**57 + 15
     last = 2**57 + 3 * 2**3
     assert np.linalg.cholesky(np.array([[1.0, 1.0], [1.0, 1 + 2.0**-52]]))[1, 1] > 0
-    assert not exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last]])))
-    assert exact.is_positive_definite(Exact(fmpq_mat([[one, off], [off, last + 2**4]])))
+    rational = fmpq_mat([[one, off], [off, last]])
+    matrix = Exact(rational)
+    assert not exact.is_positive_definite(matrix)
+    rational = fmpq_mat([[one, off], [off, last + 2**4]])
+    matrix = Exact(rational)
+    assert exact.is_positive_definite(matrix)
 
 
 def test_one_unit_in_the_last_place_decides() -> None:
     """`P = [[1, p], [p, 1]]` with p one ulp below one is positive definite; at one it is not."""
     below = np.nextafter(1.0, 0.0)
-    assert exact.is_positive_definite(Exact.of(np.array([[1.0, below], [below, 1.0]])))
-    assert not exact.is_positive_definite(Exact.of(np.array([[1.0, 1.0], [1.0, 1.0]])))
-    assert not exact.is_positive_definite(
-        Exact.of(np.array([[1.0, below], [1.0, 1.0]]))
-    )  # not symmetric
+    matrix = Exact.of(np.array([[1.0, below], [below, 1.0]]))
+    assert exact.is_positive_definite(matrix)
+    matrix = Exact.of(np.array([[1.0, 1.0], [1.0, 1.0]]))
+    assert not exact.is_positive_definite(matrix)
+    matrix = Exact.of(np.array([[1.0, below], [1.0, 1.0]]))
+    assert not exact.is_positive_definite(matrix)  # not symmetric
 
 
 def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
@@ -128,12 +136,15 @@ def test_a_scalar_certificate_at_the_last_representable_sigma() -> None:
     one = np.ones((1, 1))
     for sigma, verdict in ((0.5, False), (np.nextafter(0.5, 0.0), True)):
         numbers = {"a": 0 * one, "b": one, "k": 0 * one, "p": one, "y": one, "sigma": float(sigma)}
-        assert StateFeedbackOfBall.holds(**numbers, alpha=1.0, beta=0.0, rate=0.5) is verdict
+        state_feedback_of_ball = StateFeedbackOfBall.holds(**numbers, alpha=1.0, beta=0.0, rate=0.5)
+        assert state_feedback_of_ball is verdict
 
 
 def test_a_ball_smaller_than_the_models_is_found(stored: dict) -> None:
-    wider = Balls(input=JacobianBall.from_slopes(0.29, 1.0), output=BALLS.output)
-    assert any("alpha, beta" in claim for claim in failed_checks(stored, PLANT, wider))
+    jacobian_ball = JacobianBall.from_slopes(0.29, 1.0)
+    wider = Balls(input=jacobian_ball, output=BALLS.output)
+    claims = failed_checks(stored, PLANT, wider)
+    assert any("alpha, beta" in claim for claim in claims)
 
 
 @pytest.mark.parametrize(
@@ -176,32 +187,42 @@ def test_unknown_choices_of_the_lmi(name: str, value: str) -> None:
 
 
 def test_slopes_that_include_zero_are_refused_with_the_open_loops_rate() -> None:
-    part = RiccatiSynthesis(**RATES).state_feedback(PLANT, JacobianBall.from_slopes(-0.1, 1.0))
+    riccati_synthesis = RiccatiSynthesis(**RATES)
+    jacobian_ball = JacobianBall.from_slopes(-0.1, 1.0)
+    part = riccati_synthesis.state_feedback(PLANT, jacobian_ball)
     assert isinstance(part, Infeasible)
     assert part.proved
-    assert part.rate_limit == pytest.approx(1 - PLANT.spectral_radius**2)
+    expected = 1 - PLANT.spectral_radius**2
+    assert part.rate_limit == pytest.approx(expected)
     assert "include zero" in part.reason
-    weights = {"rate": 0.1, "state_weight": np.eye(2), "input_weight": 1.0}
+    state_weight = np.eye(2)
+    weights = {"rate": 0.1, "state_weight": state_weight, "input_weight": 1.0}
     for lower in (0.0, -0.5):
         ball = JacobianBall.from_slopes(lower, 1.0)
+        riccati_synthesis = RiccatiSynthesis(**RATES)
+        problem = Problem(a=PLANT.a, b=PLANT.b, ball=ball, **weights)
         with pytest.raises(NoSolution, match="include zero"):
-            RiccatiSynthesis(**RATES).solve(Problem(a=PLANT.a, b=PLANT.b, ball=ball, **weights))
+            riccati_synthesis.solve(problem)
 
 
 def test_an_uncontrollable_unstable_mode_is_refused_by_its_modulus() -> None:
     plant = system([[1.2, 0.0], [0.3, 0.5]], [0.0, 1.0], [1.0, 1.0])
-    part = RiccatiSynthesis(**RATES).state_feedback(plant, BALLS.input)
+    riccati_synthesis = RiccatiSynthesis(**RATES)
+    part = riccati_synthesis.state_feedback(plant, BALLS.input)
     assert isinstance(part, Infeasible)
-    assert part.rate_limit == pytest.approx(1 - 1.2**2)
+    expected = 1 - 1.2**2
+    assert part.rate_limit == pytest.approx(expected)
     assert "out of reach" in part.reason
     assert ratio_limit(plant.a, plant.b, 0.9) == 0.0
 
 
 def test_an_unobservable_slow_mode_is_refused_by_its_modulus() -> None:
     plant = system([[0.9, 0.0], [0.0, 0.5]], [1.0, 1.0], [0.0, 1.0])
-    part = RiccatiSynthesis(**RATES).observer(plant, BALLS.output)
+    riccati_synthesis = RiccatiSynthesis(**RATES)
+    part = riccati_synthesis.observer(plant, BALLS.output)
     assert isinstance(part, Infeasible)
-    assert part.rate_limit == pytest.approx(1 - 0.9**2)
+    expected = 1 - 0.9**2
+    assert part.rate_limit == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +234,9 @@ def test_what_sets_the_limit_of_several_inputs_is_named(
     """One mode at 0.9 that no input reaches; each of two inputs holds a mode at 1.2, down to `1.2
     beta/alpha`."""
     b = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    found = frontier(np.diag([0.9, 1.2, 1.2]), b, JacobianBall.from_slopes(lower, 1.0))
+    a = np.diag([0.9, 1.2, 1.2])
+    ball = JacobianBall.from_slopes(lower, 1.0)
+    found = frontier(a, b, ball)
     assert found.contraction_limit == pytest.approx(limit)
     assert found.decided_by == by
 
@@ -227,9 +250,12 @@ def test_a_repeated_mode_one_input_cannot_split_counts_as_out_of_reach() -> None
 def test_what_is_out_of_reach_does_not_hang_on_the_inputs_unit(unit: float) -> None:
     reached = system([[0.9, 0.1], [0.0, 0.5]], [1.0, 2.0], [1.0, 1.0])
     split = np.array([[unit], [0.0]])
-    assert unreached_modulus(reached.a, unit * reached.b) == 0
-    assert unreached_modulus(np.diag([0.9, 0.5]), split) == pytest.approx(0.5)
-    assert unreached_modulus(np.diag([0.9, 0.9]), split) == pytest.approx(0.9)
+    b = unit * reached.b
+    assert unreached_modulus(reached.a, b) == 0
+    a = np.diag([0.9, 0.5])
+    assert unreached_modulus(a, split) == pytest.approx(0.5)
+    a = np.diag([0.9, 0.9])
+    assert unreached_modulus(a, split) == pytest.approx(0.9)
 
 
 def clustered(order: int) -> StateSpace:
@@ -239,9 +265,8 @@ def clustered(order: int) -> StateSpace:
 
 
 def test_an_ill_conditioned_model_is_refused_with_the_number_that_decides() -> None:
-    part = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3).state_feedback(
-        clustered(12), JacobianBall.from_slopes(0.8, 1.0)
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3)
+    part = riccati_synthesis.state_feedback(clustered(12), JacobianBall.from_slopes(0.8, 1.0))
     assert isinstance(part, Infeasible)
     assert not part.proved
     assert 0.4 < part.rate_limit < 0.5
@@ -250,9 +275,8 @@ def test_an_ill_conditioned_model_is_refused_with_the_number_that_decides() -> N
 
 
 def test_the_same_model_with_fewer_states_is_certified() -> None:
-    part = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3).state_feedback(
-        clustered(3), JacobianBall.from_slopes(0.8, 1.0)
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.2, rate_observer=0.3)
+    part = riccati_synthesis.state_feedback(clustered(3), JacobianBall.from_slopes(0.8, 1.0))
     assert part.certified
 
 
@@ -260,16 +284,22 @@ def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -
     """Far beyond the frontier the method's matrices are no certificate, whatever its status
     says."""
     ball = BALLS.input
-    problem = RiccatiSynthesis(**RATES).problem(PLANT, ball)
+    riccati_synthesis = RiccatiSynthesis(**RATES)
+    problem = riccati_synthesis.problem(PLANT, ball)
+    design_attempt_frontier = frontier(PLANT.a, PLANT.b, ball)
+    started = time.perf_counter()
     request = DesignAttempt(
         theorem=StateFeedbackOfBall,
         rate=problem.rate,
         ball=ball,
-        frontier=frontier(PLANT.a, PLANT.b, ball),
+        frontier=design_attempt_frontier,
         method="any",
-        started=time.perf_counter(),
+        started=started,
     )
-    wrong = Solution(p=np.eye(2), y=np.eye(2), k=np.zeros((1, 2)), sigma=1.0, status="solved")
+    p = np.eye(2)
+    y = np.eye(2)
+    k = np.zeros((1, 2))
+    wrong = Solution(p=p, y=y, k=k, sigma=1.0, status="solved")
     part = request.first_certified(problem, [lambda: wrong])
     assert isinstance(part, StateFeedback)
     assert not part.certified
@@ -277,8 +307,10 @@ def test_a_near_miss_is_handed_on_as_found_and_says_that_it_is_not_certified() -
 
 
 def test_matrices_that_are_not_finite() -> None:
+    a = np.array([[np.nan]])
+    b = np.ones((1, 1))
     with pytest.raises(BadRequest, match="a"):
-        frontier(np.array([[np.nan]]), np.ones((1, 1)), BALLS.input)
+        frontier(a, b, BALLS.input)
 
 
 ILL = st.sampled_from([1e-12, 1e-9, 1e-3, 1.0, 1e6])
@@ -294,12 +326,11 @@ def test_an_ill_request_ends_as_a_result_and_not_as_an_error(
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 5))
     m = int(rng.integers(1, 3))
-    linear = StateSpace(
-        a=np.diag(rng.choice([0.0, 0.5, 0.9, 1.0, 1.1], size=n)),
-        b=gain * rng.normal(size=(n, m)),
-        c=rng.normal(size=(m, n)),
-        d=np.zeros((m, m)),
-    )
+    a = np.diag(rng.choice([0.0, 0.5, 0.9, 1.0, 1.1], size=n))
+    b = gain * rng.normal(size=(n, m))
+    c = rng.normal(size=(m, n))
+    d = np.zeros((m, m))
+    linear = StateSpace(a=a, b=b, c=c, d=d)
     ball = JacobianBall(alpha=slope, beta=0.5 * slope)
     weights = {"state_weight": state, "input_weight": effort, "output_noise": effort}
     for method in (RiccatiSynthesis, ClosedFormSynthesis):
@@ -330,10 +361,11 @@ def test_the_frontier_of_modes_that_two_inputs_hardly_tell_apart() -> None:
         [[-1.0, 0.0, 0.0], [3.03608337e-11, -1.0, 0.0], [3.02671280e-10, -4.81049402e-10, -1.0]]
     )
     b = np.array([[0.57466926, -0.3113685], [-0.18975561, 0.30924853], [0.26792832, 0.38736124]])
-    for ball in (BALLS.input, JacobianBall.from_slopes(1 / 3, 1.0)):
-        assert frontier(a, b, ball).contraction_limit == pytest.approx(
-            np.sqrt(ball.relative_radius), abs=1e-6
-        )
+    jacobian_ball = JacobianBall.from_slopes(1 / 3, 1.0)
+    for ball in (BALLS.input, jacobian_ball):
+        contraction_limit = frontier(a, b, ball).contraction_limit
+        expected = np.sqrt(ball.relative_radius)
+        assert contraction_limit == pytest.approx(expected, abs=1e-6)
 
 
 def test_slopes_in_the_wrong_order() -> None:

@@ -17,25 +17,30 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 @pytest.fixture(scope="module")
 def stored() -> dict:
-    design = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).design(
-        model(), certified_balls(model())
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
+    design = riccati_synthesis.design(model(), certified_balls(model()))
     assert design.certified
-    return json.loads(json.dumps(design.to_json()))
+    text = json.dumps(design.to_json())
+    return json.loads(text)
 
 
 def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
     """The claims that break, the digest and the stated rate made to fit as a careful forger
     would."""
-    content = json.loads(json.dumps(stored))
+    text = json.dumps(stored)
+    content = json.loads(text)
     content[side][name] = value
     content[side]["certified_rate"] = content[side]["rate"]
     content[side]["digest"] = digest(content[side])
-    return failed_checks(content, model().system, certified_balls(model()))
+    system = model().system
+    balls = certified_balls(model())
+    return failed_checks(content, system, balls)
 
 
 def test_what_was_written_holds(stored: dict) -> None:
-    assert failed_checks(stored, model().system, certified_balls(model())) == []
+    system = model().system
+    balls = certified_balls(model())
+    assert failed_checks(stored, system, balls) == []
     assert {"e", "f", "g", "lambda"} <= set(stored["state_feedback"])
     assert {"e", "f", "h", "l_z", "lambda"} <= set(stored["observer"])
 
@@ -61,13 +66,15 @@ def test_an_altered_number_is_named(
     value = (
         (np.array(stored[side][name]) * factor).tolist() if np.isfinite(factor) else [[1.0, 1.0]]
     )
-    assert any(found in claim for claim in altered(stored, side, name, value))
+    claims = altered(stored, side, name, value)
+    assert any(found in claim for claim in claims)
 
 
 @pytest.mark.parametrize("side", ["state_feedback", "observer"])
 def test_a_rate_that_the_matrices_do_not_prove_is_refused(stored: dict, side: str) -> None:
     faster = 1 - 0.64 * (1 - 0.97)
-    assert any("the inequality fails" in claim for claim in altered(stored, side, "rate", faster))
+    claims = altered(stored, side, "rate", faster)
+    assert any("the inequality fails" in claim for claim in claims)
 
 
 @pytest.mark.parametrize("side", ["state_feedback", "observer"])
@@ -80,11 +87,12 @@ def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_r
     none = {name: getattr(stand, name)[:, :0] for name in "eh"} | {
         name: getattr(stand, name)[:0] for name in "fg"
     }
-    alone = replace(stand, neurons=(), bias=stand.bias[:0], **none)
-    plain = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).design(
-        alone, certified_balls(alone)
-    )
-    other = json.loads(json.dumps(plain.to_json()))
+    bias = stand.bias[:0]
+    alone = replace(stand, neurons=(), bias=bias, **none)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
+    plain = riccati_synthesis.design(alone, certified_balls(alone))
+    text = json.dumps(plain.to_json())
+    other = json.loads(text)
     limits = {
         name: part["rate_limit"]
         for name, part in (("plain", other[side]), ("stored", stored[side]))
@@ -92,9 +100,8 @@ def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_r
     for part, limit, beside in ((other[side], "stored", stored), (stored[side], "plain", other)):
         forged = part | {"rate_limit": limits[limit]}
         content = beside | {side: forged | {"digest": digest(forged)}}
-        claims = failed_checks(
-            content, (stand if beside is stored else alone).system, certified_balls(stand)
-        )
+        system = (stand if beside is stored else alone).system
+        claims = failed_checks(content, system, certified_balls(stand))
         assert f"{side}: the matrices do not fit the model" in claims
 
 
@@ -102,11 +109,16 @@ def test_another_injection_than_the_deployed_one_proves_nothing_of_it(stored: di
     """`L` with less injected into the neurons is another observer, whatever it is certified for."""
     design = Design.from_json(stored)
     observer = design.observer
-    other = at_largest_rate(replace(observer, l_z=0.9 * observer.l_z, rate=1e-3))
+    l_z = 0.9 * observer.l_z
+    changed_observer = replace(observer, l_z=l_z, rate=1e-3)
+    other = at_largest_rate(changed_observer)
     assert other is not None
     assert other.certified
-    forged = json.loads(
-        json.dumps(replace(design, extra_certificates={"observer_deployed": other}).to_json())
-    )
-    claims = failed_checks(forged, model().system, certified_balls(model()))
+    extra_certificates = {"observer_deployed": other}
+    changed_design = replace(design, extra_certificates=extra_certificates)
+    text = json.dumps(changed_design.to_json())
+    forged = json.loads(text)
+    system = model().system
+    balls = certified_balls(model())
+    claims = failed_checks(forged, system, balls)
     assert "observer_deployed: the gain is not the one that is deployed" in claims

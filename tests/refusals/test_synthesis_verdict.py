@@ -36,15 +36,18 @@ class Model:
 
 
 def designed(rate: float = 0.3) -> Design:
-    return RiccatiSynthesis(rate_controller=rate, rate_observer=0.3).design(Model(), BALLS)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=0.3)
+    return riccati_synthesis.design(Model(), BALLS)
 
 
 def stored(rate: float) -> dict:
-    return json.loads(json.dumps(designed(rate).to_json()))
+    text = json.dumps(designed(rate).to_json())
+    return json.loads(text)
 
 
 def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
-    problem = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3).problem(PLANT, BALLS.input)
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
+    problem = riccati_synthesis.problem(PLANT, BALLS.input)
     limit = frontier(PLANT.a, PLANT.b, BALLS.input)
     asked = {"rate": 0.3, "ball": BALLS.input, "frontier": limit}
     request = DesignAttempt(theorem=StateFeedbackOfBall, **asked, method="any", started=0.0)
@@ -60,7 +63,8 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
 def test_margins_are_of_a_unit_diagonal() -> None:
     matrix = np.array([[4.0, 1.0], [1.0, 9.0]])
     scaled = unit_diagonal(matrix)
-    np.testing.assert_allclose(scaled, [[1, 1 / 6], [1 / 6, 1]])
+    expected = [[1, 1 / 6], [1 / 6, 1]]
+    np.testing.assert_allclose(scaled, expected)
     assert smallest_eigenvalue(scaled) == pytest.approx(5 / 6)
 
 
@@ -70,13 +74,16 @@ def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
     assert failed_checks(content, PLANT, BALLS) == []
     inside = content["state_feedback"] | {"rate": 0.1}
     content["state_feedback"] = inside | {"digest": digest(inside)}
-    assert any("inside the frontier" in claim for claim in failed_checks(content, PLANT, BALLS))
+    claims = failed_checks(content, PLANT, BALLS)
+    assert any("inside the frontier" in claim for claim in claims)
 
 
 def test_a_certificate_of_another_order_does_not_fit() -> None:
-    smaller = StateSpace(
-        a=PLANT.a[:1, :1], b=np.ones((1, 1)), c=np.ones((1, 1)), d=np.zeros((1, 1))
-    )
+    a = PLANT.a[:1, :1]
+    b = np.ones((1, 1))
+    c = np.ones((1, 1))
+    d = np.zeros((1, 1))
+    smaller = StateSpace(a=a, b=b, c=c, d=d)
     broken = failed_checks(stored(0.3), smaller, BALLS)
     for side in ("state_feedback", "observer"):
         assert f"{side}: the matrices do not fit the model" in broken
@@ -113,15 +120,18 @@ def test_entries_of_a_matrix_are_numbers(made: Callable[[float], object]) -> Non
 def test_a_part_that_does_not_say_whether_it_is_feasible_is_a_certificate() -> None:
     content = stored(0.3)
     del content["observer"]["feasible"]
-    np.testing.assert_array_equal(Design.from_json(content).observer.q, designed().observer.q)
+    observer = Design.from_json(content).observer
+    actual = observer.q
+    expected = designed().observer.q
+    np.testing.assert_array_equal(actual, expected)
 
 
 def test_a_certificate_that_is_not_a_number_is_not_written(tmp_path: Path) -> None:
     design = designed()
+    state_feedback = replace(design.state_feedback, margin=np.nan)
+    changed_design = replace(design, state_feedback=state_feedback)
     with pytest.raises(ValueError, match="JSON"):
-        replace(design, state_feedback=replace(design.state_feedback, margin=np.nan)).save(
-            tmp_path / "c.json"
-        )
+        changed_design.save(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize("name", ["k", "p", "y", "l", "q", "u"])
@@ -164,17 +174,16 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
     ball = BALLS.input
     limit = frontier(zero, one, ball).rate_limit
-    scalar = replace(
-        designed().state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit
-    )
-    content = json.loads(json.dumps(replace(designed(), state_feedback=scalar).to_json()))
+    state_feedback = designed().state_feedback
+    scalar = replace(state_feedback, a=zero, b=one, p=one, y=one, k=zero, x=zero, rate_limit=limit)
+    text = json.dumps(replace(designed(), state_feedback=scalar).to_json())
+    content = json.loads(text)
 
     def claims(value: float) -> list[str]:
         part = content["state_feedback"] | EDGE | {name: value}
         part |= {"certified_rate": part["rate"], **{key: [[part[key]]] for key in "py"}}
-        said = failed_checks(
-            content | {"state_feedback": part | {"digest": digest(part)}}, linear, BALLS
-        )
+        state_feedback = part | {"digest": digest(part)}
+        said = failed_checks(content | {"state_feedback": state_feedback}, linear, BALLS)
         return [claim for claim in said if claim.startswith("state_feedback")]
 
     away = 0.0 if towards else 2.0
@@ -191,20 +200,14 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     one = np.ones((1, 1))
     zero = np.zeros((1, 1))
     linear = StateSpace(a=zero, b=one, c=one, d=zero)
+    state_feedback = designed().state_feedback
     forged = replace(
-        designed().state_feedback,
-        a=zero,
-        b=one,
-        p=-one,
-        y=zero,
-        k=zero,
-        x=zero,
-        sigma=0.1,
-        rate=rate,
+        state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate
     )
     conditions = StateFeedbackOfBall.exactly(**forged.variables)
     assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
-    content = json.loads(json.dumps(replace(designed(), state_feedback=forged).to_json()))
+    text = json.dumps(replace(designed(), state_feedback=forged).to_json())
+    content = json.loads(text)
     said = failed_checks(content, linear, BALLS)
     assert any("state_feedback.certified = True" in claim for claim in said)
 
@@ -222,7 +225,9 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
     refused = request.refused()
     assert isinstance(refused, Infeasible)
     assert refused.proved
-    assert replace(request, rate=float(np.nextafter(limit.rate_limit, 0))).refused() is None
+    rate = float(np.nextafter(limit.rate_limit, 0))
+    changed_request = replace(request, rate=rate)
+    assert changed_request.refused() is None
 
 
 @pytest.mark.parametrize(
@@ -231,8 +236,9 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
 )
 def test_a_problem_outside_its_hypotheses(name: str, value: float) -> None:
     asked = {"rate": 0.1, "input_weight": 1.0, name: value}
+    state_weight = np.eye(2)
     with pytest.raises(BadRequest, match=name):
-        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS.input, state_weight=np.eye(2), **asked)
+        Problem(a=PLANT.a, b=PLANT.b, ball=BALLS.input, state_weight=state_weight, **asked)
 
 
 def test_the_margin_is_that_of_the_exact_inequality() -> None:
@@ -241,13 +247,15 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     part = designed().state_feedback
     y = part.y @ np.array([[1.0, 0.1], [0.0, 1.2]])
     numbers = part.variables | {"y": y}
+    as_floats = type(part).as_floats
     ours, exactly = (
-        conditions(**numbers)["inequality"]
-        for conditions in (type(part).as_floats, type(part).exactly)
+        conditions(**numbers)["inequality"] for conditions in (as_floats, type(part).exactly)
     )
-    np.testing.assert_allclose(ours, unit_diagonal(exactly.rounded()), atol=1e-13)
+    expected = unit_diagonal(exactly.rounded())
+    np.testing.assert_allclose(ours, expected, atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
-    assert type(part).proved(numbers, **known).margin == smallest_eigenvalue(ours)
+    margin = type(part).proved(numbers, **known).margin
+    assert margin == smallest_eigenvalue(ours)
 
 
 def test_what_stands_beside_the_matrices() -> None:
@@ -257,8 +265,9 @@ def test_what_stands_beside_the_matrices() -> None:
     observer = designed().observer
     beyond = designed(0.9).state_feedback
     elapsed = time.perf_counter() - started
-    assert feedback.gain_norm == pytest.approx(
-        np.sqrt((feedback.k**2).sum())
-    )  # one row: its Euclidean length
-    assert observer.gain_norm == pytest.approx(np.sqrt((observer.l**2).sum()))
-    assert all(0 <= part.seconds <= elapsed for part in (feedback, observer, beyond))
+    expected = np.sqrt((feedback.k**2).sum())
+    assert feedback.gain_norm == pytest.approx(expected)  # one row: its Euclidean length
+    expected = np.sqrt((observer.l**2).sum())
+    assert observer.gain_norm == pytest.approx(expected)
+    parts = (feedback, observer, beyond)
+    assert all(0 <= part.seconds <= elapsed for part in parts)

@@ -88,12 +88,12 @@ def test_resuming_something_else_is_refused(tmp_path: Path) -> None:
     data = data_set()
     settings = training(max_epochs=1, checkpoint_every_s=0.0)
     settings.identify(spec(), data, 0, tmp_path)
-    wider = replace(data, scale=replace(data.scale, input_scale=np.array([2.0])))
-    for model, records in (
-        (spec(hidden_width=9), data),
-        (spec(), replace(data, start_up_samples=20)),
-        (spec(), wider),
-    ):
+    input_scale = np.array([2.0])
+    scale = replace(data.scale, input_scale=input_scale)
+    wider = replace(data, scale=scale)
+    ssm_spec = spec(hidden_width=9)
+    changed_data = replace(data, start_up_samples=20)
+    for model, records in ((ssm_spec, data), (spec(), changed_data), (spec(), wider)):
         with pytest.raises(BadRequest, match="another model, training or data set"):
             settings.identify(model, records, 0, tmp_path)
 
@@ -107,9 +107,9 @@ def test_a_damaged_or_evil_checkpoint_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match="unreadable"):
         settings.identify(spec(), data, 0, tmp_path)
     marker = tmp_path / "ran"
-    DurableCheckpointIO().save_checkpoint(
-        {"state": Evil(str(marker))}, last
-    )  # in good order but for its content
+    state = Evil(str(marker))
+    checkpoint = {"state": state}
+    DurableCheckpointIO().save_checkpoint(checkpoint, last)  # in good order but for its content
     with pytest.raises(pickle.UnpicklingError, match="weights_only"):
         DurableCheckpointIO().load_checkpoint(last, weights_only=False)
     with pytest.raises(BadRequest, match="unreadable"):

@@ -54,7 +54,8 @@ def shorter(run: Path, part: str, *names: str) -> None:
 
 
 def finding(run: Path, entry: dict[str, Any]) -> None:
-    (run / "evidence.json").write_text(json.dumps([entry]))
+    text = json.dumps([entry])
+    (run / "evidence.json").write_text(text)
 
 
 PLAIN: dict[str, tuple[Callable[[Path], object], str]] = {
