@@ -24,6 +24,7 @@ import jaxtyping
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 from hypothesis import HealthCheck, settings
+from report_browser import chromium
 
 settings.register_profile(
     "ci", max_examples=30, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck)
@@ -40,6 +41,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # tests of each room check the same functions.
 WHOLE_RUNS = {
     "test_api",
+    "test_api_imports",
     "test_cli_guard",
     "test_cli_terminal",
     "test_contributing",
@@ -56,6 +58,7 @@ WHOLE_RUNS = {
     "test_loop_within_limits",
     "test_overlay",
     "test_results_verify",
+    "test_study_answers",
     "test_study_integrating",
     "test_study_line",
     "test_study_refine",
@@ -303,3 +306,10 @@ def smoke_run(smoke_study: Path) -> Path:
 def copied_run(smoke_run: Path, tmp_path: Path) -> Path:
     """A copy of the finished run, to be altered."""
     return shutil.copytree(smoke_run, tmp_path / smoke_run.name)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """One headless browser for every page that needs no profile of its own."""
+    with chromium(tmp_path_factory.mktemp("profile")) as driver:
+        yield driver

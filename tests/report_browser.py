@@ -71,3 +71,18 @@ def axe_script() -> str:
         "axe_core_python", reason="axe-core-python is not installed and AXE_CORE is not set"
     )
     return Path(package.__file__).with_name("axe.min.js").read_text()
+
+
+def count_shown_runs(driver: Any) -> int:
+    """How many runs the page says that its table shows."""
+    text = driver.execute_script("return document.getElementById('count').textContent")
+    return int(text.split()[0])
+
+
+def groups_shown(driver: Any) -> dict[str, list[str]]:
+    """The cells of each group's row by its label."""
+    cells = "row => Array.from(row.children, c => c.textContent)"
+    rows = driver.execute_script(
+        f"return Array.from(document.querySelectorAll('#groups tbody tr'), {cells})"
+    )
+    return {row[0]: row[1:] for row in rows}

@@ -47,6 +47,7 @@ def empty() -> pd.DataFrame:
 
 
 def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
+    """One run: every seventeenth failed, infeasible where the rate lies beyond the limit."""
     slope = float(rng.choice([0.01, 0.05, 0.2, 0.5]))
     rate = float(rng.choice([0.02, 0.05, 0.1, 0.2, 0.3, 0.4]))
     limit = float(1 - (0.97 * (1 - slope) / (1 + slope)) ** 2) * rng.uniform(0.9, 1.1)
@@ -64,7 +65,14 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     if k % 17 == 11:
         return {**known, "status": "failed"}
     fit = float(rng.uniform(70, 92))
-    model = {
+    model = _model_columns(fit, slope, rate, limit)
+    if rate >= limit:
+        return {**known, **model, "status": "infeasible"}
+    return {**known, **model, **_loop_columns(fit, rate, rng), "status": "ok"}
+
+
+def _model_columns(fit: float, slope: float, rate: float, limit: float) -> dict[str, Any]:
+    return {
         "fit_train_percent": fit + 1, "fit_validation_percent": fit + 0.5, "fit_test_percent": fit,
         "rmse_test": 0.4,
         "input_coverage": 0.8, "training_seconds": 4.0, "input_slope_lower": slope * 1.1,
@@ -75,8 +83,9 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
         "controller_certified": rate < limit, "controller_margin": 1e-3,
         "controller_rate_limit": limit,
     }  # fmt: skip
-    if rate >= limit:
-        return {**known, **model, "status": "infeasible"}
+
+
+def _loop_columns(fit: float, rate: float, rng: np.random.Generator) -> dict[str, Any]:
     difference = 14 - 20 * rate - (92 - fit) / 5
     stable = int(np.clip(rng.normal(difference, 1.5), 0, 10))
     time_s = 0.19 * (1 - rate) + 0.01 * rng.uniform()
@@ -86,7 +95,7 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
     input_peak_v = 3.0 + 9 * rate
     mismatch_margin = 0.2 + stable / 6
     resolved_margin = 0.2 + stable / 6
-    loop = {
+    return {
         "controller_gain_norm": controller_gain_norm, "observer_feasible": True,
         "observer_certified": True,
         "observer_margin": 1e-3, "observer_rate_limit": 1.0, "observer_gain_norm": 1.2,
@@ -101,7 +110,6 @@ def _row(k: int, rng: np.random.Generator) -> dict[str, Any]:
         "controller_radius": 0.9,
         "predicted_stable": stable >= 5,
     }  # fmt: skip
-    return {**known, **model, **loop, "status": "ok"}
 
 
 def write_study(folder: Path, frame: pd.DataFrame) -> Path:

@@ -77,39 +77,30 @@ def _derivatives(k, v, x0, y, weight):
     still = np.empty(q)
     rest = np.empty(q)
     for i in range(q):
-        code = k.kinds[i]
-        still[i], rest[i] = activation_and_slope(code, k.bias[i])
+        still[i], rest[i] = activation_and_slope(k.kinds[i], k.bias[i])
     for block in range(v.shape[0]):
         x[0] = x0[block]
         for t in range(samples):
             for i in range(q):
                 z[i] = k.bias[i]
             _add(k.f, x[t], z)
-            vectors = v[block, t]
-            _add(k.g, vectors, z)
+            _add(k.g, v[block, t], z)
             for i in range(q):
                 if k.kinds[i] == 0:  # tanh by one exponential: four times as fast, to 4e-16
                     for r in range(AT_ONCE):
                         value = 1.0 - 2.0 / (exp(2.0 * z[i, r]) + 1.0)
-                        difference = value - still[i]
-                        w[t, i, r], slope[t, i, r] = difference, 1.0 - value * value
+                        w[t, i, r], slope[t, i, r] = value - still[i], 1.0 - value * value
                     continue
                 for r in range(AT_ONCE):
-                    code = k.kinds[i]
-                    value, slope[t, i, r] = activation_and_slope(code, z[i, r])
+                    value, slope[t, i, r] = activation_and_slope(k.kinds[i], z[i, r])
                     w[t, i, r] = value - still[i]
             x[t + 1] = 0.0
-            out = x[t + 1]
-            _add(k.a, x[t], out)
-            vectors = v[block, t]
-            out = x[t + 1]
-            _add(k.b, vectors, out)
-            out = x[t + 1]
-            _add(k.e, w[t], out)
+            _add(k.a, x[t], x[t + 1])
+            _add(k.b, v[block, t], x[t + 1])
+            _add(k.e, w[t], x[t + 1])
             g[t] = -y[block, t]
             _add(k.c, x[t], g[t])
-            vectors = v[block, t]
-            _add(k.d, vectors, g[t])
+            _add(k.d, v[block, t], g[t])
             _add(k.h, w[t], g[t])
             for o in range(p):
                 for r in range(AT_ONCE):

@@ -111,17 +111,12 @@ def model(neurons: tuple[str, ...] = ("tanh", "softplus"), seed: int = 0) -> Str
     breakpoints = np.array([[-0.2, 0.2]])
     slopes = np.array([[1.0, 0.4, 0.9]])
     scaffold_in = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    gain = np.eye(1)
-    scaffold_out = LinearScaffold(gain=gain)
-    input_scale = np.array([2.0])
-    output_scale = np.array([3.0])
-    input_equilibrium = np.array([0.5])
-    output_equilibrium = np.array([1.0])
+    scaffold_out = LinearScaffold(gain=np.eye(1))
     scale = Scale(
-        input_scale=input_scale,
-        output_scale=output_scale,
-        input_equilibrium=input_equilibrium,
-        output_equilibrium=output_equilibrium,
+        input_scale=np.array([2.0]),
+        output_scale=np.array([3.0]),
+        input_equilibrium=np.array([0.5]),
+        output_equilibrium=np.array([1.0]),
     )
     return StructuredSSM(
         a=0.6 * a / norm,

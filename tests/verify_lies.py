@@ -117,7 +117,6 @@ def lie_about_starts(run: Path) -> None:
     part = stored.design.extra_certificates["state_feedback_unlimited"]
     linear_c = model.linear.c
     farthest = part.p @ linear_c.T
-    linear_c = model.linear.c
     item = (linear_c @ farthest).item()
     size = np.sqrt(item / part.level)
     starts = (1 - 1e-9) * farthest / size

@@ -2,9 +2,6 @@
 
 import doctest
 import json
-import os
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,22 +10,19 @@ import control
 import numpy as np
 import pandas as pd
 import pytest
-from docs_numbers import assert_outcome_holds, outcome_on_page
-from fresh_programs import start_program
-from hydra import initialize_config_dir
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
 
 import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
-from ssm_study.cli.from_python import composed
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
 
 STEP_S = 0.1
+
+
 QUICK = (
     "model.order=2",
     "model.slope_lower=0.5",
@@ -36,6 +30,8 @@ QUICK = (
     "model.hidden_width=4",
     "training.max_epochs=3",
 )
+
+
 GIVEN = ("synthesis=riccati", "synthesis.rate_controller=0.3", "synthesis.rate_observer=0.5")
 
 
@@ -55,28 +51,6 @@ def design(log: pd.DataFrame, tmp_path_factory: pytest.TempPathFactory) -> Desig
     u = log[["valve's voltage"]]
     model = st.fit(u, log["air, temperature"], STEP_S, *QUICK, results_dir=folder)
     return st.control(model, *GIVEN)
-
-
-def test_importing_the_package_loads_nothing_heavy() -> None:
-    told = (
-        "import sys, ssm_study; print(sorted({'torch', 'numpy', 'hydra', 'pandas'} & "
-        "set(sys.modules)))"
-    )
-    stdout = subprocess.run(
-        [sys.executable, "-c", told], capture_output=True, text=True, check=True
-    ).stdout
-    assert stdout == "[]\n"
-    with pytest.raises(AttributeError, match="no attribute 'regulate'"):
-        _ = st.regulate
-
-
-def test_what_a_stored_model_needs_loads_no_torch() -> None:
-    told = "import sys; from ssm_study.models import structured, structured_spec; "
-    told += "from ssm_study.models.baselines import solved; print('torch' in sys.modules)"
-    stdout = subprocess.run(
-        [sys.executable, "-c", told], capture_output=True, text=True, check=True
-    ).stdout
-    assert stdout == "False\n"
 
 
 MODULES = ("certifying", "comparing", "controlling", "fitting")
@@ -150,7 +124,6 @@ def test_python_control_takes_model_and_controller(design: Design, log: pd.DataF
     expected = {"case", "time_s", "valve_s_voltage", "air_temperature"}
     assert set(loop) == expected
     air_temperature = loop.groupby("case")["air_temperature"]
-    output_equilibrium = design.model.scale.output_equilibrium
     ends = air_temperature.last() - output_equilibrium[0]
     largest = np.abs(ends).max()
     assert largest < 1e-3
@@ -207,16 +180,6 @@ def test_study_gives_its_table(tmp_path: Path, smoke_study: Path) -> None:
         st.study(*words, "synthesis=riccati", "synthesis.rate_controller=2")
 
 
-def test_a_program_needs_no_environment(tmp_path: Path) -> None:
-    told = f"import ssm_study as st; st.study('results_dir={tmp_path}', 'seed=-1')"
-    clean = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    said = subprocess.run(
-        [sys.executable, "-c", told], env=clean, capture_output=True, text=True
-    ).stderr
-    assert "KeyError" not in said
-    assert "BadRequest: seed = -1" in said
-
-
 @pytest.mark.parametrize(
     ("u", "y", "words", "said"),
     [
@@ -265,46 +228,6 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     state_space = control.StateSpace(a, b, c, d)
     with pytest.raises(BadRequest, match="not a sampling time"):
         st.control(state_space, *GIVEN)
-
-
-def test_a_hydra_program_may_compose_with_us() -> None:
-    """Whoever calls this from a program of Hydra's own finds the program's composition as it
-    was."""
-    parents = Path(__file__).parents
-    conf_path = parents[2] / "conf"
-    folder = str(conf_path)
-    with initialize_config_dir(folder, version_base="1.3"):
-        theirs = GlobalHydra.instance().hydra
-        study = composed(["study=library"]).study
-        assert study == "library"
-        with pytest.raises(BadRequest, match="modle"):
-            composed(["modle.order=2"])
-        assert GlobalHydra.instance().hydra is theirs
-
-
-def test_science_alone_goes_from_arrays_to_c(tmp_path: Path) -> None:
-    """The example needs neither Hydra nor the command, the study, the table or the page."""
-    parents = Path(__file__).parents
-    examples_path = parents[2] / "examples"
-    script = examples_path / "arrays_to_controller.py"
-    rooms = (
-        "'hydra', 'ssm_study.study', 'ssm_study.cli', 'ssm_study.table', 'ssm_study.report.page'"
-    )
-    program = f"""
-import runpy, sys
-sys.argv = ["example", {str(tmp_path)!r}]
-runpy.run_path({str(script)!r})
-print([name for name in sys.modules if name in ({rooms})])
-"""
-    done = start_program(program, tmp_path / "program").wait(timeout_s=200)
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert lines[-1] == "[]"
-    assert "certified in exact arithmetic" in done.stdout
-    for block in ("Model\n", "Design\n"):
-        on_page = outcome_on_page("howto_python.md", block)
-        assert_outcome_holds(on_page, done.stdout)
-    assert (tmp_path / "controller.h").is_file()
 
 
 def test_models_and_designs_say_what_they_are(design: Design) -> None:

@@ -108,7 +108,6 @@ def test_every_plant_takes_every_excitation(plant: str, excitation: str) -> None
     data = made.build(from_yaml("plant", plant), from_yaml("excitation", excitation), 0)
     output_scale = data.scale.output_scale
     assert np.isfinite(output_scale).all()
-    output_scale = data.scale.output_scale
     assert (output_scale > 0).all()
 
 

@@ -296,6 +296,18 @@ def test_a_plan_starts_nothing(tmp_path: Path) -> None:
     assert [line.split()[:4] for line in lines if line.startswith(("data", "model"))] == expected
 
 
+JOBS = [
+    ["seed=3"],
+    ["seed=3", "model.order=6", "synthesis.rate_controller=0.5"],
+    ["synthesis=riccati", "synthesis.rate_controller=0.5", "seed=1"],
+    ["model.order=6", "synthesis=riccati", "synthesis.rate_controller=0.5"],
+    ["+extra=1", "model.order=2", "study='a b'"],
+    ["experiment=smoke", "data.samples=300"],
+    ["experiment=smoke", "data.samples=400"],
+    ["model._target_=os.system", "seed=${loop_seed}"],
+]
+
+
 def test_shared_compositions_are_hydras_own() -> None:
     """Every sweep of choices and values: the fast composition equals `load_sweep_config`, names
     included."""
@@ -308,16 +320,6 @@ def test_shared_compositions_are_hydras_own() -> None:
     from ssm_study.engine.compose import Composer, set_hydra_config
     from ssm_study.engine.settings import plain_settings
 
-    jobs = [
-        ["seed=3"],
-        ["seed=3", "model.order=6", "synthesis.rate_controller=0.5"],
-        ["synthesis=riccati", "synthesis.rate_controller=0.5", "seed=1"],
-        ["model.order=6", "synthesis=riccati", "synthesis.rate_controller=0.5"],
-        ["+extra=1", "model.order=2", "study='a b'"],
-        ["experiment=smoke", "data.samples=300"],
-        ["experiment=smoke", "data.samples=400"],
-        ["model._target_=os.system", "seed=${loop_seed}"],
-    ]
     GlobalHydra.instance().clear()  # a run in this process may have left its own
     with initialize_config_dir(str(REPOSITORY / "conf"), version_base="1.3"):
         loader = GlobalHydra.instance().config_loader()
@@ -325,7 +327,7 @@ def test_shared_compositions_are_hydras_own() -> None:
         hydra_config = HydraConfig.instance()
         hydra_config.set_config(sweep_config)
         composer = Composer(loader, sweep_config, refuse=lambda _: None)
-        for overrides in jobs * 2:
+        for overrides in JOBS * 2:
             settings = composer.settings(overrides, 0)
             theirs = loader.load_sweep_config(sweep_config, overrides)
             set_hydra_config(theirs)
@@ -338,5 +340,5 @@ def test_shared_compositions_are_hydras_own() -> None:
             expected = list(plain_settings(theirs))
             assert list(settings) == expected
             assert settings == plain_settings(theirs)
-        expected = len(jobs) - 1
+        expected = len(JOBS) - 1
         assert len(composer.composed) == expected, "jobs of the same choices and names share one"

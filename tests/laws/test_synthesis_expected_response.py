@@ -105,10 +105,8 @@ def test_a_decay_is_answered_by_the_model_alone():
     linear = model.linear
     input_equilibrium = model.scale.input_equilibrium
     u = np.tile(input_equilibrium, (200, 1))
-    input_equilibrium = model.scale.input_equilibrium
     y = model.simulate(np.tile(input_equilibrium, (200, 1)), START)
     trial = Trajectory(u=u, y=y, step_s=model.step_s)
-    input_equilibrium = model.scale.input_equilibrium
     rng = RNG.standard_normal((400, linear.b.shape[1]))
     u = input_equilibrium + rng
     y = np.zeros((400, len(linear.c)))

@@ -2,7 +2,6 @@
 of differences."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 from plants_cases import from_yaml
 from structured_adjoint import stepped_gradient
 
-from ssm_study.bounds.metrics import bound_facts
 from ssm_study.models.contracting import (
     Core,
     Free,
@@ -22,15 +20,9 @@ from ssm_study.models.contracting import (
     parameters,
     projected,
 )
-from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.spec import scaled
-from ssm_study.models.structured import StructuredSSM
-from ssm_study.models.structured_spec import Pieces, StructuredSpec
-from ssm_study.refusal import BadRequest
-from ssm_study.signals import Channel, DataSet, Scale, Trajectory
+from ssm_study.models.structured_spec import Pieces
 from ssm_study.training.levenberg import DAMPING_RANGE
-from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.structured_fit import StructuredFit, pruned
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
@@ -46,7 +38,6 @@ from ssm_study.training.structured_problem import (
     unpack,
 )
 from ssm_study.training.structured_start import LONGEST, linear_start, random_poles, screened_poles
-from ssm_study.training.training import Training
 
 SIZES = {
     "seed": st.integers(0, 2**31),
@@ -292,11 +283,11 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     """Records of the motor: a step that suits the largest balanced state overturns one of a six
     hundredth."""
     made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
-    data = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
+    recording = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
     lift = Pieces(1, 16, 0.1, 1.0)
     read = Pieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
-    batch = Batch.padded(scaled(data))
+    batch = Batch.padded(scaled(recording))
     records = batch.cut(2000)
     one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(8)
@@ -353,157 +344,6 @@ def test_the_projection_leaves_slow_modes_slow() -> None:
     eigenvalues = np.linalg.eigvals(core_a)
     spectral_radius = np.abs(eigenvalues).max()
     assert spectral_radius == pytest.approx(0.989, abs=2e-3)
-
-
-def recorded(model: StructuredSSM, seed: int) -> DataSet:
-    rng = np.random.default_rng(seed)
-    records = []
-    for part in ("training", "validation", "test"):
-        u = np.repeat(rng.uniform(-2, 2, (60, 1)), 8, axis=0)
-        y = model.simulate(u)
-        trajectory = Trajectory(u=u, y=y, step_s=0.1, name=part)
-        records.append((trajectory,))
-    channel = (Channel(name="a", unit="V"),)
-    scale = Scale.unit(1, 1)
-    return DataSet(
-        training=records[0],
-        validation=records[1],
-        test=records[2],
-        inputs=channel,
-        outputs=channel,
-        scale=scale,
-    )
-
-
-@pytest.fixture(scope="module")
-def data() -> DataSet:
-    a = [[0.9, 0.2], [-0.2, 0.8]]
-    b = [[0.1], [0.4]]
-    c = [[1.0, 0.0]]
-    e = [[-0.6], [0.1]]
-    blocks = {"a": a, "b": b, "c": c, "e": e}
-    d = [[0.0]]
-    f = [[1.5, 0.0]]
-    g = [[0.0]]
-    h = [[0.0]]
-    blocks |= {"d": d, "f": f, "g": g, "h": h, "bias": [0.3]}
-    scaffold_in = LinearScaffold.identity(1)
-    scaffold_out = LinearScaffold.identity(1)
-    scale = Scale.unit(1, 1)
-    true = StructuredSSM(
-        **{name: np.array(block) for name, block in blocks.items()},
-        neurons=("tanh",),
-        scaffold_in=scaffold_in,
-        scaffold_out=scaffold_out,
-        scale=scale,
-        step_s=0.1,
-    )
-    return recorded(true, 0)
-
-
-def trained(data: DataSet, folder: Path, epochs: int = 25, **choices: object) -> StructuredSSM:
-    spec = StructuredSpec(**({"order": 2, "neurons": 1, "knots": 0, "starts": 1} | choices))  # type: ignore[arg-type]
-    no_use = Lbfgs(steps_per_epoch=1, history=1)
-    rule = {
-        "max_epochs": epochs,
-        "patience": 15,
-        "min_gain_percent": 0.0,
-        "validation_tolerance_percent": 0.2,
-    }
-    training = Training(optimiser=no_use, **rule)  # type: ignore[arg-type]
-    identified = training.identify(spec, data, 0, folder)
-    assert isinstance(identified.model, StructuredSSM)
-    if epochs > 1:
-        assert identified.fit_validation_percent > 99.0
-    return identified.model
-
-
-def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(
-    data: DataSet, tmp_path: Path
-) -> None:
-    first = trained(data, tmp_path / "a")
-    second = trained(data, tmp_path / "b")
-    assert first.to_json() == second.to_json()
-    core = Core(first.a, first.e, first.f)
-    found = metric(core, 0.9995)
-    assert found is not None
-
-
-def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
-    data: DataSet, tmp_path: Path
-) -> None:
-    spare = trained(data, tmp_path, neurons=1)
-    e = np.hstack([spare.e, 1e-9 * np.ones((2, 1))])
-    f = np.vstack([spare.f, [[1.0, 0.0]]])
-    g = np.zeros((2, 1))
-    h = np.zeros((1, 2))
-    bias = np.append(spare.bias, 0.0)
-    neurons = ("tanh", "softplus")
-    idle = replace(spare, e=e, f=f, g=g, h=h, bias=bias, neurons=neurons)
-    records = data.training[:1]
-    left = pruned(idle, records)
-    assert left.neurons == ("tanh",)
-    test_u = data.test[0].u
-    actual = left.simulate(test_u)
-    test_u = data.test[0].u
-    expected = spare.simulate(test_u)
-    np.testing.assert_allclose(actual, expected, atol=1e-5)
-    g = np.array([[0.0], [1.0]])
-    h = np.array([[0.0, 1e-9]])
-    through = replace(idle, g=g, h=h)
-    records = data.training[:1]
-    structured_ssm = pruned(through, records)
-    neurons = structured_ssm.neurons
-    assert neurons == idle.neurons  # its mean slope would be a feedthrough
-    h = np.array([[0.0, 1e-9]])
-    changed_idle = replace(idle, h=h)
-    g = np.array([[0.0], [1.0]])
-    for beside in (changed_idle, replace(idle, g=g)):
-        records = data.training[:1]
-        structured_ssm = pruned(beside, records)
-        neurons = structured_ssm.neurons
-        assert neurons == ("tanh",)
-
-
-@pytest.mark.parametrize(
-    ("choice", "word"),
-    [
-        ({"order": 0}, "model.order"),
-        ({"neurons": -1}, "model.neurons"),
-        ({"kinds": "sine"}, "unknown neuron"),
-        ({"input_path": "late"}, "model.input_path"),
-        ({"rate": 1.2}, "model.rate"),
-        ({"slope_lower": 0.0}, "model.slope_lower"),
-        ({"integrating_output": True, "output_knots": 4}, "model.output_knots"),
-        (
-            {"integrating_output": True, "neurons": 0},
-            "model.neurons = 0: without neurons no integrator",
-        ),
-    ],
-)
-def test_what_makes_no_sense_is_refused(choice: dict[str, object], word: str) -> None:
-    with pytest.raises(BadRequest, match=word):
-        StructuredSpec(**({"order": 2, "neurons": 1} | choice))  # type: ignore[arg-type]
-
-
-def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> None:
-    """The running sum in training, and one more state of the stored model: the same output."""
-    spec = StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrating_output=True)
-    fit = StructuredFit(spec, data, 0)
-    fit.training_step(None, 0)
-    model = fit.stored()
-    assert model.order == 3
-    eigenvalues = np.linalg.eigvals(model.a)
-    spectral_radius = np.abs(eigenvalues).max()
-    assert spectral_radius == pytest.approx(1.0)
-    assert "hankel_largest" not in bound_facts(
-        model
-    )  # no infinite-horizon Gramian: withheld, and no refusal
-    y = fit.problem.output(fit.theta)[0]
-    training_u = data.training[0].u
-    response = model.simulate(training_u)
-    actual = data.scale.scaled_output(response)
-    np.testing.assert_allclose(actual, y, atol=1e-9)
 
 
 def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:

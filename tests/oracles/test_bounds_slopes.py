@@ -12,26 +12,20 @@ from hypothesis import strategies as st
 from worst_case import worst_jacobian
 
 from ssm_study.bounds import lipsdp
-from ssm_study.bounds.gramians import balance, gramian, hankel_singular_values
 from ssm_study.bounds.lipsdp import lipsdp_ball
 from ssm_study.bounds.network import Network, slope_interval
-from ssm_study.bounds.reduction import Reduction
 from ssm_study.bounds.slopes import (
-    certified_balls,
     enclosing_ball,
     interval_bound,
     jacobian_ball,
     lipsdp_bound,
     spectral_norm_bound,
 )
-from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.scaffolds.residual import ResidualScaffold
 from ssm_study.refusal import BadRequest
-from ssm_study.signals import Scale
-from ssm_study.systems import StateSpace
 
 
 def network(seed: int, channels: int, widths: tuple[int, ...], low: float = 0.1) -> Network:
@@ -300,221 +294,3 @@ def test_a_residual_scaffolding_fills_the_ball_it_was_built_with() -> None:
     assert bound.ball.beta == 0.4
     worst = worst_jacobian(scaffold, bound.ball, starts=2)
     assert worst.tightness(bound.ball) <= 1
-
-
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-
-
-def two_channel(inner, outer=None) -> SSM:
-    rng = np.random.default_rng(0)
-    a = np.diag([0.9, -0.5, 0.3])
-    b = rng.normal(size=(3, 2))
-    c = rng.normal(size=(2, 3))
-    d = rng.normal(size=(2, 2))
-    linear = StateSpace(a=a, b=b, c=c, d=d)
-    scaffold_out = outer or LinearScaffold.identity(2)
-    scale = Scale.unit(2, 2)
-    return SSM(linear=linear, scaffold_in=inner, scaffold_out=scaffold_out, scale=scale, step_s=0.1)
-
-
-def near_linear(seed: int, centre: np.ndarray) -> MlpScaffold:
-    """`N(v)` close to `centre v`: leaky slopes between 0.8 and 1 around an almost linear
-    network."""
-    rng = np.random.default_rng(seed)
-    first = np.vstack([np.eye(2), 0.2 * rng.normal(size=(2, 2))])
-    last = np.hstack([centre / 0.9, 0.1 * rng.normal(size=(2, 2))])
-    slopes = (np.full(4, 0.8),), (np.ones(4),)
-    weights = (first, last)
-    biases = (rng.normal(size=4),)
-    mlp_scaffold_network = Network(
-        weights=weights, biases=biases, negative_slopes=slopes[0], positive_slopes=slopes[1]
-    )
-    return MlpScaffold(network=mlp_scaffold_network)
-
-
-SIGNS = MonotoneScaffold(
-    breakpoints=np.array([[0.5], [-0.5]]), slopes=np.array([[1.0, 0.5], [-1.0, -2.0]])
-)
-
-
-@pytest.mark.parametrize(
-    "inner",
-    [LinearScaffold(gain=TURN), near_linear(1, TURN), near_linear(2, np.diag([1.0, -1.0])), SIGNS],
-    ids=["rotation", "rotating network", "mirroring network", "one falling channel"],
-)
-@pytest.mark.parametrize("side", ["in", "out"])
-def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
-    """Singular values alone would pass these as they are; the ball around alpha I refuses them
-    until absorbed."""
-    model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
-    relative_radius = getattr(certified_balls(model), f"{side}put").relative_radius
-    assert relative_radius >= 1
-    turned = model.absorbed()
-    relative_radius = getattr(certified_balls(turned), f"{side}put").relative_radius
-    assert relative_radius < 0.6
-    rng = np.random.default_rng(1)
-    u = rng.normal(size=(200, 2))
-    actual = turned.simulate(u)
-    expected = model.simulate(u)
-    np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("side", ["in", "out"])
-def test_channels_of_different_gain_keep_their_map(side: str) -> None:
-    """One channel steeper than one, one flatter, one falling: pieces are turned around for the
-    falling one alone."""
-    breakpoints = np.array([[-0.3, 0.8], [0.2, 0.9]])
-    slopes = np.array([[2.0, 3.0, 4.0], [-3.0, -2.0, -1.0]])
-    inner = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    slopes = np.array([[2.0, 3.0, 4.0], [0.1, 0.2, 0.3]])
-    changed_inner = replace(inner, slopes=slopes)
-    for scaffold in (inner, changed_inner):
-        model = (
-            two_channel(scaffold)
-            if side == "in"
-            else two_channel(LinearScaffold.identity(2), scaffold)
-        )
-        turned = model.absorbed()
-        assert turned.linear is not model.linear
-        rng = np.random.default_rng(2)
-        u = rng.normal(size=(200, 2))
-        actual = turned.simulate(u)
-        expected = model.simulate(u)
-        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
-
-
-def test_reduction_absorbs_unless_told_not_to() -> None:
-    gain = np.array([[0.0, -2.0], [2.0, 0.0]])
-    inner = LinearScaffold(gain=gain)
-    model = two_channel(inner)
-    reduction = Reduction(balanced=False)
-    balls = certified_balls(reduction.reduce(model))
-    relative_radius = balls.input.relative_radius
-    assert relative_radius == 0
-    reduction = Reduction(balanced=False, absorb=False)
-    assert reduction.reduce(model) is model
-
-
-def test_a_scalar_gain_is_an_exact_bound() -> None:
-    gain = np.array([[-0.3]])
-    scaffold = LinearScaffold(gain=gain)
-    bound = jacobian_ball(scaffold)
-    assert bound.lower == bound.upper == -0.3
-
-
-def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
-    breakpoints = np.zeros((2, 1))
-    slopes = np.array([[-1.0, 1.0], [1.0, 1.0]])
-    folding = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    model = two_channel(folding).absorbed()
-    balls = certified_balls(model)
-    relative_radius = balls.input.relative_radius
-    assert relative_radius >= 1
-
-
-def test_a_scaffolding_that_is_not_square_is_refused() -> None:
-    gain = np.ones((2, 1))
-    scaffold = LinearScaffold(gain=gain)
-    with pytest.raises(BadRequest, match="square"):
-        jacobian_ball(scaffold)
-
-
-@given(st.integers(0, 10**6), st.integers(2, 8))
-def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) -> None:
-    rng = np.random.default_rng(seed)
-    a = rng.normal(size=(order, order))
-    eigenvalues = np.linalg.eigvals(a)
-    spectral_radius = np.abs(eigenvalues).max()
-    a *= 0.9 / spectral_radius
-    b = rng.normal(size=(order, 1))
-    c = rng.normal(size=(1, order))
-    d = np.zeros((1, 1))
-    linear = StateSpace(a=a, b=b, c=c, d=d)
-    hankel = hankel_singular_values(linear)
-    upper_limit = 1e-6 * hankel[0]
-    if hankel[-1] < upper_limit:
-        return
-    balanced = balance(linear)
-    np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
-    b = balanced.c.T
-    for w in (gramian(balanced.a, balanced.b), gramian(balanced.a.T, b)):
-        expected = np.diag(hankel)
-        atol = 1e-5 * hankel[0]
-        np.testing.assert_allclose(w, expected, atol=atol)
-    reduced = balance(linear, order - 1)
-    z = np.exp(1j * np.linspace(0, np.pi, 200))
-    gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
-    upper_limit = 2 * hankel[-1] * (1 + 1e-6) + 1e-9
-    assert max(gaps) <= upper_limit
-
-
-def response(linear: StateSpace, z: complex) -> complex:
-    difference = z * np.eye(linear.order) - linear.a
-    solution = np.linalg.solve(difference, linear.b)
-    return (linear.c @ solution + linear.d)[0, 0]
-
-
-class Model:
-    """A linear part alone."""
-
-    def __init__(self, linear: StateSpace) -> None:
-        self.linear = linear
-
-    @property
-    def driven_system(self) -> StateSpace:
-        return self.linear
-
-    def with_driven_system(self, system: StateSpace) -> "Model":
-        return Model(system)
-
-
-def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() -> None:
-    a = np.array([[1.1]])
-    b = np.ones((1, 1))
-    c = np.ones((1, 1))
-    d = np.zeros((1, 1))
-    unstable = StateSpace(a=a, b=b, c=c, d=d)
-    with pytest.raises(BadRequest, match="spectral_radius"):
-        balance(unstable)
-    a = np.diag([0.9, 0.5])
-    b = np.array([[1.0], [1e-12]])
-    c = np.ones((1, 2))
-    d = np.zeros((1, 1))
-    dead = StateSpace(a=a, b=b, c=c, d=d)
-    largest = f"{hankel_singular_values(dead)[0]:.3g}"
-    with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
-        balance(dead)
-
-    linear = Reduction().reduce(Model(dead)).linear
-    order = linear.order
-    assert order == 1
-    reduction = Reduction(balanced=False)
-    linear = reduction.reduce(Model(dead)).linear
-    order = linear.order
-    assert order == 2
-
-
-@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_states_are_dropped_by_their_share_of_the_largest(scale: float) -> None:
-    """Two decoupled states, one a thousandth as strong; what unit the output has does not
-    matter."""
-
-    a = np.diag([0.5, -0.5])
-    b = np.array([[1.0], [1.0]])
-    c = scale * np.array([[1.0, 1e-3]])
-    d = np.zeros((1, 1))
-    linear = StateSpace(a=a, b=b, c=c, d=d)
-    reduction = Reduction(drop_below=1e-1)
-    order = reduction.reduce(Model(linear)).linear.order
-    assert order == 1
-    reduction = Reduction(drop_below=1e-6)
-    order = reduction.reduce(Model(linear)).linear.order
-    assert order == 2
-
-
-@pytest.mark.parametrize(
-    "bad", [{"truncate_to": 0}, {"drop_below": 0.0}, {"balanced": False, "truncate_to": 2}]
-)
-def test_reduction_refuses(bad: dict) -> None:
-    with pytest.raises(BadRequest, match="reduction"):
-        Reduction(**bad)

@@ -150,6 +150,10 @@ def test_the_default_says_which_it_took(tmp_path):
     assert len(held_out.training) == 2
     assert len(held_out.validation[0]) == 200
     assert len(held_out.test[0]) == 200
+
+
+def test_an_end_unlike_the_beginning_is_seen_in_validation_and_test():
+    rng = np.random.default_rng(0)
     parts = by_time(record(500), 0.2, 0.2)
     assert end_is_unlike(parts)
     first, odd = (
@@ -160,6 +164,10 @@ def test_the_default_says_which_it_took(tmp_path):
     assert not end_is_unlike(parts)
     parts = ([odd], [first], [first])
     assert end_is_unlike(parts)
+
+
+def test_a_split_that_leaves_nothing_is_refused(tmp_path):
+    log(tmp_path / "alike.csv", np.random.default_rng(0).standard_normal(1000))
     validation = [[0.0, 50.0]]
     test = [[50.0, 100.0]]
     nothing = {"validation": validation, "test": test}

@@ -1,23 +1,19 @@
 """Predictions of a design on the plant: the margin by frequency, and the controller by itself."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.signal
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_cases import BALLS, flat, motor_design, motor_model
 
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.regulation import Loop
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.plants.stribeck_drive import StribeckDrive
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import PEAK, noise_peak, predict, robustness_measure
@@ -35,6 +31,8 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, Gains, JacobianBall, StateSpace
 
 STEEP_AND_FLAT = (JacobianBall(alpha=1.0, beta=0.0), JacobianBall(alpha=0.1, beta=0.0))
+
+
 ONES = Balls(input=JacobianBall(alpha=1.0, beta=0.0), output=JacobianBall(alpha=1.0, beta=0.0))
 
 
@@ -299,6 +297,19 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     It is given in standard deviations of the input; a sinusoid with the peak of the noise has 4.5 /
     sqrt(2) of them.
     """
+    model, pair, shown = noisy_loop(sigma, held_up_to)
+    found = predict(model, pair, ONES, shown)
+    expected = 0.0 if held_up_to > 3 else sigma
+    assert found.noise_peak == pytest.approx(expected, rel=0.02)
+    assert found.predicts_stability() == passes
+    assert np.isinf(found.resolved_margin)
+    mismatch = replace(shown, farthest=1.2)
+    assert noise_peak(model, pair, ONES, mismatch) < 1
+
+
+def noisy_loop(sigma: float, held_up_to: float) -> tuple[SSM, Gains, Mismatch]:
+    """A loop whose noise has `sigma` times the peak of the band, and a plant that holds still below
+    `held_up_to` standard deviations of the input."""
     model = linear_model(3)
     samples = 200_000
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.3, rate_observer=0.3)
@@ -325,14 +336,13 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
         )
         for at, r in ((held, 0.0), (free, 1.0))
     ]
-    shown = Mismatch(views=tuple(views), noise=noise)
-    found = predict(model, pair, ONES, shown)
-    expected = 0.0 if held_up_to > 3 else sigma
-    assert found.noise_peak == pytest.approx(expected, rel=0.02)
-    assert found.predicts_stability() == passes
-    assert np.isinf(found.resolved_margin)
-    mismatch = replace(shown, farthest=1.2)
-    assert noise_peak(model, pair, ONES, mismatch) < 1
+    return model, pair, Mismatch(views=tuple(views), noise=noise)
+
+
+@pytest.mark.parametrize("held_up_to", [0.0, 4.0])
+def test_the_noise_peak_counts_the_slope_of_the_input_map_once(held_up_to):
+    model, pair, shown = noisy_loop(1.1, held_up_to)
+    own = noise_peak(model, pair, ONES, shown)
     # twice the slope of S_u behind half of B and D is the same loop
     b = model.linear.b / 2
     d = model.linear.d / 2
@@ -342,7 +352,7 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     same = replace(model, linear=halved, scaffold_in=scaffold_in)
     jacobian_ball = JacobianBall(alpha=2.0, beta=0.0)
     steeper = replace(ONES, input=jacobian_ball)
-    assert noise_peak(same, pair, steeper, shown) == pytest.approx(found.noise_peak)
+    assert noise_peak(same, pair, steeper, shown) == pytest.approx(own)
     gain = -0.5 * np.eye(1)
     scaffold_in = LinearScaffold(gain=gain)
     falling = replace(model, scaffold_in=scaffold_in)
@@ -357,59 +367,3 @@ def test_noise_beyond_the_band_refuses_a_loop(sigma, held_up_to, passes):
     jacobian_ball = JacobianBall(alpha=0.5, beta=0.0)
     point = replace(ONES, input=jacobian_ball)
     assert noise_peak(rising, pair, balls[1], shown) == noise_peak(rising, pair, point, shown)
-
-
-def drive() -> StribeckDrive:
-    conf_path = Path(__file__).parents[2] / "conf"
-    plant_path = conf_path / "plant"
-    stribeck_drive_path = plant_path / "stribeck_drive.yaml"
-    text = stribeck_drive_path.read_text()
-    values = yaml.safe_load(text)
-    return StribeckDrive(**{name: value for name, value in values.items() if name != "_target_"})
-
-
-def drive_model() -> SSM:
-    """The drive without friction, exact but for it: the current's lag, then the inertia."""
-    plant = drive()
-    h = drive().step_s
-    lag = np.exp(-h / plant.current_lag_s)
-    slip = np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
-    pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
-    gain = np.eye(1)
-    unit = LinearScaffold(gain=gain)
-    a = np.array([[lag, 0.0], [pushed, slip]])
-    b = np.array([[1 - lag], [0.0]])
-    c = np.array([[0.0, 1.0]])
-    d = np.zeros((1, 1))
-    linear = StateSpace(a=a, b=b, c=c, d=d)
-    return replace(
-        motor_model(),
-        linear=linear,
-        scaffold_in=unit, scaffold_out=unit, scale=Scale.unit(1, 1),
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("stable", [True, False])
-def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stable):
-    """Both designs are certified for the model. From rest, with an estimate off by a millionth:
-    friction holds the drive, so the controller runs alone. The stable one forgets; the other pushes
-    until the drive breaks loose, and the input never dies out."""
-    model = drive_model()
-    plant = drive()
-    weights = (
-        {"input_weight": 1.0, "output_noise": 1.0}
-        if stable
-        else {"input_weight": 1e-5, "output_noise": 1e-6}
-    )
-    riccati_synthesis = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights)
-    design = riccati_synthesis.design(model, ONES)
-    assert design.certified
-    law = ObserverFeedback.of(model, design)
-    radius = controller_radius(model.linear, law.gains, ONES)
-    assert (radius < 1) == stable
-    loop = Loop(initial_conditions=1, horizon_s=6.0)
-    run = loop.simulate(plant, law, np.full((1, 1), 1e-6), np.zeros((1, 600, 1)))
-    largest = np.abs(run.u[0, -100:]).max()
-    assert (largest < 1e-12) == stable
-    largest = np.abs(run.y[0, 300:]).max()
-    assert (largest == 0.0) == stable

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 import pytest
+from disc_cases import ONE, WEIGHTS, at_the_edge, on_the_plant
 from scipy.optimize import minimize_scalar
 from structured_cases import drawn
 
@@ -19,7 +20,6 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import largest_kappa, optimum_for_weights
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
 
-ONE = np.ones((1, 1))
 ZERO = np.zeros((1, 1))
 INPUT_ALONE = Weights(floor=1e-9, output=ZERO, input=ONE)
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
@@ -139,87 +139,6 @@ def solvable(known: VerificationContext, weights: Weights, centre: float, kappa:
     problem = cp.Problem(a, limits)
     problem.solve(solver="CLARABEL")
     return problem.status in ("optimal", "optimal_inaccurate") and float(margin.value) > 1e-7
-
-
-def first_order(gain: float, pole: float, direct: float) -> np.ndarray:
-    return np.array([[pole, 1.0], [gain, direct]])
-
-
-WEIGHTS = Weights(floor=0.3, output=first_order(0.2, 0.7, 0.4), input=first_order(0.05, 0.5, 0.1))
-
-
-def on_the_plant(
-    known: VerificationContext, mismatch: StateSpace, slopes: np.ndarray, seed: int
-) -> np.ndarray:
-    """The loop's input on a plant `y = m + e`, `e = Delta(m, u)` with these slopes of S_u, from a
-    random start."""
-    system = known.system
-    gains = known.gains
-    alpha_out = known.balls.output.alpha
-    rng = np.random.default_rng(seed)
-    x, xh = rng.standard_normal((2, system.order))
-    delta = np.zeros(mismatch.order)
-    inputs = np.empty(len(slopes))
-    for k, slope in enumerate(slopes):
-        u = gains["k"] @ xh
-        drive = slope * u
-        m = alpha_out * (system.c @ x + system.d @ drive)
-        entering = np.concatenate([m, u])
-        e = mismatch.c @ delta + mismatch.d @ entering
-        difference = alpha_out * (system.c @ xh + system.d @ drive) - m
-        injected = difference - e
-        x = system.a @ x + system.b @ drive
-        xh = system.a @ xh + system.b @ drive + gains["l"] @ injected
-        delta = mismatch.a @ delta + mismatch.b @ entering
-        inputs[k] = u[0]
-    return inputs
-
-
-def at_the_edge(kappa: float, centre: float, rng: np.random.Generator) -> StateSpace:
-    """`e = c m + kappa (Q_1 floor m + Q_2 W m + Q_3 V u)`, the Q all-passes that together have gain
-    one."""
-    share = rng.standard_normal(3)
-    share /= np.linalg.norm(share)
-    parts = []
-    for i in range(3):
-        pole = rng.uniform(-0.95, 0.95)
-        sign = rng.choice([-1.0, 1.0])
-        all_pass = (np.array([[pole]]), np.array([[1 - pole**2]]), np.array([[1.0]]), -pole * ONE)
-        parts.append((all_pass, sign * share[i]))
-    filters = [(np.eye(0), WEIGHTS.floor), (WEIGHTS.output, 1.0), (WEIGHTS.input, 1.0)]
-    blocks = []
-    for (all_pass, size), (weight, gain), column in zip(parts, filters, (0, 0, 1), strict=True):
-        order = max(len(weight) - 1, 0)
-        a = weight[:order, :order]
-        b = weight[:order, order:]
-        c = weight[order:, :order]
-        d = weight[order:, order:]
-        if order == 0:
-            a = np.zeros((0, 0))
-            b = np.zeros((0, 1))
-            c = np.zeros((1, 0))
-            d = gain * ONE
-        aa, ab, ac, ad = all_pass
-        whole_a = np.block([[a, np.zeros((order, 1))], [ab @ c, aa]])
-        into = np.zeros((1, 2))
-        into[0, column] = 1.0
-        blocks.append(
-            (
-                whole_a,
-                np.vstack([b, ab @ d]) @ into,
-                kappa * size * np.hstack([ad @ c, ac]),
-                kappa * size * ad @ d @ into,
-            )
-        )
-    from scipy.linalg import block_diag
-
-    direct = sum(block[3] for block in blocks) + np.array([[centre, 0.0]])
-    return StateSpace(
-        a=block_diag(*(block[0] for block in blocks)),
-        b=np.vstack([block[1] for block in blocks]),
-        c=np.hstack([block[2] for block in blocks]),
-        d=direct,
-    )
 
 
 @pytest.mark.parametrize("seed", range(5))

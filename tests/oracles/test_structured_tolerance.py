@@ -4,6 +4,7 @@ loops, a forged file."""
 import json
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -100,6 +101,12 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
     assert not StructuredTolerance.holds(**(proved.variables | {"s": s}))
 
 
+def energy(proved: StructuredTolerance, x: np.ndarray, x_hat: np.ndarray) -> float:
+    """The storage function of the proof: `x' P_11 x + (x_hat - x)' P_22 (x_hat - x)`."""
+    error = x_hat - x
+    return float(x @ proved.p[:3, :3] @ x + error @ proved.p[3:, 3:] @ error)
+
+
 def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     """The real neurons, S_u of changing slope, and `e` of the allowed energy, placed where it
     raises P most."""
@@ -126,23 +133,14 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
                 u @ u
             )  # saved energy may be spent later: gain in mean square alone
             after = []
-            for share, sign, slope in [
-                (a, b, c) for a in (0, 0.5, 1) for b in (-1, 1) for c in (0.6, 1.0)
-            ]:
+            for share, sign, slope in product((0, 0.5, 1), (-1, 1), (0.6, 1.0)):
                 e = sign * np.sqrt(share * budget)
                 v = slope * u
                 error = x_hat @ stand.c.T - (x @ stand.c.T + e)
                 estimate = stand.advance(x_hat, v, error @ l_z.T) + l @ error
-                after.append((np.concatenate([stand.advance(x, v), estimate]), e * e))
-            energies = [
-                xi[:3] @ proved.p[:3, :3] @ xi[:3]
-                + (xi[3:] - xi[:3]) @ proved.p[3:, 3:] @ (xi[3:] - xi[:3])
-                for xi, _ in after
-            ]
-            position_of_largest = int(np.argmax(energies))
-            xi, spent = after[position_of_largest]
-            x = xi[:3]
-            x_hat = xi[3:]
+                after.append((stand.advance(x, v), estimate, e * e))
+            energies = [energy(proved, *states) for *states, _ in after]
+            x, x_hat, spent = after[int(np.argmax(energies))]
             budget = budget - spent
         norm = np.linalg.norm(x)
         assert norm < 1e-3 * start

@@ -24,7 +24,8 @@ def moved(x: np.ndarray, volts: float) -> np.ndarray:
     return np.array([0.8 * x[0] + 0.2 * volts, x[1] + 0.05 * x[0]])
 
 
-def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> None:
+def position_log() -> tuple[np.ndarray, np.ndarray]:
+    """Steps of random height without a mean, then rest; the position with noise."""
     rng = np.random.default_rng(0)
     x = np.zeros(2)
     u = rng.uniform(-1, 1, 200).repeat(10)
@@ -35,6 +36,11 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
         white_noise = rng.standard_normal()
         y.append(x[1] + 0.01 * white_noise)
         x = moved(x, volts)
+    return u, np.array(y)
+
+
+def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> None:
+    u, y = position_log()
     words = (
         "model.order=2",
         "model=ssm",
@@ -45,7 +51,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
         "loop.horizon_s=10",
         "loop.initial_conditions=2",
     )
-    model = st.fit(u, np.array(y), 0.05, *words)
+    model = st.fit(u, y, 0.05, *words)
     design = st.control(model, *FEW)
     assert design.record["fit_test_percent"] > 90
     assert design.record["spectral_radius"] > 0.999

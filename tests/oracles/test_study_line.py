@@ -3,8 +3,6 @@ whole."""
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,10 +17,10 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.torch_recurrence import ModalForm, by_convolution
 from ssm_study.study.line import undeclared_settings
 from ssm_study.study.loop_recordings import read_rollouts
-from ssm_study.study.reproduce import compare_records
 from ssm_study.study.verify import verify
 
 pytestmark = pytest.mark.usefixtures("made_once")
+
 
 CONTRACT_FILES = (
     "record.json",
@@ -181,6 +179,8 @@ def test_the_table_has_one_typed_row(smoke_study: Path) -> None:
 
 
 STAGES = ("model", "synthesis")
+
+
 TINY = [
     "experiment=smoke",
     "study=sweep",
@@ -283,9 +283,8 @@ def test_one_failing_run_does_not_take_the_sweep_with_it(tmp_path: Path) -> None
     assert table["error_message"].notna().sum() == 1
 
 
-def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
-    """CSV in, certified pair out; there is no plant, the loop runs on the model, and the record
-    says so."""
+def write_log(path: Path) -> np.ndarray:
+    """Time, voltage and speed of a first-order motor; returns the voltage."""
     rng = np.random.default_rng(0)
     u = np.repeat(rng.uniform(-2, 2, 120), 5)
     y = np.zeros(600)
@@ -293,33 +292,19 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
         y[k + 1] = 0.9 * y[k] + 0.1 * np.tanh(u[k])
     white_noise = rng.standard_normal(600)
     columns = np.column_stack([np.arange(600) * 0.05, u, y + 0.001 * white_noise])
-    np.savetxt(tmp_path / "log.csv", columns, delimiter=",", header="t,volt,speed", comments="")
-    data = [
-        f"data.path={tmp_path / 'log.csv'}",
-        "data.input=volt",
-        "data.output=speed",
-        "data.step_s=0.05",
-    ]
-    settings = [
-        "data=recorded",
-        *data,
-        "model=ssm",
-        "model.order=2",
-        "model.hidden_width=8",
-        "training.max_epochs=15",
-    ]
-    assert (
-        main(
-            [
-                "run",
-                f"results_dir={tmp_path / 'results'}",
-                "study=mine",
-                "progress=false",
-                *settings,
-            ]
-        )
-        == 0
-    )
+    np.savetxt(path, columns, delimiter=",", header="t,volt,speed", comments="")
+    return u
+
+
+def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
+    """CSV in, certified pair out; there is no plant, the loop runs on the model, and the record
+    says so."""
+    u = write_log(tmp_path / "log.csv")
+    place = [f"results_dir={tmp_path / 'results'}", "study=mine", "progress=false"]
+    columns = ["data.input=volt", "data.output=speed", "data.step_s=0.05"]
+    data = ["data=recorded", f"data.path={tmp_path / 'log.csv'}", *columns]
+    model = ["model=ssm", "model.order=2", "model.hidden_width=8", "training.max_epochs=15"]
+    assert main(["run", *place, *data, *model]) == 0
     mine_path = tmp_path / "results" / "mine"
     (path,) = mine_path.glob("*/record.json")
     text = path.read_text()
@@ -343,73 +328,3 @@ def test_a_record_of_the_user_runs_the_same_line(tmp_path: Path) -> None:
     )
     assert record["unlimited_from"] < 0 < record["unlimited_to"]
     assert failing(path.parent) == set()
-
-
-@pytest.mark.parametrize(
-    "words", [["show", "STUDY"], ["run", "model.order=-1"]], ids=["show", "a wrong value"]
-)
-def test_what_answers_at_once_loads_no_part_that_takes_long(
-    smoke_run: Path, words: list[str]
-) -> None:
-    """Torch, Lightning, CVXPY, Matplotlib and SciPy's statistics and filters take half a second
-    each, or more."""
-    heavy = (
-        "{'torch', 'lightning', 'cvxpy', 'matplotlib.pyplot', 'scipy.stats', "
-        "'scipy.signal._filter_design'}"
-    )
-    program = f"import atexit, sys; atexit.register(lambda: print({heavy} & set(sys.modules))); "
-    program += "from ssm_study.cli.main import main; main(sys.argv[1:])"
-    words = [str(smoke_run.parent) if word == "STUDY" else word for word in words]
-    ended = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True)
-    assert ended.returncode in (0, 2), ended.stderr
-    assert ended.stdout.endswith("set()\n")
-
-
-def test_a_finished_run_is_told_again_without_pandas_until_its_study_changes(
-    smoke_run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Word for word as the first time; another run beside it, and the study is read again."""
-    study = tmp_path / "smoke"
-    shutil.copytree(smoke_run.parent, study)
-    program = (
-        "import sys; from ssm_study.cli.main import main; print(main(sys.argv[1:]), 'pandas' in "
-        "sys.modules)"
-    )
-    words = ["run", "experiment=smoke", f"results_dir={tmp_path}", "progress=false"]
-
-    def told() -> str:
-        command = [sys.executable, "-c", program, *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout
-
-    assert main(words) == 0
-    again = told()
-    assert again == f"{capsys.readouterr().out}0 False\n"
-    assert "certified" in again
-    shutil.copytree(study / smoke_run.name, study / "another")
-    assert told().endswith("0 True\n")
-
-
-def test_a_second_run_is_compared_number_by_number() -> None:
-    then = {
-        "status": "ok",
-        "order": 4,
-        "fit_test_percent": 90.0,
-        "threads": 1,
-        "synthesis_seconds": 1.0,
-    }
-    now = then | {"synthesis_seconds": 2.0}
-    expected = (["3 columns compared: 3 equal to the last bit, 0 differ"], True)
-    assert compare_records(then, now) == expected
-    now = then | {"fit_test_percent": 90.1, "order": None, "threads": 2}
-    lines, agrees = compare_records(then, now)
-    assert not agrees
-    expected = [
-        "3 columns compared: 1 equal to the last bit, 2 differ",
-        "  order: 4 then, None now",
-        "  fit_test_percent: 90.0 then, 90.1 now",
-        "  changed since: threads 1 -> 2",
-    ]
-    assert lines == expected
-    fit_test_percent = 90.0 * (1 + 1e-9)
-    now = then | {"fit_test_percent": fit_test_percent}
-    assert compare_records(then, now)[1]

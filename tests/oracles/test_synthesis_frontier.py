@@ -16,12 +16,11 @@ from synthesis_ratio import ratio_limit
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
 from ssm_study.certificates.frontier import energy_root, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.riccati import solve_riccati, solve_riccati_by_doubling
 from ssm_study.certificates.theorem import condition
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis import modes
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
-from ssm_study.synthesis.lmi import CompiledLmi, LmiSynthesis, paper_lmi
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
@@ -33,8 +32,12 @@ from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+from cost_cases import cost_problem
 from synthesis_certified import trained
 from synthesis_instances import KINDS, Instance, random_instance, random_model
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
+
 
 SEEDS = st.integers(0, 10**6)
 
@@ -308,138 +311,6 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     np.testing.assert_allclose(actual, expected, rtol=1e-6)
 
 
-@given(SEEDS, st.integers(1, 12), st.floats(0.1, 100.0))
-def test_doubling_solves_what_scipy_solves(seed: int, order: int, kappa: float) -> None:
-    rng = np.random.default_rng(seed)
-    linear = random_model(rng, order, "unstable", mixed=True)
-    q = linear.c.T @ linear.c + 0.1 * np.eye(order)
-    s = solve_riccati(linear.a, linear.b, q, kappa)
-    expected = scipy.linalg.solve_discrete_are(linear.a, linear.b, q, np.eye(1) / kappa)
-    largest = np.abs(expected).max()
-    atol = 1e-5 * largest
-    np.testing.assert_allclose(s, expected, rtol=1e-5, atol=atol)
-
-
-def test_doubling_gives_up_on_a_mode_out_of_reach() -> None:
-    a = np.diag([2.0, 0.5])
-    b = np.array([[0.0], [1.0]])
-    q = np.eye(2)
-    with pytest.raises(NoSolution):
-        solve_riccati(a, b, q, 1.0)
-
-
-def test_what_doubling_leaves_unsolved_is_solved_by_scipy(monkeypatch: pytest.MonkeyPatch) -> None:
-    rng = np.random.default_rng(3)
-    linear = random_model(rng, 4, "unstable", mixed=True)
-    q = np.eye(4)
-    expected = solve_riccati(linear.a, linear.b, q, 2.0)
-    largest = np.abs(expected).max()
-    for spoilt in (None, expected + 1e-4 * largest * np.eye(4)):
-        monkeypatch.setattr(
-            "ssm_study.certificates.riccati.solve_riccati_by_doubling", lambda *_, s=spoilt: s
-        )
-        actual = solve_riccati(linear.a, linear.b, q, 2.0)
-        np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-6)
-
-
-def cost_problem(rate: float = 0.1, ball: JacobianBall | None = None) -> Problem:
-    rng = np.random.default_rng(2)
-    linear = random_model(rng, 4, "stable", mixed=True)
-    weight = linear.c.T @ linear.c + 1e-2 * np.eye(4)
-    ball = ball or JacobianBall.from_slopes(0.4, 1.0)
-    return Problem(
-        a=linear.a, b=linear.b, ball=ball, rate=rate, state_weight=weight, input_weight=0.5
-    )
-
-
-def test_doubling_gives_up_where_a_step_is_singular() -> None:
-    """`I + G H = 0`: no solution by this route, said without an exception."""
-    one = np.ones((1, 1))
-    riccati_by_doubling = solve_riccati_by_doubling(one, -one, one)
-    assert riccati_by_doubling is None
-    riccati_by_doubling = solve_riccati_by_doubling(one, 0.5 * one, one)
-    assert riccati_by_doubling is not None
-
-
-def test_the_guaranteed_cost_bounds_the_cost_of_every_slope() -> None:
-    """`x0^T S x0 >= sum r^-2k (x^T Q x + u^T R u)` for slopes that jump about in the ball as they
-    like."""
-    problem = cost_problem()
-    solution = guaranteed_cost(problem)
-    tau = float(solution.status.split()[1])
-    inverse = np.linalg.inv(solution.p)
-    s = tau * inverse
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        x = x0 = rng.normal(size=4)
-        cost = 0.0
-        discount = 1.0
-        for _ in range(300):
-            u = solution.k @ x
-            cost += discount * float(x @ problem.state_weight @ x + problem.input_weight * u @ u)
-            x = problem.a @ x + problem.b @ (rng.choice([0.4, 1.0]) * u)
-            discount /= problem.contraction**2
-        upper_limit = float(x0 @ s @ x0) * (1 + 1e-5)
-        assert cost <= upper_limit
-
-
-def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
-    problem = cost_problem()
-    best = np.inf
-    for tau in np.geomspace(1e-2, 1e6, 400):
-        point = at_tau(problem, tau)
-        best = min(best, np.inf if point is None else point.cost)
-    status = guaranteed_cost(problem).status
-    tau = float(status.split()[1])
-    found = at_tau(problem, tau)
-    assert found is not None
-    upper_limit = best * (1 + 1e-3)
-    assert found.cost <= upper_limit
-
-
-def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> None:
-    """`kappa > 0` iff `tau > R / (alpha^2 - beta^2)`; alpha is not one here."""
-    ball = JacobianBall(alpha=2.0, beta=0.5)
-    problem = cost_problem(ball=ball)
-    difference = 2.0**2 - 0.5**2
-    smallest = problem.input_weight / difference
-    tau = smallest * (1 - 1e-6)
-    assert at_tau(problem, tau) is None
-    assert at_tau(problem, smallest * 1e9) is not None
-
-
-def test_the_cost_is_of_output_state_and_input() -> None:
-    """`output_weight |C x|^2 + state_weight |x|^2 + input_weight |u|^2`, with the defaults that
-    users rely on."""
-    rng = np.random.default_rng(2)
-    linear = random_model(rng, 4, "stable", mixed=True)
-    ball = JacobianBall(alpha=1.0, beta=0.3)
-    rates = {"rate_controller": 0.1, "rate_observer": 0.1}
-    riccati_synthesis = RiccatiSynthesis(**rates)
-    asked = riccati_synthesis.problem(linear, ball)
-    expected = linear.c.T @ linear.c + 1e-4 * np.eye(4)
-    np.testing.assert_allclose(asked.state_weight, expected)
-    other = RiccatiSynthesis(**rates, output_weight=3.0, state_weight=0.5, input_weight=7.0)
-    asked = other.problem(linear, ball)
-    expected = 3.0 * linear.c.T @ linear.c + 0.5 * np.eye(4)
-    np.testing.assert_allclose(asked.state_weight, expected)
-    assert asked.input_weight == 7.0
-    riccati_synthesis = RiccatiSynthesis(
-        **rates, input_noise=3.0, state_noise=0.5, output_noise=7.0
-    )
-    told = riccati_synthesis.problem(linear, ball, observes=True)
-    expected = 3.0 * linear.b @ linear.b.T + 0.5 * np.eye(4)
-    np.testing.assert_allclose(told.state_weight, expected)
-    assert told.input_weight == 7.0
-
-
-def test_no_admissible_tau_is_no_solution() -> None:
-    ball = JacobianBall.from_slopes(0.01, 1.0)
-    problem = cost_problem(rate=0.9, ball=ball)
-    with pytest.raises(NoSolution):
-        guaranteed_cost(problem)
-
-
 OBJECTIVES = ["feasibility", "largest_margin", "smallest_gain", "guaranteed_cost"]
 
 
@@ -456,33 +327,6 @@ def test_every_objective_form_and_solver_is_certified(
         LmiSynthesis, case, objective=objective, full=full, solver=solver, state_weight=0.1
     )
     assert part.certified, part
-
-
-def test_a_compiled_sweep_gives_what_fresh_problems_give() -> None:
-    problem = cost_problem()
-    state_weight = np.eye(4)
-    shared = CompiledLmi(
-        a=problem.a,
-        b=problem.b,
-        objective="smallest_gain",
-        full=False,
-        state_weight=state_weight,
-        input_weight=1.0,
-    )
-    for rate in (0.05, 0.1, 0.2):
-        case = cost_problem(rate)
-        state_weight = np.eye(4)
-        fresh = CompiledLmi(
-            a=problem.a,
-            b=problem.b,
-            objective="smallest_gain",
-            full=False,
-            state_weight=state_weight,
-            input_weight=1.0,
-        )
-        actual = shared.solve(case).k
-        expected = fresh.solve(case).k
-        np.testing.assert_allclose(actual, expected, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("inputs", [1, 2])

@@ -120,9 +120,8 @@ def test_what_never_ends_is_not_read(what: str, name: str, study: Path) -> None:
     (status,) = gather(study)["status"]
     expected = "corrupt" if name == "record.json" else "ok"
     assert status == expected
-    verification = verify(run_of(study))
     with pytest.raises(BadRequest, match=r"do not hold|there is no record\.json"):
-        verification.demand("run", study)
+        verify(run_of(study)).demand("run", study)
 
 
 # The table is made anew; what `verify` makes of each damage has tests of its own, and `export`

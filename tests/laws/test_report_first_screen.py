@@ -1,0 +1,231 @@
+"""The first screen of the report page in a real browser, and pages of studies of every kind."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+import report_tables
+from report_browser import count_shown_runs, groups_shown, wait_for
+
+from ssm_study.report.page.data import provenance
+from ssm_study.report.page.writing import write_page
+from ssm_study.report.study_folder import StudyFolder
+from ssm_study.table.rank import best_first
+
+
+def test_runs_whose_rate_auto_chose_are_one_group(browser: Any, tmp_path: Path) -> None:
+    table = report_tables.table(12).assign(
+        synthesis_method="auto", rates_chosen="controller, observer"
+    )
+    table.loc[::2, ["rate_controller", "rates_chosen"]] = [0.1, "observer"]
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    browser.execute_script("state.group.by = ['rate_controller']; changed(true)")
+    wait_for(browser, "document.querySelectorAll('#groups tbody tr').length === 2")
+    expected = {"0.1": "6", "auto": "6"}
+    assert {label: row[0] for label, row in groups_shown(browser).items()} == expected
+
+
+def test_the_first_screen_says_what_is_proved_predicted_seen_and_how_sound_the_records_are(
+    browser: Any, tmp_path: Path
+) -> None:
+    table = report_tables.table(60)
+    table = (
+        table[table["status"] == "ok"]
+        .head(1)
+        .assign(predicted_stable=True, resolved_margin=2.04, evidence="doubt")
+    )
+    reasons = "note: One amplitude: the record shows no other. doubt: The record is short."
+    table = table.assign(stable_fraction=1.0, stable_count=10, evidence_reasons=reasons)
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text_of = "return [...document.querySelectorAll(arguments[0])].map((c) => c.innerText)"
+    cards = browser.execute_script(text_of, ".card")
+    assert (
+        "Predicted for the plant\n2.04\nstability margin (above 1 is needed): it stays stable, "
+        "with doubts; spectral radius of the controller 0.9 (below 1 is needed)"
+    ) in cards
+    assert cards[-1].startswith("Seen on the simulated plant\n10 of 10\nstarts settle, in 0.")
+    (evidence,) = browser.execute_script(text_of, ".evidence li")
+    doubts = "The records leave a doubt. The record is short."
+    text = " ".join(evidence.split())
+    assert text == f"Evidence: doubt {doubts} 1 note", "what matters first"
+    note = browser.execute_script(
+        "return document.querySelector('.evidence details p').textContent"
+    )
+    assert note == "Note: One amplitude: the record shows no other."
+    absent = "return ['compare', 'filters', 'beside'].map((id) => document.getElementById(id))"
+    expected = [None] * 3
+    assert browser.execute_script(absent) == expected, "a single run has nothing to compare"
+
+
+@pytest.mark.parametrize(
+    ("loop_on", "said"),
+    [("plant", "simulated plant"), ("device", "device"), ("identified model", "model")],
+)
+def test_the_first_screen_says_what_the_loop_was_closed_on(
+    browser: Any, tmp_path: Path, loop_on: str, said: str
+) -> None:
+    """A trial on a device was said to have settled on the model."""
+    table = report_tables.table(60).assign(loop_on=loop_on)
+    table = table[table["stable_count"] > 0].head(1)
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert f"Seen on the {said}\n" in text
+    assert "\nstarts settle" in text
+    assert f"Predicted for the {'model' if said == 'model' else 'plant'}\n" in text
+
+
+def test_every_run_that_came_to_less_than_a_certified_loop_is_listed_with_its_reason(
+    browser: Any, tmp_path: Path
+) -> None:
+    """A run without certificate must be listed: the page said that nothing failed and that every
+    certified controller settled."""
+    table = report_tables.table(60)
+    run = ["bare", "untried"]
+    table = pd.concat([table[table["status"] == "ok"].head(1)] * 2, ignore_index=True).assign(
+        run=run
+    )
+    table["uncertified_reason"] = ["observer: not positive definite", None]
+    table["observer_certified"], table["stable_fraction"] = [False, True], [1.0, None]
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text = browser.execute_script("return document.getElementById('failures').textContent")
+    assert "not certified: observer: not positive definite" in text
+    assert (
+        "certified, not tried: both certificates hold; the model answers its input at once" in text
+    )
+    assert "Nothing failed" not in text
+
+
+def test_a_name_shows_what_not_all_runs_share_and_the_best_run_has_a_ring(
+    browser: Any, tmp_path: Path
+) -> None:
+    table = best_first(report_tables.table(4)).reset_index(drop=True)
+    digits = [f"{k:010x}" for k in range(4)]
+    table["run"] = [f"order{4 + k // 2}-width8-seed0-{digits[k]}" for k in range(4)]
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    links = browser.execute_script(
+        "return [...document.querySelectorAll('#body tr th button')].map(b => b.textContent)"
+    )
+    expected = [f"order{4 + k // 2}-{digits[k]}" for k in range(4)]
+    assert links == expected
+    rings = """return VIEWS.map((view) => {
+      const ring = (item) => item.strokeWidth === 1.3 ? [item.datum.i] : [];
+      const around = (item) => item.items ? item.items.flatMap(around) : ring(item);
+      return around(view.scenegraph().root); })"""
+    drawn = browser.execute_script(rings)
+    assert all(found in ([0], []) for found in drawn)
+    assert [0] in drawn
+    wait_for(browser, "VIEWS[DATA.panels.length + 1]")
+    groups = browser.execute_script(rings)[-1]
+    assert groups in ([0], []), "in the strips of the groups, too"
+
+
+def test_an_infeasible_run_says_on_the_first_screen_why_and_what_is_possible(
+    browser: Any, tmp_path: Path
+) -> None:
+    table = report_tables.table(60)
+    table = table[table["status"] == "infeasible"].head(1)
+    table = table.assign(
+        rate_controller=0.6, controller_rate_limit=0.359, infeasible_reason="rate 0.6 is infeasible"
+    )
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert "0.359\nlargest rate that can be certified; requested: 0.6" in text
+    assert (
+        "Infeasible: no certificate exists at the requested rate. Rate 0.6 is infeasible." in text
+    )
+
+
+def test_a_run_that_requested_no_rate_and_is_not_certified_has_a_first_screen(
+    browser: Any, tmp_path: Path
+) -> None:
+    """A controller's own rate without the observer's certificate: the page stopped at a number that
+    is not there."""
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(1)
+    table = table.assign(
+        rate_controller=None, controller_certified_rate=0.1, observer_certified=False
+    )
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'", 5)
+    text = browser.execute_script("return document.getElementById('lead').innerText")
+    assert "largest rate that can be certified\n" in text
+
+
+def test_of_runs_at_one_point_the_lines_lie_within_the_plots(browser: Any, tmp_path: Path) -> None:
+    """An axis around the runs alone would leave the plant's own time, a limit or margin one far
+    outside the figure."""
+    one = report_tables.table(60)
+    one = one[one["settling_time_open_loop_s"].notna() & one["settling_time_mean_s"].notna()].head(
+        1
+    )
+    one = pd.concat([one, one.assign(run="again")], ignore_index=True)
+    study_folder = report_tables.write_study(tmp_path / "one", one)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    heights = browser.execute_script(
+        "return [...document.querySelectorAll('.chart canvas')].map((c) => c.clientHeight)"
+    )
+    assert len(heights) >= len(browser.execute_script("return DATA.panels"))
+    assert max(heights) < 400
+    bars = (
+        "const n = DATA.panels.findIndex((panel) => panel.tick); return "
+        "VIEWS[n].scale('x').domain()"
+    )
+    assert browser.execute_script(bars)[0] > 0, "the bars stand on the axis of the points"
+
+
+@pytest.mark.parametrize(
+    "table", [report_tables.empty(), report_tables.failures()], ids=["empty", "failures"]
+)
+def test_a_study_without_results_still_has_a_page(browser: Any, tmp_path: Path, table: Any) -> None:
+    study_folder = report_tables.write_study(tmp_path / "study", table)
+    browser.get(write_page(study_folder).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    entries = browser.get_log("browser")
+    assert [entry for entry in entries if entry["level"] == "SEVERE"] == []
+    assert browser.execute_script("return RUNS") == len(table)
+    assert not len(table) or count_shown_runs(browser) == len(table)
+
+
+def test_two_studies_stand_on_one_page(browser: Any, tmp_path: Path) -> None:
+    for name, runs in (("first", 5), ("second", 3)):
+        table = report_tables.table(runs).assign(study=name)
+        report_tables.write_study(tmp_path / name, table)
+    others = (tmp_path / "second",)
+    path = write_page(tmp_path / "first", others)
+    assert path.name == "report_with_second.html"
+    browser.get(path.as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    assert count_shown_runs(browser) == 8
+    wait_for(browser, "document.querySelector('#groups tbody tr') !== null")
+    assert browser.execute_script("return state.group.by") == ["study"], (
+        "studies against each other first"
+    )
+    names = browser.execute_script("return COLUMNS.run")
+    assert sum(name.startswith("../second/") for name in names) == 3
+
+
+def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path: Path) -> None:
+    for dirty, told in (
+        ([False], "clean"),
+        ([True], "with uncommitted changes"),
+        ([False, True, None], "clean or with"),
+    ):
+        table = report_tables.table(6).assign(git_dirty=pd.array((dirty * 6)[:6], dtype="boolean"))
+        folder = report_tables.write_study(tmp_path / str(len(told)), table)
+        study = StudyFolder(folder=folder)
+        assert dict(provenance(study, study.table))["working tree"].startswith(told)

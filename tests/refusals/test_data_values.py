@@ -1,0 +1,127 @@
+"""Values of data settings, archives and arrays that the readers must refuse."""
+
+import resource
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from plants_cases import from_yaml
+from pyarrow import parquet
+from scipy.io import savemat
+
+from ssm_study.data.arrays import write_log_files
+from ssm_study.data.experiments import RecordedExperiments
+from ssm_study.data.readers.reader import read_table
+from ssm_study.data.recording import Recording
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Scale
+
+
+@pytest.mark.parametrize(
+    ("override", "says"),
+    [
+        ("trajectories=0", "data.trajectories = 0"),
+        ("samples=19", "data.samples = 19: "),
+        ("noise_variance=-0.02", "data.noise_variance = -0.02: must not be negative"),
+        ("start_up_samples=-1", "data.start_up_samples = -1"),
+    ],
+)
+def test_simulated_values(override: str, says: str) -> None:
+    with pytest.raises(Exception, match=says):  # hydra wraps what a constructor raises
+        from_yaml("data", "simulated", override)
+
+
+@pytest.mark.parametrize(
+    ("choice", "override", "says"),
+    [
+        ("prbs", "amplitude=-1.0", "excitation.amplitude = -1.0"),
+        ("prbs", "register_bits=1", "excitation.register_bits = 1"),
+        ("aprbs", "clock_s=0.0", "excitation.clock_s = 0.0"),
+        ("aprbs", "longest_hold_clocks=0", "excitation.longest_hold_clocks = 0"),
+    ],
+)
+def test_excitation_values(choice: str, override: str, says: str) -> None:
+    with pytest.raises(Exception, match=says):
+        from_yaml("excitation", choice, override)
+
+
+def test_a_clock_shorter_than_the_sampling_time() -> None:
+    plant = from_yaml("plant", "dc_motor")
+    simulated = from_yaml("data", "simulated")
+    with pytest.raises(BadRequest, match="shorter than half the sampling time"):
+        simulated.build(plant, from_yaml("excitation", "aprbs", "clock_s=0.001"), 0)
+
+
+def test_a_small_file_that_unpacks_to_gigabytes_is_refused_before_it_does(tmp_path: Path) -> None:
+    """Zeros pack to nothing. MCAP's test: tests/oracles/test_data_mcap.py."""
+    zeros = np.zeros(10_000_000)
+    savemat(tmp_path / "a.mat", {"u": zeros, "y": zeros}, do_compression=True)
+    u = zeros[:1_000_000]
+    y = zeros[:1_000_000]
+    table = pa.table({"u": u, "y": y})
+    with parquet.ParquetWriter(tmp_path / "a.parquet", table.schema) as writer:
+        for _ in range(40):
+            writer.write_table(table)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for name, words in (
+        ("a.mat", "more than 128 MiB"),
+        ("a.parquet", "40000000 rows are more than 16777216"),
+    ):
+        st_size = (tmp_path / name).stat().st_size
+        assert st_size < 2**20
+        wanted = {"u": "", "y": ""}
+        with pytest.raises(BadRequest, match=words):
+            read_table(tmp_path / name, wanted)
+    ru_maxrss = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    difference = ru_maxrss - before
+    assert difference < 350_000  # kilobytes
+
+
+@pytest.mark.parametrize(
+    ("u", "y", "says"),
+    [
+        (
+            pd.DataFrame(np.ones((9, 2)), columns=["a", "a"]),
+            np.ones(9),
+            r"u, y = \['a', 'a', 'y'\]: .*one name",
+        ),
+        (
+            pd.Series(np.ones(9), name="a"),
+            pd.Series(np.ones(9), name="a"),
+            r"u, y = \['a', 'a'\]: .*one name",
+        ),
+        ([], [], r"u = shape \(0,\): not a signal; give an array \(T, channels\)"),
+        ("speed", np.ones(9), r"u = str: not a table of numbers"),
+    ],
+)
+def test_arrays_that_are_no_log(tmp_path: Path, u: object, y: object, says: str) -> None:
+    with pytest.raises(BadRequest, match=says):
+        write_log_files(u, y, tmp_path)
+
+
+@pytest.mark.parametrize("change", [{"input_scale": [0.0, 1.0]}, {"output_equilibrium": [np.nan]}])
+def test_scales_that_are_none(change: dict[str, list[float]]) -> None:
+    input_scale = [1.0, 1.0]
+    input_equilibrium = [0.0, 0.0]
+    sides = {
+        "input_scale": input_scale,
+        "output_scale": [1.0],
+        "input_equilibrium": input_equilibrium,
+    }
+    numbers = sides | {"output_equilibrium": [0.0]} | change
+    with pytest.raises(BadRequest, match="needs positive gains about as many finite numbers"):
+        Scale(**{name: np.array(values) for name, values in numbers.items()})
+
+
+@pytest.mark.parametrize("part", ["training", "validation", "test"])
+def test_experiments_without_a_recording(part: str) -> None:
+    recording = Recording(path="log.csv", input="u", output="y", step_s=0.01)
+    one = [recording]
+    parts = dict.fromkeys(("training", "validation", "test"), one)
+    RecordedExperiments(benchmark="own", **parts)
+    with pytest.raises(
+        BadRequest, match=f"data.{part} = none: no recording is named; name at least one"
+    ):
+        RecordedExperiments(benchmark="own", **(parts | {part: []}))
