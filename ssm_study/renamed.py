@@ -71,10 +71,12 @@ MODULES: Mapping[str, str] = {
 NAMES: Mapping[str, str] = {
     "certificates.certificate.OfProblem": "certificates.certificate.ProblemCertificate",
     "certificates.theorem.Known": "certificates.theorem.VerificationContext",
-    "data.simulated.trials": "data.simulated.mismatch_records",
+    "data.simulated.trials": "data.simulated.simulate_mismatch_records",
     "data.splits.repeats": "data.splits.periodic_segments",
     "data.splits.returns": "data.splits.rest_segments",
     "data.readers.text.CsvReader": "data.readers.text.TextReader",
+    "data.readers.reader.check_named": "data.readers.reader.check_column_names",
+    "data.readers.reader.place_of": "data.readers.reader.find_column",
     "engine.stages.Kept": "engine.stages.StageOutput",
     "models.identified.Wired": "models.identified.ScaffoldedModel",
     "models.spec.Start": "models.spec.Initialisation",

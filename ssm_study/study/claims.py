@@ -192,7 +192,7 @@ def data(run: RunFiles) -> Claims:
 def data_read(run: RunFiles, records: DataSet) -> Claims:
     """Columns and recordings that follow from the records."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
-        yield Derived(data_metrics.data_facts(records))
+        yield Derived(data_metrics.data_columns(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)

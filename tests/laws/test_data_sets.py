@@ -11,7 +11,7 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.cli.from_python import composed
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
-from ssm_study.data.simulated import TrainingAlone, mismatch_records
+from ssm_study.data.simulated import TrainingAlone, simulate_mismatch_records
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
 
@@ -98,7 +98,7 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     plant = from_yaml("plant", "cascaded_tanks")
     driven = {
         t.name: np.abs(t.u - plant.equilibrium().u).max()
-        for t in mismatch_records(plant, np.random.default_rng(0), np.zeros(1))
+        for t in simulate_mismatch_records(plant, np.random.default_rng(0), np.zeros(1))
         if "_at_" in t.name
     }
     shares = np.array([float(name.rpartition("_")[2]) for name in driven])

@@ -13,7 +13,7 @@ from loop_cases import motor
 from test_coverage import BALLS, MODEL, design, records, scaled_model
 
 from ssm_study.bounds.frequency import frequency_response
-from ssm_study.data.simulated import PERIOD, SINE_SHARES, sine_records
+from ssm_study.data.simulated import PERIOD, SINE_SHARES, simulate_sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -108,7 +108,7 @@ def test_where_no_noise_is_known_nothing_is_tried() -> None:
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
     plant = motor()
-    trials = sine_records(plant, np.random.default_rng(0), np.zeros(1), [43, 128])
+    trials = simulate_sine_records(plant, np.random.default_rng(0), np.zeros(1), [43, 128])
     assert len(trials) == 2 * len(SINE_SHARES)
     assert min(SINE_SHARES) == 0.01
     for trial in trials:
@@ -116,4 +116,4 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
         np.testing.assert_array_equal(u[PERIOD : 2 * PERIOD], u[2 * PERIOD :])
     largest = max(float(np.abs(trial.u - plant.equilibrium().u).max()) for trial in trials)
     assert largest == pytest.approx(plant.input_amplitude[0], rel=1e-3)
-    assert sine_records(plant, np.random.default_rng(0), np.zeros(1), []) == ()
+    assert simulate_sine_records(plant, np.random.default_rng(0), np.zeros(1), []) == ()

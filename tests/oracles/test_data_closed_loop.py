@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
-from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
+from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back_share
 from ssm_study.refusal import BadRequest
@@ -67,10 +67,10 @@ def written(folder: Path, *columns: np.ndarray) -> str:
 
 def test_the_set_point_of_a_pi_is_found_again() -> None:
     r, u, y = loop(0)
-    found = set_point_of_pi(log(u, y), GAIN, INTEGRAL_S)[:, 0]
+    found = reconstruct_pi_set_point(log(u, y), GAIN, INTEGRAL_S)[:, 0]
     late = SAMPLES // 10  # what the integral held at the start is forgotten by then
     assert np.abs((found - r)[late:] - (found - r)[-1]).max() < 1e-9
-    wrong = set_point_of_pi(log(u, y), 2 * GAIN, INTEGRAL_S)[:, 0]
+    wrong = reconstruct_pi_set_point(log(u, y), 2 * GAIN, INTEGRAL_S)[:, 0]
     assert np.abs((wrong - r)[late:]).max() > 0.1
 
 
@@ -81,7 +81,7 @@ def test_the_bias_of_a_slow_drift_is_gone() -> None:
     staged = []
     for seed in range(6):
         r, u, y = loop(seed, integral_s=1e9)
-        by_set_point, share = from_set_points([log(u, y)], [r[:, None]])
+        by_set_point, share = project_inputs_on_set_points([log(u, y)], [r[:, None]])
         direct.append(fitted(u, y)[0])
         staged.append(fitted(by_set_point[0].u[:, 0], y)[0])
         assert 0.3 < share < 0.95
@@ -126,12 +126,12 @@ def test_refusals(tmp_path: Path) -> None:
         with pytest.raises(BadRequest, match="is no PI; give"):
             RecordedData(**asked, controller=controller)
     with pytest.raises(BadRequest, match="are at a limit of the input"):
-        set_point_of_pi(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
+        reconstruct_pi_set_point(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
     with pytest.raises(BadRequest, match="a PI has one each"):
-        set_point_of_pi(
+        reconstruct_pi_set_point(
             Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S), GAIN, INTEGRAL_S
         )
     with pytest.raises(BadRequest, match="log longer"):
-        from_set_points([log(u[:300], y[:300])], [r[:300, None]])
+        project_inputs_on_set_points([log(u[:300], y[:300])], [r[:300, None]])
     with pytest.raises(BadRequest):
         RecordedData(**asked, reference="set_point").build(0)

@@ -11,11 +11,11 @@ import scipy.io
 from ssm_study.cli.main import main
 from ssm_study.data.log_dynamics import (
     FED_BACK,
-    answer_sentence,
-    describe_dynamics,
+    describe_log_dynamics,
+    feedback_share,
     first_response_lag,
     input_shares,
-    share_from_earlier_outputs,
+    response_delay_sentence,
 )
 from ssm_study.data.look import look
 from ssm_study.refusal import BadRequest
@@ -70,7 +70,7 @@ def test_a_sweep_of_sines_is_no_closed_loop() -> None:
     u = sum(np.sin(2 * np.pi * f * time / 500 + f**2) for f in range(10, 60, 5))
     y = np.convolve(u, 0.95 ** np.arange(60) * np.sin(0.3 * np.arange(60)))[:1000]
     y = y + 0.02 * np.random.default_rng(0).standard_normal(1000)
-    assert share_from_earlier_outputs(u, y) < FED_BACK
+    assert feedback_share(u, y) < FED_BACK
 
 
 def test_the_command_draws_and_prints(
@@ -138,7 +138,7 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     y = np.convolve(x, 1 / 60 * np.exp(-np.arange(400) / 60))[: len(u)]
     y += 0.01 * rng.standard_normal(len(y))
     assert first_response_lag(u, y) is None
-    assert "slow" in answer_sentence(u, y, input_shares(u, y))
+    assert "slow" in response_delay_sentence(u, y, input_shares(u, y))
 
 
 def test_a_column_that_counts_is_no_signal(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_a_loop_that_answers_within_the_sample_is_not_called_feedthrough(
         position += speed
         y[k] = position + 0.02 * rng.standard_normal()
         u[k] = 0.5 * (set_point[k] - y[k]) - gain_d * (y[k] - y[k - 1])
-    text = "\n".join(describe_dynamics([Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)]))
+    text = "\n".join(describe_log_dynamics([Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)]))
     assert "which of them answers is not to be seen" in text
     assert "feedthrough" not in text
     assert ("a closed loop?" in text) is is_loop  # a gain alone is hardly to be told from the plant

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 
-from ssm_study.data.readers.mat import MatReader, parse
+from ssm_study.data.readers.mat import MatReader, parse_mat_file
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
@@ -34,7 +34,7 @@ def test_version_5(
     matrix = data.draw(arrays(np.dtype(kind), shape))
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     savemat(path, {"matrix_1": matrix, "b": np.arange(3.0)}, do_compression=compressed)
-    mine = parse(path)
+    mine = parse_mat_file(path)
     theirs = loadmat(path)
     assert list(mine) == ["matrix_1", "b"]
     np.testing.assert_array_equal(mine["matrix_1"], theirs["matrix_1"])
@@ -49,7 +49,7 @@ def test_version_4(
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     others = {"c": np.ones(2) * 1j, "s": "text", "e": scipy.sparse.eye_array(2, format="csc")}
     savemat(path, {"x": matrix, **others, "y": np.arange(4.0)}, format="4")
-    mine = parse(path)
+    mine = parse_mat_file(path)
     np.testing.assert_array_equal(mine["x"], matrix)
     np.testing.assert_array_equal(mine["y"], [np.arange(4.0)])
     assert [mine[name] for name in others] == ["complex", "text", "a sparse matrix"]
@@ -75,7 +75,7 @@ def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
         tmp_path / "a.mat",
         {"s": {"f": 1.0}, "c": np.array(["ab", 1.0], dtype=object), "t": "text", "z": 1j},
     )
-    values = parse(tmp_path / "a.mat")
+    values = parse_mat_file(tmp_path / "a.mat")
     assert {name: value for name, value in values.items() if isinstance(value, str)} == {
         "c{1}": "text",
         "t": "text",
@@ -112,7 +112,7 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
 def test_the_servo_files(benchmark_data: Path, name: str) -> None:
     path = benchmark_data / "emps" / f"{name}.mat"
-    mine = parse(path)
+    mine = parse_mat_file(path)
     theirs = loadmat(path)
     for variable in ("t", "vir", "qm", "kp"):
         np.testing.assert_array_equal(mine[variable], theirs[variable])

@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.splits import (
-    by_fold,
-    by_intervals,
-    by_time,
-    end_is_unlike,
-    in_blocks,
+    cut_out_fold,
+    is_test_output_different,
     periodic_segments,
-    without_fold,
+    split_at_intervals,
+    split_by_fold,
+    split_by_time,
+    split_into_blocks,
 )
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
@@ -31,9 +31,9 @@ def record(samples: int) -> Trajectory:
 def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
     log = record(samples)
     for parts in (
-        by_time(log, validation, test),
-        in_blocks(log),
-        *(by_fold(log, fold, 5) for fold in range(5)),
+        split_by_time(log, validation, test),
+        split_into_blocks(log),
+        *(split_by_fold(log, fold, 5) for fold in range(5)),
     ):
         pieces = [piece for part in parts for piece in part]
         np.testing.assert_array_equal(
@@ -43,7 +43,7 @@ def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
 
 
 def test_named_intervals_are_cut_out_and_the_rest_trains():
-    training, validation, test = by_intervals(
+    training, validation, test = split_at_intervals(
         record(100), {"validation": [[2.0, 3.0]], "test": [[0.0, 1.0], [9.0, 10.0]]}
     )
     assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in training] == [(10, 19), (30, 89)]
@@ -53,7 +53,7 @@ def test_named_intervals_are_cut_out_and_the_rest_trains():
 
 @given(st.integers(40, 400), st.integers(2, 8))
 def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
-    cuts = [by_fold(record(samples), fold, folds) for fold in range(folds)]
+    cuts = [split_by_fold(record(samples), fold, folds) for fold in range(folds)]
     tested = np.concatenate([piece.u[:, 0] for _, _, test in cuts for piece in test])
     np.testing.assert_array_equal(tested, np.arange(samples))
     assert all(len(test) == len(validation) == 1 for _, validation, test in cuts)
@@ -63,7 +63,7 @@ def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
 @given(st.integers(40, 400), st.integers(2, 8))
 def test_what_a_fold_leaves_and_holds_out_is_the_record(samples, folds):
     for fold in range(folds):
-        kept, out = without_fold(record(samples), fold, folds)
+        kept, out = cut_out_fold(record(samples), fold, folds)
         pieces = np.sort(np.concatenate([piece.u[:, 0] for piece in (*kept, out)]))
         np.testing.assert_array_equal(pieces, np.arange(samples))
         assert abs(len(out) - samples / folds) <= 1
@@ -84,7 +84,9 @@ def test_stretches_between_rests_count_where_each_repeats_itself():
 
 
 def test_the_last_of_five_folds_is_the_cut_in_time():
-    for fold, time in zip(by_fold(record(100), 4, 5), by_time(record(100), 0.2, 0.2), strict=True):
+    for fold, time in zip(
+        split_by_fold(record(100), 4, 5), split_by_time(record(100), 0.2, 0.2), strict=True
+    ):
         np.testing.assert_array_equal(fold[0].u, time[0].u)
 
 
@@ -103,7 +105,7 @@ def test_the_last_of_five_folds_is_the_cut_in_time():
 )
 def test_intervals_that_cannot_be_are_refused(wrong):
     with pytest.raises(BadRequest, match=r"data\.test"):
-        by_intervals(record(100), {"validation": [[5.0, 6.0]], "test": wrong})
+        split_at_intervals(record(100), {"validation": [[5.0, 6.0]], "test": wrong})
 
 
 def log(path, y: np.ndarray) -> RecordedData:
@@ -137,13 +139,13 @@ def test_the_default_says_which_it_took(tmp_path):
         200,
         200,
     )
-    assert end_is_unlike(by_time(record(500), 0.2, 0.2))
+    assert is_test_output_different(split_by_time(record(500), 0.2, 0.2))
     first, odd = (
         Trajectory(u=y, y=y, step_s=0.1)
         for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1)))
     )
-    assert not end_is_unlike(([first], [odd], [first]))
-    assert end_is_unlike(([odd], [first], [first]))
+    assert not is_test_output_different(([first], [odd], [first]))
+    assert is_test_output_different(([odd], [first], [first]))
     nothing = {"validation": [[0.0, 50.0]], "test": [[50.0, 100.0]]}
     with pytest.raises(BadRequest, match="no record is left to train on"):
         RecordedData(

@@ -11,7 +11,7 @@ import pytest
 import scipy.signal
 from test_evidence_response import LEVELS, WHITE, answer, case
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence import feedback, fit, records
@@ -38,7 +38,7 @@ def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
     rest = np.zeros(1)
     channel = Channel(name="a", unit="")
     parts = (pieces[0::3], pieces[1::3], pieces[2::3])
-    return assemble(parts, (rest, rest), ((channel,), (replace(channel, name="b"),)), 0)
+    return assemble_dataset(parts, (rest, rest), ((channel,), (replace(channel, name="b"),)), 0)
 
 
 def with_runs(data: DataSet, model, error: float) -> Case:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from test_loop_prediction import linear_model
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import Case
@@ -36,11 +36,13 @@ def integrating(pole: float) -> StateSpace:
     return StateSpace(a=pole * one, b=0.1 * one, c=one, d=0 * one)
 
 
-def case(y: np.ndarray, system: StateSpace, cut=by_time, log: int = 1) -> Case:
+def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> Case:
     record = Trajectory(u=U[:, None], y=y[:, None], step_s=0.1, log=log)
-    parts = in_blocks(record) if cut is in_blocks else by_time(record, 0.2, 0.2)
+    parts = (
+        split_into_blocks(record) if cut is split_into_blocks else split_by_time(record, 0.2, 0.2)
+    )
     channels = tuple((Channel(name=name, unit=""),) for name in "uy")
-    data = assemble(parts, (np.zeros(1), np.zeros(1)), channels, SKIP)
+    data = assemble_dataset(parts, (np.zeros(1), np.zeros(1)), channels, SKIP)
     model = replace(linear_model(0), linear=system)
     free = {
         name: Simulation.of(model, getattr(data, name), SKIP) for name in ("validation", "test")
@@ -59,7 +61,7 @@ def drifting_phase(noise: float) -> np.ndarray:
     return np.cos(phase) + noise * RNG.standard_normal(SAMPLES)
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
     (found,) = own_motion.findings(case(drifting_phase(noise), swinging(0.9995), cut))
@@ -67,7 +69,7 @@ def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
     assert "it moves by itself" in found.sentence
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.5])
 @pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
@@ -77,7 +79,7 @@ def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise,
     assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("pole", [0.999, 1.0])
 def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
     judged = case(measured(integrating(pole), 0.02, np.array([10.0])), integrating(0.9995), cut)
@@ -97,7 +99,9 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
 @pytest.mark.parametrize(("pole", "refused"), [(1.002, True), (1.004, True), (1.0005, False)])
 def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
     y = measured(integrating(pole), 0.01, np.zeros(1))
-    found = [one.sentence for one in feedback.findings(case(y, integrating(0.999), in_blocks))]
+    found = [
+        one.sentence for one in feedback.findings(case(y, integrating(0.999), split_into_blocks))
+    ]
     assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
 
 

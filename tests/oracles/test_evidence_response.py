@@ -9,7 +9,7 @@ import scipy.signal
 from structured_cases import model
 from test_loop_prediction import linear_model
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
 from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
@@ -31,7 +31,7 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
     rest = np.zeros(1)
     channel = Channel(name="a", unit="")
-    data = assemble(
+    data = assemble_dataset(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
         ((channel,), (replace(channel, name="b"),)), 0, metadata={"source": source},
     )  # fmt: skip

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from loop_cases import BALLS, motor, motor_design, motor_model
 from test_loop_prediction import ONES, linear_model
 
-from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, mismatch_records
+from ssm_study.data.simulated import (
+    DECAYS,
+    LEAD_IN,
+    PERIOD,
+    RETURNS,
+    SHARES,
+    simulate_mismatch_records,
+)
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -211,7 +218,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
-    records = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
+    records = simulate_mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
     assert len(records) == len(SHARES) + len(DECAYS) + len(RETURNS)
     assert (
         max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
@@ -227,7 +234,7 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
     for record, share in zip(records[len(SHARES) :], DECAYS, strict=False):
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
-    again = mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
+    again = simulate_mismatch_records(motor(), np.random.default_rng(3), np.array([0.1]))
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
 
 

@@ -4,7 +4,7 @@ model."""
 import numpy as np
 import pytest
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.solved import N4SID, input_matrix
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
@@ -37,7 +37,9 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
             (Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name),)
         )
     channels = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
-    data = assemble((records[0], records[1], records[2]), (np.zeros(1), np.zeros(1)), channels, 0)
+    data = assemble_dataset(
+        (records[0], records[1], records[2]), (np.zeros(1), np.zeros(1)), channels, 0
+    )
     model = N4SID(order=2, block_rows=10).solve(data)
     assert not model.linear.d.any()
     u, y = data.test[0].u, system.simulate(data.test[0].u)[0]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import fit
 from ssm_study.evidence.finding import Case
 from ssm_study.models.identified import SSM
@@ -51,10 +51,10 @@ def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Traje
 
 
 def cut(record: Trajectory, splitter=None) -> DataSet:
-    parts = by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
+    parts = split_by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
     rest = (np.zeros(1), np.zeros(1))
     channels = ((Channel(name="u", unit=""),), (Channel(name="y", unit=""),))
-    data = assemble(parts, rest, channels, START_UP)
+    data = assemble_dataset(parts, rest, channels, START_UP)
     return replace(data, scale=model().scale)
 
 
@@ -74,7 +74,7 @@ def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_
     assert choose_piece_starts(model(), wandering).choice == SAMPLES
 
 
-@pytest.mark.parametrize("splitter", [None, in_blocks])
+@pytest.mark.parametrize("splitter", [None, split_into_blocks])
 def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitter) -> None:
     data = cut(log(noise=0.1), splitter)
     validation, test = simulate_parts(model(), data)

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.data.arrays import check_index, signal, write_log_files
+from ssm_study.data.arrays import check_time_index, signal_columns, write_log_files
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -52,12 +52,12 @@ def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untype
 
 def test_frames_are_matched_by_the_names_of_their_columns() -> None:
     frame = pd.DataFrame({"b": Y, "a (V)": U})
-    table = signal(frame, "u", 2, ["a_V", "b"])[1]
+    table = signal_columns(frame, "u", 2, ["a_V", "b"])[1]
     assert np.array_equal(table, np.stack([U, Y], axis=1))
-    by_place = signal(pd.DataFrame(np.stack([Y, U], axis=1)), "u", 2, ["a", "b"])[1]
+    by_place = signal_columns(pd.DataFrame(np.stack([Y, U], axis=1)), "u", 2, ["a", "b"])[1]
     assert np.array_equal(by_place, np.stack([Y, U], axis=1))
     with pytest.raises(BadRequest, match=r"u \(columns\) = b, c: the model's channels are a, b"):
-        signal(frame.set_axis(["b", "c"], axis=1), "u", 2, ["a", "b"])
+        signal_columns(frame.set_axis(["b", "c"], axis=1), "u", 2, ["a", "b"])
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
     for index in (INDEX, zoned, np.arange(T) * 0.010009, np.arange(T), list("abcd") * (T // 4)):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            check_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
+            check_time_index(pd.Series(U, index=index), pd.Series(Y, index=index), 0.01)
 
 
 def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
