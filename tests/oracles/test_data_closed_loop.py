@@ -9,7 +9,7 @@ import scipy
 
 from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back_share
+from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_share
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -106,7 +106,7 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
     b = pi.training[0].u[300:, 0]
     assert np.abs(a - b).max() < 0.05 * np.ptp(a)
     found = {
-        name: fed_back_share(data, 0)
+        name: feedback_share(data, 0)
         for name, data in (("plain", plain), ("named", named), ("wrong", wrong))
     }
     assert found["plain"] > PRESENT

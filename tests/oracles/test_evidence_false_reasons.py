@@ -61,36 +61,36 @@ def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints()
     assert headline > 90
     assert (
         min(headline, judged.validation.fit_percent)
-        <= fit.pooled_fit(judged)
+        <= fit.pooled_fit_percent(judged)
         <= max(headline, judged.validation.fit_percent)
     )
-    assert fit.poor_fit(judged) == []
-    assert fit.owed_to_input(judged) < fit.OWED
+    assert fit.judge_poor_fit(judged) == []
+    assert fit.unmodelled_input_share(judged) < fit.OWED
 
 
 def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers():
     moving = scipy.signal.lfilter([0.1], [1, -0.9], LEVELS[:900])
     moving[300:] = 0.5 + 0.001 * RNG.standard_normal(600)
     judged = with_runs(blocks(LEVELS[:900], moving, [300, 600]), case(WHITE, WHITE).model, 0.005)
-    (found,) = fit.poor_fit(judged)
+    (found,) = fit.judge_poor_fit(judged)
     assert found.level == "doubt"
     assert "of the output's range" in found.sentence
     assert f"the test record by {judged.test.fit_percent:.1f} %" in found.sentence
     hopeless = with_runs(blocks(LEVELS[:900], moving, [300, 600]), judged.model, 1.0)
-    assert [finding.level for finding in fit.poor_fit(hopeless)] == ["cannot judge"]
+    assert [finding.level for finding in fit.judge_poor_fit(hopeless)] == ["cannot judge"]
 
 
 def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
     coarse = np.round(answer(LEVELS, noise=0.1) / 0.25) * 0.25
-    assert records.shared_with_training(case(LEVELS, coarse).data) < records.PART
+    assert records.repeated_test_share(case(LEVELS, coarse).data) < records.PART
     copied = case(np.tile(LEVELS[:1000], 6), np.tile(coarse[:1000], 6)).data
-    assert records.shared_with_training(copied) > 0.9
+    assert records.repeated_test_share(copied) > 0.9
 
 
 def test_a_coarse_sensor_behind_an_input_that_stands_still_repeats_itself_by_chance():
     u = np.repeat([0.0, 0.5, -0.4, 0.8, 0.1, -0.6], 1000)
     coarse = np.round((answer(u, noise=0.02)) / 0.1) * 0.1
-    assert records.shared_with_training(case(u, coarse).data) < records.PART
+    assert records.repeated_test_share(case(u, coarse).data) < records.PART
 
 
 def rectified(u: np.ndarray) -> np.ndarray:
@@ -100,9 +100,9 @@ def rectified(u: np.ndarray) -> np.ndarray:
 
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     slow = LEVELS[:600].repeat(10)
-    assert not list(records._limits(case(slow, rectified(slow))))
+    assert not list(records._judge_saturation(case(slow, rectified(slow))))
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
-    findings = list(records._limits(case(LEVELS, clipped)))
+    findings = list(records._judge_saturation(case(LEVELS, clipped)))
     assert sentences(findings).count("it saturates") == 2
     assert {finding.level for finding in findings} == {"doubt"}
 
@@ -110,28 +110,28 @@ def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
 def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_elsewhere_saturates():
     """Below its dead zone the machine stops within a sample, while the input goes on moving."""
     stopping = np.maximum(answer(LEVELS), 0.0)
-    (finding,) = records._limits(case(LEVELS, stopping))
+    (finding,) = records._judge_saturation(case(LEVELS, stopping))
     assert finding.level == "note"
     assert "stands at 0 in" in finding.sentence
-    (shifted,) = records._limits(case(LEVELS, stopping + 3.0))
+    (shifted,) = records._judge_saturation(case(LEVELS, stopping + 3.0))
     assert shifted.level == "doubt"
     assert "it saturates" in shifted.sentence
 
 
 def test_a_position_at_its_farthest_does_not_saturate():
     u = 255 * np.sin(2 * np.pi * np.arange(6000) / 800)
-    assert not list(records._limits(case(u, motor_position(u, 60))))
+    assert not list(records._judge_saturation(case(u, motor_position(u, 60))))
 
 
 def test_changes_count_across_the_cuts_of_a_log():
     """Steps every 100 samples, cut at the steps: each piece alone holds its input still."""
     u = np.repeat(RNG.uniform(-1, 1, 36), 100)
     data = blocks(u, u, list(range(100, 3600, 100)))
-    assert records.input_changes(data) == 11
+    assert records.count_input_changes(data) == 11
     once = np.repeat(
         [0.0, 1.0, 0.0], [50, 100, 3450]
     )  # up where it trains, down where it validates
-    assert records.input_changes(blocks(once, once + u, list(range(100, 3600, 100)))) == 1
+    assert records.count_input_changes(blocks(once, once + u, list(range(100, 3600, 100)))) == 1
 
 
 def motor_position(u: np.ndarray, dead: float) -> np.ndarray:
@@ -147,14 +147,14 @@ SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
 @pytest.mark.parametrize("dead", [0, 60])
 @pytest.mark.parametrize("u", [SWEEP, 255 * LEVELS], ids=["sweep", "levels"])
 def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
-    told = sentences(feedback.findings(case(u, motor_position(u, dead))))
+    told = sentences(feedback.judge_feedback(case(u, motor_position(u, dead))))
     assert "runs away" not in told
 
 
 def test_where_a_mode_seems_to_grow_the_integrator_is_recommended():
     log = case(SWEEP, motor_position(SWEEP, 60))
-    assert min(feedback.own_mode(log.data, lags) for lags in feedback.LAGS) > 1
-    assert feedback.growth(log.data)[1] < feedback.GROWS
+    assert min(feedback.dominant_mode_modulus(log.data, lags) for lags in feedback.LAGS) > 1
+    assert feedback.growth_statistics(log.data)[1] < feedback.GROWS
 
 
 @pytest.mark.parametrize("pole", [1.002, 1.004, 1.01])
@@ -162,15 +162,17 @@ def test_what_runs_away_still_grows_with_itself(pole):
     u = LEVELS[:1000]
     y = scipy.signal.lfilter([0, 0.1], [1, -pole], u)
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
-    assert feedback.growth(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
+    assert (
+        feedback.growth_statistics(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
+    )
 
 
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
 def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
     y = scipy.signal.lfilter([0.3], [1, -0.7], u) + 0.02 * RNG.standard_normal(len(u))
     log = case(u, y)
-    assert feedback.fed_back_share(log.data, 0) > feedback.PRESENT
-    (found,) = feedback.findings(log)
+    assert feedback.feedback_share(log.data, 0) > feedback.PRESENT
+    (found,) = feedback.judge_feedback(log)
     assert "use model.feedthrough=true" in found.sentence
     assert "closed-loop" not in found.sentence
 
@@ -180,7 +182,7 @@ def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
 def test_small_logs_that_answer_within_the_sample(path):
     table = pd.read_csv(path)
     data = blocks(table["u"].to_numpy(), table["y"].to_numpy(), [2000, 2500])
-    told = sentences(feedback.findings(with_runs(data, case(WHITE, WHITE).model, 0.1)))
+    told = sentences(feedback.judge_feedback(with_runs(data, case(WHITE, WHITE).model, 0.1)))
     assert "closed-loop" not in told
     assert ("model.feedthrough=true" in told) == ("same_sample" in path.name)
 
@@ -192,7 +194,7 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     u, y = (table[name].to_numpy(float) for name in "uy")
     length = len(u)
     data = blocks(u, y - y[0], [length * 6 // 10, length * 8 // 10])
-    told = sentences(feedback.runs_away(data, closed=False, integrated=False))
+    told = sentences(feedback.judge_instability(data, closed=False, integrated=False))
     assert "runs away" not in told
     if "sweep" in path.name:
         assert "use model.integrating_output=true" in told
@@ -209,10 +211,10 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     u = table["us"].to_numpy() - 1250.0
     data = blocks(u, table["rpm"].to_numpy(float) - 35.0, [864, 1152])
     log = with_runs(data, case(WHITE, WHITE).model, 0.1)
-    assert not list(feedback.findings(log))
-    searches = (records._range, records._levels, records._same)
+    assert not list(feedback.judge_feedback(log))
+    searches = (records._judge_range, records._judge_levels, records._judge_repetition)
     assert not [sentence for search in searches for sentence in search(log)]
-    assert not list(records._limits(log))
+    assert not list(records._judge_saturation(log))
     seen = str(look(path, step_s=1.0))
     assert "its level explains 91% of the output" in seen
     assert "closed loop" not in seen
@@ -222,7 +224,9 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
 @pytest.mark.parametrize("seed", range(6))
 def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
     """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""
-    sums = list(feedback.runs_away(kind_of_log(tmp_path, "position_dead_zone", seed), closed=False))
+    sums = list(
+        feedback.judge_instability(kind_of_log(tmp_path, "position_dead_zone", seed), closed=False)
+    )
     assert [finding.level for finding in sums] == ["doubt"]
     assert "integrates its input" in sums[0].sentence
     assert "model.integrating_output=true" in sums[0].sentence
@@ -230,7 +234,7 @@ def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["slow_coarse", "bilinear", "dead_time", "saturating", "drifting"])
 def test_what_settles_does_not_integrate(tmp_path: Path, name: str):
-    assert not list(feedback.runs_away(kind_of_log(tmp_path, name, 0), closed=False))
+    assert not list(feedback.judge_instability(kind_of_log(tmp_path, name, 0), closed=False))
 
 
 def kind_of_log(folder: Path, name: str, seed: int) -> DataSet:

@@ -64,7 +64,9 @@ def drifting_phase(noise: float) -> np.ndarray:
 @pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
-    (found,) = own_motion.findings(case(drifting_phase(noise), swinging(0.9995), cut))
+    (found,) = own_motion.judge_autonomous_motion(
+        case(drifting_phase(noise), swinging(0.9995), cut)
+    )
     assert found.level == "cannot judge"
     assert "it moves by itself" in found.sentence
 
@@ -75,23 +77,23 @@ def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
     system = swinging(radius)
     judged = case(measured(system, noise, np.array([3.0, 0.0])), system, cut)
-    assert own_motion.findings(judged) == []
-    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+    assert own_motion.judge_autonomous_motion(judged) == []
+    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
 
 @pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("pole", [0.999, 1.0])
 def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
     judged = case(measured(integrating(pole), 0.02, np.array([10.0])), integrating(0.9995), cut)
-    assert own_motion.findings(judged) == []
-    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+    assert own_motion.judge_autonomous_motion(judged) == []
+    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
 
 def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
     refused = 0
     for seed in range(100):
         walk = np.cumsum(0.1 * U + np.random.default_rng(seed).standard_normal(SAMPLES))
-        found = feedback.runs_away(case(walk, integrating(0.999)).data, closed=False)
+        found = feedback.judge_instability(case(walk, integrating(0.999)).data, closed=False)
         refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
 
@@ -100,7 +102,8 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
 def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
     y = measured(integrating(pole), 0.01, np.zeros(1))
     found = [
-        one.sentence for one in feedback.findings(case(y, integrating(0.999), split_into_blocks))
+        one.sentence
+        for one in feedback.judge_feedback(case(y, integrating(0.999), split_into_blocks))
     ]
     assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
 
@@ -108,11 +111,11 @@ def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refu
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (0.5, 0.8)])
 def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
     system = swinging(0.9)
-    found = own_motion.shares_predicted(case(measured(system, noise, np.zeros(2)), system))
+    found = own_motion.predicted_power_shares(case(measured(system, noise, np.zeros(2)), system))
     assert found == pytest.approx((share, share), abs=0.1 if noise else 1e-4)
 
 
 def test_pieces_of_no_common_log_say_nothing():
     judged = case(drifting_phase(0.0), swinging(0.9995), log=0)
-    assert own_motion.shares_predicted(judged) is None
-    assert own_motion.findings(judged) == []
+    assert own_motion.predicted_power_shares(judged) is None
+    assert own_motion.judge_autonomous_motion(judged) == []

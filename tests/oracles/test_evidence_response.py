@@ -12,10 +12,10 @@ from test_loop_prediction import linear_model
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
-from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
-from ssm_study.evidence.metrics import judge
-from ssm_study.evidence.records import _range
-from ssm_study.evidence.response import coherence, dead_time, findings
+from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_input_share
+from ssm_study.evidence.metrics import collect_findings
+from ssm_study.evidence.records import _judge_range
+from ssm_study.evidence.response import dead_time_samples, judge_response, multiple_coherence
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Channel, Trajectory
@@ -51,15 +51,15 @@ def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
 @pytest.mark.parametrize("late", [0, 1, 3, 7, 12])
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
 def test_the_dead_time_is_counted_in_samples(u, late):
-    assert dead_time(case(u, answer(u, late))) == late
+    assert dead_time_samples(case(u, answer(u, late))) == late
 
 
 def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
-    (found,) = findings(case(LEVELS, answer(LEVELS, 5)))
+    (found,) = judge_response(case(LEVELS, answer(LEVELS, 5)))
     assert found.level == "doubt"
     assert "answers 5 samples late" in found.sentence
     assert "use model=delayed model.dead_time=5" in found.sentence
-    assert findings(case(LEVELS, answer(LEVELS, 1))) == []
+    assert judge_response(case(LEVELS, answer(LEVELS, 1))) == []
 
 
 @pytest.mark.parametrize(
@@ -73,28 +73,33 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
 def test_a_log_sampled_too_slowly_or_too_fast_is_told_what_to_do(slow, said):
     """A lag has lost nine tenths of its response after ln(0.1) / ln(slow) samples, and one more."""
     y = scipy.signal.lfilter([0, 0.1], [1, -slow], LEVELS)
-    notes = [found for found in findings(case(LEVELS, y, slow)) if "bulk" in found.sentence]
+    notes = [found for found in judge_response(case(LEVELS, y, slow)) if "bulk" in found.sentence]
     assert len(notes) == (said is not None)
     assert all(found.level == "note" and said in found.sentence for found in notes)
     assert not [
-        found for found in findings(case(LEVELS, y, slow, "simulated")) if "bulk" in found.sentence
+        found
+        for found in judge_response(case(LEVELS, y, slow, "simulated"))
+        if "bulk" in found.sentence
     ]
 
 
 @pytest.mark.parametrize("noise", [3.0, 100.0])
 def test_where_noise_hides_the_answer_no_dead_time_is_claimed(noise):
-    assert dead_time(case(LEVELS[:1500].repeat(4), answer(LEVELS[:1500].repeat(4), 6, noise))) == 0
+    assert (
+        dead_time_samples(case(LEVELS[:1500].repeat(4), answer(LEVELS[:1500].repeat(4), 6, noise)))
+        == 0
+    )
 
 
 def test_an_input_too_smooth_to_tell_its_samples_apart_claims_no_dead_time():
     smooth = np.sin(np.arange(6000) / 300)
-    assert dead_time(case(smooth, answer(smooth, 5))) == 0
+    assert dead_time_samples(case(smooth, answer(smooth, 5))) == 0
 
 
 def test_a_record_that_noise_hides_is_a_doubt_and_a_good_one_is_none():
-    told = [found.sentence for found in findings(case(WHITE, answer(WHITE, noise=1.0)))]
+    told = [found.sentence for found in judge_response(case(WHITE, answer(WHITE, noise=1.0)))]
     assert any("of the band up to" in sentence for sentence in told)
-    assert findings(case(WHITE, answer(WHITE))) == []
+    assert judge_response(case(WHITE, answer(WHITE))) == []
 
 
 def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain():
@@ -104,7 +109,7 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
     ends_hz = angles[np.abs(gain) >= 0.1 * np.abs(gain).max()].max() / (2 * np.pi) / 0.1
     (said,) = (
         found.sentence
-        for found in findings(case(WHITE, answer(WHITE, noise=3.0)))
+        for found in judge_response(case(WHITE, answer(WHITE, noise=3.0)))
         if "band" in found.sentence
     )
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
@@ -116,7 +121,7 @@ def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
     two = StateSpace(
         a=np.diag([0.9, 0.5]), b=np.full((2, 1), 0.1), c=np.array([[1.0, -1.0]]), d=np.zeros((1, 1))
     )
-    told = findings(replace(noisy, model=replace(noisy.model, linear=two)))
+    told = judge_response(replace(noisy, model=replace(noisy.model, linear=two)))
     angles, gain = scipy.signal.freqz(
         [0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:]
     )
@@ -130,14 +135,14 @@ def test_pieces_shorter_than_the_model_s_response_say_nothing():
     460."""
     hidden = case(WHITE, answer(WHITE, noise=1.0))
     slow = replace(hidden.model, linear=replace(hidden.model.linear, a=np.array([[0.995]])))
-    assert findings(replace(hidden, model=slow)) == []
+    assert judge_response(replace(hidden, model=slow)) == []
 
 
 def test_a_band_that_is_not_excited_is_a_doubt():
     slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), RNG.standard_normal(6000))
     assert any(
         "excite it there" in found.sentence
-        for found in findings(case(slow, answer(slow, noise=0.02)))
+        for found in judge_response(case(slow, answer(slow, noise=0.02)))
     )
 
 
@@ -148,14 +153,14 @@ def test_a_test_input_where_training_has_no_power_is_a_doubt():
     slow = scipy.signal.lfilter(b, a, WHITE)
     for scale in (0.1, 1.0):  # a share knows no unit
         u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
-        told = records.findings(
+        told = records.judge_records(
             made := case(u, answer(u)), measure_mismatch(made.model, made.data.validation)
         )
         (said,) = (
             found.sentence for found in told if "lies where training has none" in found.sentence
         )
         assert 60 < float(said.split(" %")[0]) < 80
-    told = records.findings(
+    told = records.judge_records(
         made := case(WHITE, answer(WHITE)), measure_mismatch(made.model, made.data.validation)
     )
     assert not any("lies where training has none" in found.sentence for found in told)
@@ -167,14 +172,14 @@ def test_coherence_is_the_share_of_power_that_the_inputs_explain():
     u = RNG.standard_normal((100_000, 2))
     n = RNG.standard_normal((100_000, 1))
     y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
-    np.testing.assert_allclose(coherence([(u, y)], 64), 2 / 3, atol=0.05)
+    np.testing.assert_allclose(multiple_coherence([(u, y)], 64), 2 / 3, atol=0.05)
 
 
 def test_where_the_input_rests_in_one_record_the_others_tell():
     u = RNG.standard_normal((20_000, 1))
     resting = (np.zeros((2000, 1)), 1e-3 * RNG.standard_normal((2000, 1)))
-    np.testing.assert_allclose(coherence([(u, u), resting], 64), 1, atol=1e-3)
-    np.testing.assert_allclose(coherence([resting], 64), 0, atol=1e-9)
+    np.testing.assert_allclose(multiple_coherence([(u, u), resting], 64), 1, atol=1e-3)
+    np.testing.assert_allclose(multiple_coherence([resting], 64), 0, atol=1e-9)
 
 
 def in_loop(reference: np.ndarray, noise: float, delay: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -202,7 +207,7 @@ def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
     power = sum(float((part**2).sum()) for part in scored)
     parts = [part - part.mean() for part in (y[4000:5000], y[5000:])]
     varied = sum(map(len, scored)) * float((np.concatenate(parts) ** 2).mean())
-    owed = owed_to_input(case(WHITE, y, slow=0.3))
+    owed = unmodelled_input_share(case(WHITE, y, slow=0.3))
     assert owed == pytest.approx(power / 4 / varied, rel=1e-4)
 
 
@@ -219,10 +224,10 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
     reference, delay
 ):
     u, y = in_loop(REFERENCES[reference], 0.03, delay)
-    (found,) = feedback.findings(case(u, y))
+    (found,) = feedback.judge_feedback(case(u, y))
     assert found.level == "doubt"
     assert "as in a closed-loop log: name its set point" in found.sentence
-    assert not list(feedback.findings(case(u, answer(u, noise=0.03))))
+    assert not list(feedback.judge_feedback(case(u, answer(u, noise=0.03))))
 
 
 @pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
@@ -236,7 +241,7 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
         y = x + noise * rng.standard_normal()
         log[k] = asked[k] - y, y
         x = pole * x + 0.3 * log[k, 0]
-    doubted, refused = feedback.findings(case(*log.T))
+    doubted, refused = feedback.judge_feedback(case(*log.T))
     assert doubted.level == "doubt"
     assert refused.level == "cannot judge"
     assert float(refused.sentence.split("a mode at ")[1].split()[0]) == pytest.approx(
@@ -245,7 +250,7 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
     assert "log its loop with the set point as the input" in refused.sentence
     assert not [
         found
-        for found in feedback.findings(case(asked, log[:, 1]))
+        for found in feedback.judge_feedback(case(asked, log[:, 1]))
         if found.level == "cannot judge"
     ]
 
@@ -255,9 +260,9 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
 )
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
-    assert feedback.fed_back_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
+    assert feedback.feedback_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
     assert (
-        feedback.fed_back_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
+        feedback.feedback_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1)
         < feedback.EARLIER / 2
     )
 
@@ -268,7 +273,9 @@ def test_a_model_with_neurons_is_judged():
     other = model()
     validation, test = (Simulation.of(other, part, 0) for part in (data.validation, data.test))
     assert (
-        judge(data, other, validation, test, measure_mismatch(other, data.validation)).level
+        collect_findings(
+            data, other, validation, test, measure_mismatch(other, data.validation)
+        ).level
         == CANNOT_JUDGE
     )
 
@@ -288,7 +295,7 @@ def test_a_short_record_is_said_to_have_the_lags_it_has():
     record = late.validation.records[0][:60]
     drifted = record.y + np.linspace(-1, 1, 60)[:, None]
     part = replace(late.validation, records=(record,), simulated=(drifted,))
-    (found,) = whiteness(replace(late, validation=part))
+    (found,) = judge_whiteness(replace(late, validation=part))
     assert "of 14 lags" in found.sentence
 
 
@@ -301,20 +308,20 @@ def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is
         u[5000:] *= 2.0
     else:
         y[5000:] += 3.0 * np.ptp(y[:4000])
-    (told,) = _range(case(u, y))
+    (told,) = _judge_range(case(u, y))
     assert f"test record's {moved} is beyond the training records" in told
-    assert not [*_range(case(LEVELS, answer(LEVELS)))]
+    assert not [*_judge_range(case(LEVELS, answer(LEVELS)))]
 
 
 @pytest.mark.parametrize("kept", [records.WINDOW, records.WINDOW + 1])
 def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last_sample(kept):
     found = case(WHITE, answer(WHITE))
     end = found.data.training[0]
-    assert list(records._same(found)) == []
+    assert list(records._judge_repetition(found)) == []
     taken = replace(
         found, data=replace(found.data, test=(replace(end, u=end.u[-kept:], y=end.y[-kept:]),))
     )
-    (said,) = records._same(taken)
+    (said,) = records._judge_repetition(taken)
     assert said.startswith("100 % of the test record is part of the training records")
 
 
@@ -323,8 +330,8 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     samples ago."""
     u, y = in_loop(REFERENCES["steps"], 0.007, 1)
     present, before, two_ago = (
-        feedback.fed_back_share(case(u, y).data, first) for first in (0, 1, 2)
+        feedback.feedback_share(case(u, y).data, first) for first in (0, 1, 2)
     )
     assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present
-    (found,) = feedback.findings(case(u, y))
+    (found,) = feedback.judge_feedback(case(u, y))
     assert "as in a closed-loop log" in found.sentence

@@ -92,8 +92,8 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
     validation, test = simulate_parts(model(), data)
     case = Case(data=data, model=model(), validation=validation, test=test)
     apart = abs(start_facts(model(), data, test)["fit_test_other_start_percent"] - test.fit_percent)
-    assert len(fit.starts_apart(case)) == int(apart > fit.STARTS_APART)
-    (finding,) = fit.starts_apart(replace(case, test=from_samples))
+    assert len(fit.judge_initial_state(case)) == int(apart > fit.STARTS_APART)
+    (finding,) = fit.judge_initial_state(replace(case, test=from_samples))
     assert finding.level == "doubt"
     assert f"{from_samples.fit_percent:.1f} % from the log before it" in finding.sentence
     assert "from its first samples" in finding.sentence

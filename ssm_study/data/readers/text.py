@@ -140,7 +140,7 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     places = [str(j) for j in range(layout.columns)]
     misfits: list[arrow_csv.InvalidRow] = []
 
-    def note_misfit(row: arrow_csv.InvalidRow) -> str:
+    def note_misfit_row(row: arrow_csv.InvalidRow) -> str:
         misfits.append(row)
         return "skip"
 
