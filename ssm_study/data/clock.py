@@ -35,6 +35,11 @@ class EvenRows:
     remarks: list[str]
 
 
+def log_length(pieces: EvenRows) -> int:
+    """Number of samples of a log up to the end of its last piece."""
+    return pieces.starts[-1] + len(pieces.values[-1])
+
+
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
     """Mean sampling period of times that are evenly spaced within a tolerance; refuses others.
     Refuses others."""

@@ -172,7 +172,10 @@ def increment_regression(
     u: Signal, y: Signal
 ) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
     """Regressors and target of a linear regression of output increments on past input and output
-    increments."""
+    increments.
+
+    Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]`, target `dy[k]`; both scaled.
+    """
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
     columns = [du[LAGS - lag : len(du) - lag] for lag in range(LAGS + 1)]

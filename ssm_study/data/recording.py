@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import EvenRows, cut_at_missing_values, require_equal_period
+from ssm_study.data.clock import EvenRows, cut_at_missing_values, log_length, require_equal_period
 from ssm_study.data.clock_column import (
     clock_column_seconds,
     find_clock_column,
@@ -16,7 +16,14 @@ from ssm_study.data.clock_column import (
 )
 from ssm_study.data.clock_restarts import resample_experiments
 from ssm_study.data.plain_names import plain_name
-from ssm_study.data.readers.reader import FOREIGN, Reader, Table, choose_reader, read_table
+from ssm_study.data.readers.reader import (
+    FOREIGN,
+    Reader,
+    Table,
+    choose_reader,
+    read_table,
+    refuse_equal_columns,
+)
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, at_least, positive, require
 from ssm_study.signals import Channel, Trajectory
@@ -106,8 +113,7 @@ class Columns:
 
     @property
     def measured_outputs(self) -> tuple[Channel, ...]:
-        """Output channels as they stand in the file. They are the `outputs`, unless `differentiate`
-        makes those rates, in the unit per second."""
+        """Output channels as in the file; `outputs` are their rates if `differentiate` is set."""
         return name_channels(self.output, self.output_unit, "output", self.has_output_files)
 
     @property
@@ -324,11 +330,6 @@ class _LogFile:
     remarks: list[str]
 
 
-def log_length(pieces: EvenRows) -> int:
-    """Number of samples of a log up to the end of its last piece."""
-    return pieces.starts[-1] + len(pieces.values[-1])
-
-
 def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
     """Add to an error on a log file the command that shows its contents."""
     remedy = error.remedy.rstrip(".")
@@ -336,17 +337,6 @@ def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
     if "look" in remedy or is_foreign or not path.is_file():
         return error
     return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
-
-
-def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
-    """Refuse two signals that are the same column of a file, or hold the same numbers."""
-    for k, name in enumerate(signals):
-        for other in signals[:k]:
-            equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
-            problem = f"holds the numbers of column {other}"
-            remedy = "name another column for one of them"
-            moves = float(np.nanstd(table.columns[name])) > 0
-            require(not (equal and moves), f"{file.name}, column {name}", name, problem, remedy)
 
 
 @dataclass(frozen=True, kw_only=True)

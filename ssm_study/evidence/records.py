@@ -295,8 +295,8 @@ def _judge_spectrum(case: Case) -> Iterator[str]:
 
 
 def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
-    """Findings on a plant that does not come to rest, or of which the records do not show it. A
-    plant that does not rest is judged, and refused; a record that cannot say so is a note."""
+    """Findings on a plant that does not come to rest, or whose records do not show whether it does.
+    A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
     rests = [
         after_motion(*case.scale_with_disturbances(record), response) for record in case.data.test

@@ -32,7 +32,7 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Disturbance that is a step, optionally limited in time."""
+    """Disturbance that is a step, optionally limited in time: `size` from `at_s` to `until_s`."""
 
     size: float
     at_s: float
@@ -66,7 +66,7 @@ class PeriodicDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RampDisturbance(Disturbance):
-    """Disturbance that is a ramp between two times, constant before and after."""
+    """Disturbance that is a ramp of `slope_per_s` from `from_s` until `until_s`, else constant."""
 
     slope_per_s: float
     from_s: float

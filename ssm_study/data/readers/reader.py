@@ -137,6 +137,17 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
     require(fits, where, largest, problem, "convert it to another unit")
 
 
+def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
+    """Refuse two signals that are the same column of a file, or hold the same numbers."""
+    for k, name in enumerate(signals):
+        for other in signals[:k]:
+            equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
+            problem = f"holds the numbers of column {other}"
+            remedy = "name another column for one of them"
+            moves = float(np.nanstd(table.columns[name])) > 0
+            require(not (equal and moves), f"{file.name}, column {name}", name, problem, remedy)
+
+
 def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None = None) -> bool:
     """Whether a log file can be read and has all the named columns."""
     try:
