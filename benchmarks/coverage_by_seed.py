@@ -28,7 +28,7 @@ from benchmarks.common import keep, rows_of, study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.metrics import judge
+from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
@@ -85,7 +85,7 @@ class IdentifiedCase:
             model=model,
             mismatch=mismatch,
             premise=premise,
-            evidence=judge(data, model, validation, test, mismatch).level,
+            evidence=collect_findings(data, model, validation, test, mismatch).level,
             fit_percent=test.fit_percent,
         )
 

@@ -59,11 +59,12 @@ def draw(trial: pd.DataFrame, path: Path, step_s: float = 0.01) -> None:
     for limit in (-3, 3):
         below.axhline(limit, color=style.VERMILLION, lw=1, ls="--")
     below.set(ylabel="Voltage (V)", xlabel="Time (s)", xlim=(0, time_s[-1]))
-    fig.savefig(path, dpi=110)
+    fig.savefig(path, dpi=150)
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         print(told(Path(folder))["replay"])
-        draw(pd.read_csv(Path(folder) / "first_trial.csv"), PICTURE)
+        with style.paper():
+            draw(pd.read_csv(Path(folder) / "first_trial.csv"), PICTURE)
     print(PICTURE)

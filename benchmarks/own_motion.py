@@ -25,10 +25,10 @@ from scipy.signal import lfilter
 
 import ssm_study as st
 from benchmarks.feedback_shares import drawn, levels, opened
-from ssm_study.evidence.autonomous_motion import shares_predicted
-from ssm_study.evidence.feedback import runs_away
+from ssm_study.evidence.autonomous_motion import predicted_power_shares
+from ssm_study.evidence.feedback import judge_instability
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
-from ssm_study.evidence.metrics import judge
+from ssm_study.evidence.metrics import collect_findings
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
 
@@ -171,17 +171,16 @@ def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
     model = st.fit(u, y, STEP_S)
     data, fitted, skip = model.data, model.simulator, model.data.start_up_samples
     validation, test = (Simulation.of(fitted, part, skip) for part in (data.validation, data.test))
-    found = judge(
+    found = collect_findings(
         data,
         fitted,
         validation,
         test,
         measure_mismatch(fitted, data.validation, skip, data.mismatch_records),
     )
-    shares = shares_predicted(Case(data=data, model=fitted, validation=validation, test=test)) or (
-        None,
-        None,
-    )
+    shares = predicted_power_shares(
+        Case(data=data, model=fitted, validation=validation, test=test)
+    ) or (None, None)
     against = next((one.sentence for one in found.findings if one.level == CANNOT_JUDGE), None)
     told: dict[str, object] = {
         "log": name,
@@ -211,7 +210,7 @@ def integrator(rng: np.random.Generator) -> tuple[Samples, Samples]:
 
 def refused(log: Callable) -> int:
     once = (replace(data, validation=(), test=()) for data in drawn(log, COUNT))
-    return sum(any(runs_away(data, closed=False)) for data in once)
+    return sum(any(judge_instability(data, closed=False)) for data in once)
 
 
 if __name__ == "__main__":

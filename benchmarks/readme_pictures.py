@@ -74,8 +74,8 @@ def lines_of(axes: Axes, loop: RecordedCases, title: str) -> list[mpl.lines.Line
 
 
 def study_line(study: StudyFolder) -> Figure:
-    """Record, model, certificate, closed loop: four panels from left to right, each with the one
-    number it adds."""
+    """Record, model, certificate, closed loop: four panels in this order, each with the one number
+    it adds."""
     parts = study.of_best(
         "validation",
         "model",
@@ -86,9 +86,9 @@ def study_line(study: StudyFolder) -> Figure:
     )
     validation, model, certificate, loop, record = parts
     with style.paper(), mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}):
-        figure = Figure(figsize=(12.8, 3.2), layout="constrained")
+        figure = Figure(figsize=(7.6, 5.4), layout="constrained")
         FigureCanvasAgg(figure)
-        panels = figure.subplots(1, 4)
+        panels = figure.subplots(2, 2).ravel()
         _record(panels[0], validation, record)
         _slopes(panels[1], model, record)
         _decay(panels[2], model, certificate, record)
@@ -185,7 +185,7 @@ def main() -> None:
     (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
     PICTURES.mkdir(exist_ok=True)
     animation(loop).save(PICTURES / "ten_speeds.gif", writer=PillowWriter(fps=10), dpi=100)
-    study_line(study).savefig(PICTURES / "study_line.png", dpi=150)
+    study_line(study).savefig(PICTURES / "study_line.png", dpi=200)
     for name in ("ten_speeds.gif", "study_line.png"):
         print(f"{PICTURES / name}: {(PICTURES / name).stat().st_size / 1e3:.0f} kB")
 

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.metrics import judge
+from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.metrics import behaviour
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -49,7 +49,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         Simulation.of(made, records, data.start_up_samples)
         for records in (data.validation, data.test)
     ]
-    silent = judge(data, made, *free, shown).level == CANNOT_JUDGE
+    silent = collect_findings(data, made, *free, shown).level == CANNOT_JUDGE
     started = time.process_time()
     design = (parts.synthesis.with_largest_margin() if silent else parts.synthesis).design(
         made, balls, data.validation, shown

@@ -86,3 +86,8 @@ def groups_shown(driver: Any) -> dict[str, list[str]]:
         f"return Array.from(document.querySelectorAll('#groups tbody tr'), {cells})"
     )
     return {row[0]: row[1:] for row in rows}
+
+
+def complaints(driver: Any) -> list[Any]:
+    """Warnings and errors that the browser has logged since it was last asked."""
+    return [entry for entry in driver.get_log("browser") if entry["level"] in ("SEVERE", "WARNING")]

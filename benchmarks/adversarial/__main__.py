@@ -24,7 +24,7 @@ import yaml
 
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.evidence.metrics import judge
+from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.models.metrics import Simulation
@@ -88,7 +88,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     validation, test = (
         Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test)
     )
-    about["evidence"] = judge(data, model, validation, test, known.mismatch).level
+    about["evidence"] = collect_findings(data, model, validation, test, known.mismatch).level
     settles = rows.stable_count_noise_free == rows.initial_conditions
     drawn = rows.index > 0
     candidates = grid.auto.candidates(model, known.balls)

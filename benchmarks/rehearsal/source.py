@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 
 from rehearsal.servo import Servo, fitted, tracked
-from ssm_study.data.experiments import RecordedExperiments, file_in
+from ssm_study.data.experiments import RecordedExperiments, find_record_file
 from ssm_study.data.recorded import RecordedSource
-from ssm_study.data.recording import Recording, decimated
+from ssm_study.data.recording import Recording, decimate_record
 from ssm_study.refusal import at_least, require
 from ssm_study.signals import DataSet, Trajectory
 
@@ -57,7 +57,7 @@ class Rehearsal(RecordedSource):
 
     def build(self, seed: int) -> DataSet:
         data = self._closed().build(seed)
-        fine = self._record()
+        fine = self._build_record()
         recording = self.experiments.training[0]
         servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, self.force_per_volt)
         test = tuple(
@@ -72,18 +72,18 @@ class Rehearsal(RecordedSource):
         """The experiments with their training records in the place of the test."""
         return replace(self.experiments, test=self.experiments.training)
 
-    def _record(self, **changes: str) -> Trajectory:
+    def _build_record(self, **changes: str) -> Trajectory:
         recording: Recording = replace(self.experiments.training[0], decimate=1, **changes)
         return replace(
-            recording, path=str(file_in(self.experiments.located(), recording.path))
+            recording, path=str(find_record_file(self.experiments.records_folder(), recording.path))
         ).read()
 
     def _rehearsed(self, servo: Servo, fine: Trajectory, every: int, k: int) -> Trajectory:
-        reference = self._record(output=self.reference).y[:, 0]
+        reference = self._build_record(output=self.reference).y[:, 0]
         rng = np.random.default_rng(k)
         disturbance = self._pulses(np.abs(fine.u).max(), len(fine), fine.step_s, rng)
         volt, position = tracked(servo, reference, disturbance, (self.kp, self.kv), fine.step_s)
-        u, y = decimated(volt[:, None], position[:, None], every)
+        u, y = decimate_record(volt[:, None], position[:, None], every)
         return Trajectory(u=u, y=y, step_s=fine.step_s * every, name=f"rehearsal_{k + 1}")
 
     def _pulses(

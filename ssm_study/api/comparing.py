@@ -10,7 +10,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.api.model import Model, Values
-from ssm_study.data.arrays import check_index, signal
+from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
@@ -76,13 +76,13 @@ def compare(
     named = dict(models) if isinstance(models, Mapping) else _name_models(models)
     require(bool(named), "models", "none", "there is nothing to compare", "give a list of models")
     first = next(iter(named.values()))
-    measured = signal(y, "y", columns=first.output_names)[1]
+    measured = signal_columns(y, "y", columns=first.output_names)[1]
     simulated = {}
     for name, model in named.items():
-        check_index(u, y, model.data.step_s)
+        check_time_index(u, y, model.data.step_s)
         takes_disturbance = bool(model.disturbance_names)
         predicted = model.predict(u, disturbance if takes_disturbance else None)
-        output = signal(predicted, "y", columns=first.output_names)[1]
+        output = signal_columns(predicted, "y", columns=first.output_names)[1]
         problem = f"{name} answers with {output.shape}"
         remedy = "give the outputs of this input"
         require(output.shape == measured.shape, "y", measured.shape, problem, remedy)

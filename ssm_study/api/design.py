@@ -18,7 +18,7 @@ from ssm_study.api.scratch import new_folder
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
-from ssm_study.evidence.metrics import withheld
+from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.models.identified import SSM
@@ -132,7 +132,7 @@ class Design:
             data.mismatch_records,
         )
         evidence = self.origin.evidence
-        facts = withheld(facts, evidence.level)
+        facts = withhold_predictions(facts, evidence.level)
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
 

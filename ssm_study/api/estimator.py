@@ -8,7 +8,7 @@ import numpy as np
 
 from ssm_study.api.fitting import Signals, fit
 from ssm_study.api.model import Model, Values
-from ssm_study.data.arrays import disturbance_values, signal
+from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import BadRequest, at_least, require
 from ssm_study.signals import Trajectory
@@ -92,8 +92,8 @@ class Estimator:
         """
         model = self._fitted()
         at_least(0, "start_up_samples", self.start_up_samples, "use 20")
-        inputs = signal(u, "u", len(model.data.inputs), model.input_names)[1]
-        outputs = signal(y, "y", len(model.data.outputs), model.output_names)[1]
+        inputs = signal_columns(u, "u", len(model.data.inputs), model.input_names)[1]
+        outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]
         scored = len(outputs) - self.start_up_samples
         remedy = "give a longer record, or fewer start_up_samples"
         require(scored >= FEWEST_SCORED, "y", len(outputs), "nothing is left to score", remedy)

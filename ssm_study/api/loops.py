@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.api.parts import Parts
-from ssm_study.data.arrays import disturbance_values, signal
+from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import Rollouts
@@ -42,7 +42,7 @@ def close_loop(
     With a measured disturbance it lasts as long as that.
     """
     names = [channel.name for channel in plant.outputs]
-    starts = signal(y0, "y0", len(names), names)[1]
+    starts = signal_columns(y0, "y0", len(names), names)[1]
     loop: Loop = Parts(LOOP, overrides).build("loop").fitted(design.model)
     controller = controller or ObserverFeedback.of(design.model, design.certificate)
     measured = disturbance_values(disturbance, _disturbance_names(design))

@@ -15,8 +15,8 @@ from jaxtyping import Complex, Float
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.data.arrays import check_index, disturbance_values, signal
-from ssm_study.data.metrics import data_facts
+from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
+from ssm_study.data.metrics import data_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.members import mean_output, member_facts
@@ -60,7 +60,7 @@ class Model:
         data = self.data
         validation, test = simulate_parts(self.simulator, data)
         training = self.identification
-        facts = dict(data_facts(data))
+        facts = dict(data_columns(data))
         facts |= training_facts(training.seconds, training.ended)
         facts |= size_facts(self.simulator)
         facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
@@ -113,8 +113,8 @@ class Model:
         length stay at their mean where they are not given. Raises `BadRequest` for a disturbance
         that the model was not fitted with, or of another length.
         """
-        check_index(u, None, self.data.step_s)
-        inputs = signal(u, "u", len(self.data.inputs), self.input_names)[1]
+        check_time_index(u, None, self.data.step_s)
+        inputs = signal_columns(u, "u", len(self.data.inputs), self.input_names)[1]
         measured = disturbance_values(disturbance, self.disturbance_names, len(inputs))
         members = self.identification.members or (self.simulator,)
         y = mean_output(members, inputs, measured)
@@ -145,8 +145,8 @@ class Model:
         self, u: Values, y: Values, disturbance: Values | None
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Measured and simulated outputs of one record."""
-        check_index(u, y, self.data.step_s)
-        measured = signal(y, "y", columns=self.output_names)[1]
+        check_time_index(u, y, self.data.step_s)
+        measured = signal_columns(y, "y", columns=self.output_names)[1]
         predicted = np.asarray(self.predict(u, disturbance), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"
         remedy = "give the outputs of this input"

@@ -6,7 +6,7 @@ import pandas as pd
 from ssm_study.api.design import Design
 from ssm_study.api.loops import close_loop, identified_plant, rollout_table
 from ssm_study.api.model import Model, Values
-from ssm_study.data.arrays import check_index, signal
+from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.plants.plant import Plant
 
 
@@ -29,8 +29,8 @@ def simulate(
     Raises `BadRequest` for other channels, and for what the command refuses of the loop.
     """
     if isinstance(subject, Model):
-        check_index(given, None, subject.data.step_s)
-        inputs = signal(given, "u", columns=subject.input_names)[1]
+        check_time_index(given, None, subject.data.step_s)
+        inputs = signal_columns(given, "u", columns=subject.input_names)[1]
         predicted = pd.DataFrame(subject.predict(pd.DataFrame(inputs), disturbance))
         return predicted.assign(time_s=np.arange(len(predicted)) * subject.data.step_s)
     on = plant or identified_plant(subject)

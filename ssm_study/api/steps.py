@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.metrics import Judgement, judge
+from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.models.structured import Model as StateSpaceModel
 from ssm_study.models.warm_start import simulate_parts
 from ssm_study.robustness.coverage import Premise, measure_premise
@@ -61,7 +61,7 @@ def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
     """Judge what records and model allow to be said of the plant."""
     validation, test = simulate_parts(model, data)
-    return judge(data, model, validation, test, plant_mismatch)
+    return collect_findings(data, model, validation, test, plant_mismatch)
 
 
 def measure_coverage_premise(model: StateSpaceModel, data: DataSet, mismatch: Mismatch) -> Premise:

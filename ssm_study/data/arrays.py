@@ -49,7 +49,7 @@ def write_log_files(
     (folder / "logs").mkdir(parents=True, exist_ok=True)
     paths = []
     for parts in zip(*experiments.values(), strict=True):
-        columns, table = _table(dict(zip(experiments, parts, strict=True)), step_s)
+        columns, table = combine_signal_columns(dict(zip(experiments, parts, strict=True)), step_s)
         content = repr(list(table)).encode() + table.to_numpy().tobytes()
         digest = hashlib.sha256(content).hexdigest()
         path = folder / "logs" / f"{digest[:16]}.parquet"
@@ -58,15 +58,17 @@ def write_log_files(
     return LoggedArrays(paths, columns["u"], columns["y"], columns.get("disturbance", []))
 
 
-def _table(signals: dict[str, Any], step_s: float | None) -> tuple[dict[str, list[str]], Any]:
+def combine_signal_columns(
+    signals: dict[str, Any], step_s: float | None
+) -> tuple[dict[str, list[str]], Any]:
     """Combine the columns of all signals of one experiment into one table."""
     first, *others = signals.values()
     for other in others:
-        check_index(first, other, step_s)
+        check_time_index(first, other, step_s)
     columns = {}
     values = []
     for name, given in signals.items():
-        columns[name], numbers_of_signal = signal(given, name)
+        columns[name], numbers_of_signal = signal_columns(given, name)
         values.append(numbers_of_signal)
     names = ", ".join(signals)
     lengths = tuple(map(len, values))
@@ -78,22 +80,22 @@ def _table(signals: dict[str, Any], step_s: float | None) -> tuple[dict[str, lis
     return columns, pd.DataFrame(np.hstack(values), columns=titles)
 
 
-def signal(
+def signal_columns(
     values: Any, name: str, channels: int | None = None, columns: Sequence[str] | None = None
 ) -> tuple[list[str], Float[np.ndarray, "T c"]]:
-    """Convert one signal, array, series or frame, to numbers and channel names. Names and numbers
-    of one signal; a frame's columns in the order of `columns`, by name.
+    """Convert one signal, given as an array, series or frame, to numbers and channel names. Names
+    and numbers of one signal; a frame's columns in the order of `columns`, by name.
 
     Raises `BadRequest` for what is no table of finite real numbers, lies on its side, or has other
     channels.
     """
     if isinstance(values, pd.DataFrame) and columns is not None:
         values = select_columns(values, name, columns)
-    table = numbers(values, name)
+    table = as_real_matrix(values, name)
     problem = f"needs one column per channel: {channels}"
     remedy = "give those that the model was fitted to"
     require(channels in (None, table.shape[1]), name, table.shape, problem, remedy)
-    refuse_missing(table, values, name)
+    refuse_nonfinite(table, values, name)
     if isinstance(values, pd.Series) and values.name is not None:
         return [str(values.name)], table
     if isinstance(values, pd.DataFrame):
@@ -105,7 +107,8 @@ def signal(
 def disturbance_values(
     values: Any, names: Sequence[str], samples: int | None = None
 ) -> Float[np.ndarray, "T k"] | None:
-    """Measured disturbances as numbers, one column per name. None where none are given.
+    """Convert measured disturbances to an array with one column per named disturbance. None where
+    none are given.
 
     Raises `BadRequest` where the model has no path for them, and for another number of samples.
     """
@@ -113,7 +116,7 @@ def disturbance_values(
         return None
     problem = "the model was fitted without measured disturbances"
     require(len(names) > 0, "disturbance", "given", problem, "give them to st.fit")
-    table = signal(values, "disturbance", len(names), names)[1]
+    table = signal_columns(values, "disturbance", len(names), names)[1]
     problem = f"the input has {samples} samples"
     fits = samples in (None, len(table))
     require(fits, "disturbance", len(table), problem, "cut both to the same samples")
@@ -121,7 +124,7 @@ def disturbance_values(
 
 
 def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd.DataFrame:
-    """Select a frame's columns in the order of the model's channels.
+    """Select the columns of a data frame in the order of the model's channels.
 
     A frame whose columns have no names of their own (0, 1, ...) is taken by place.
     """
@@ -134,9 +137,9 @@ def select_columns(frame: pd.DataFrame, name: str, columns: Sequence[str]) -> pd
     return frame.iloc[:, [own.index(title) for title in columns]]
 
 
-def numbers(values: Any, name: str) -> Float[np.ndarray, "T c"]:
-    """Convert values to a two-dimensional array of real numbers. A table of real numbers;
-    refuses complex numbers, dates, masked samples and tables on their side."""
+def as_real_matrix(values: Any, name: str) -> Float[np.ndarray, "T c"]:
+    """Convert values to a two-dimensional array of real numbers. A table of real numbers; refuses
+    complex numbers, dates, masked samples and tables on their side."""
     remedy = "give an array (T, channels)"
     masked = np.ma.isMaskedArray(values) and bool(np.ma.getmaskarray(values).any())
     first = int(np.argwhere(np.ma.getmaskarray(values))[0][0]) if masked else 0
@@ -159,8 +162,8 @@ def numbers(values: Any, name: str) -> Float[np.ndarray, "T c"]:
     return table
 
 
-def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
-    """Refuse an array with a number that is not finite, naming its place: `y[1999] is NaN`."""
+def refuse_nonfinite(table: Float[np.ndarray, "T c"], values: Any, name: str) -> None:
+    """Refuse an array that holds a number that is not finite, and say where: `y[1999] is NaN`."""
     bad = np.argwhere(~np.isfinite(table))
     if not len(bad):
         return
@@ -172,9 +175,9 @@ def refuse_missing(table: Float[np.ndarray, "T c"], values: Any, name: str) -> N
     raise BadRequest(where, word, count, INTERPOLATE_OR_CUT)
 
 
-def check_index(u: Any, y: Any, step_s: float | None) -> None:
-    """Check that the indexes of series or frames agree with each other and with the sampling time,
-    and are evenly spaced. Refuses others."""
+def check_time_index(u: Any, y: Any, step_s: float | None) -> None:
+    """Check that the time indexes of series or frames agree with each other and with the sampling
+    time, and are evenly spaced. Refuses others."""
     sides = (("u", u), ("y", y))
     tables = pd.Series | pd.DataFrame
     indexed = [(name, side.index) for name, side in sides if isinstance(side, tables)]
@@ -196,7 +199,7 @@ def check_index(u: Any, y: Any, step_s: float | None) -> None:
 
 
 def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
-    """Refuse an index of times that runs backwards, has a hole, or is no even clock."""
+    """Refuse a time index that runs backwards, has a gap, or is not evenly spaced."""
     steps = np.diff(times_s)
     median_s = float(np.median(steps))
     where = f"{name} (index)"
@@ -217,7 +220,8 @@ def refuse_uneven_index(times_s: Float[np.ndarray, "T"], name: str) -> None:
 
 
 def index_times_s(index: Any) -> Float[np.ndarray, "T"] | None:
-    """Times of an index in seconds. None for an index that counts rows or names them."""
+    """Convert the index of a series or frame to times in seconds. None for an index that counts
+    rows or names them."""
     if len(index) < 3:
         return None
     if isinstance(index, pd.DatetimeIndex | pd.TimedeltaIndex):

@@ -30,18 +30,18 @@ PARTS = {
 TOLD = ("name", "step_s", "closed_loop", "log", "first")  # of a record, beside its signals
 
 
-def assemble(
-    parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **told: Any
+def assemble_dataset(
+    parts: Parts, rest: Rest, channels: tuple[Channels, ...], start_up_samples: int, **fields: Any
 ) -> DataSet:
-    """Assemble a data set with its scaling from the records of each part. `scale = rms(training -
-    rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or `(u, y, d)` with measured
-    disturbances; `channels` likewise.
+    """Assemble a data set and its scaling from the records for training, validation and test.
+    `scale = rms(training - rest)` per channel: a gain about the equilibrium `rest = (u, y)`, or
+    `(u, y, d)` with measured disturbances; `channels` likewise.
 
-    `parts` are training, validation and test, `told` the other fields of the data set. Raises
+    `parts` are training, validation and test, `fields` the other fields of the data set. Raises
     `BadRequest` for a part without records, differing sampling times, a record no longer than the
     start-up window, or a channel that is constant over the training records.
     """
-    named: dict[str, Any] = {}
+    named_parts: dict[str, Any] = {}
     for part, records in zip(("training", "validation", "test"), parts, strict=True):
         require(
             len(records) > 0,
@@ -50,13 +50,13 @@ def assemble(
             "a data set needs at least one record here",
             "add one",
         )
-        named[part] = tuple(
+        named_parts[part] = tuple(
             replace(record, name=f"{part}_{k + 1}") for k, record in enumerate(records)
         )
-    training = named["training"]
+    training = named_parts["training"]
     window = f"no longer than the start-up window of {start_up_samples} samples"
     step_s = training[0].step_s
-    for record in (record for records in named.values() for record in records):
+    for record in (record for records in named_parts.values() for record in records):
         remedy = "use a longer record or a smaller data.start_up_samples"
         require(
             len(record) > start_up_samples + 1,
@@ -84,14 +84,15 @@ def assemble(
             require(moves, channel.name, column[0], problem, remedy)
         scales[f"{name}_scale"] = np.sqrt(np.mean((values - at) ** 2, axis=0))
         scales[f"{name}_equilibrium"] = at
-    told |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
-    told |= {"disturbances": channels[2]} if len(channels) > 2 else {}
-    return DataSet(**named, **told, scale=Scale(**scales))
+    fields |= {"inputs": channels[0], "outputs": channels[1], "start_up_samples": start_up_samples}
+    fields |= {"disturbances": channels[2]} if len(channels) > 2 else {}
+    return DataSet(**named_parts, **fields, scale=Scale(**scales))
 
 
 def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."]], dict[str, Any]]:
-    """Convert a data set to named arrays for storage. Arrays `part/i/u`, `part/i/y` (and `d`)
-    and the vectors of the scale; names, units and periods in the dictionary."""
+    """Convert a data set to named arrays, and a dictionary of the rest, for storage. Arrays
+    `part/i/u`, `part/i/y` (and `d`) and the vectors of the scale; names, units and periods in the
+    dictionary."""
     arrays = {name: values for name, values in vars(data.scale).items() if values.size}
     about: dict[str, Any] = {
         "start_up_samples": data.start_up_samples,
@@ -112,7 +113,7 @@ def dataset_to_tensors(data: DataSet) -> tuple[dict[str, Float[np.ndarray, "..."
 def dataset_from_tensors(
     arrays: dict[str, Float[np.ndarray, "..."]], about: dict[str, Any]
 ) -> DataSet:
-    """Rebuild a data set from the named arrays of `dataset_to_tensors`."""
+    """Rebuild a data set from the arrays and the dictionary that `dataset_to_tensors` returns."""
     parts: dict[str, Any] = {name: about[name] for name in ("start_up_samples", "metadata")}
     for part, stored in PARTS.items():
         records = []

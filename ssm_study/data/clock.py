@@ -23,8 +23,8 @@ HELD = 0.5  # share of samples at which a held input does not change
 
 @dataclass(frozen=True, kw_only=True)
 class EvenRows:
-    """Rows of a log on an even clock, cut into pieces. Rows on an even clock: stretches of values,
-    where each starts in samples, and the period.
+    """Rows of a log with evenly spaced times, cut into pieces without gaps. Rows on an even clock:
+    stretches of values, where each starts in samples, and the period.
 
     `remarks` state holes, missing values and interpolation, in words.
     """
@@ -35,12 +35,17 @@ class EvenRows:
     remarks: list[str]
 
 
+def log_length(pieces: EvenRows) -> int:
+    """Number of samples of a log up to the end of its last piece."""
+    return pieces.starts[-1] + len(pieces.values[-1])
+
+
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
-    """Mean period of times that lie within `tolerance` periods of an evenly spaced clock. Refuses
-    others."""
+    """Mean sampling period of times that are evenly spaced within a tolerance; refuses others.
+    Refuses others."""
     at_least(2, f"{where} (time)", len(time_s), "use a longer record")
-    refuse_backwards(time_s, where)
-    mean_s, late = lateness(time_s)
+    refuse_decreasing_times(time_s, where)
+    mean_s, late = period_and_jitter(time_s)
     worst = int(np.argmax(late))
     problem = (
         f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, "
@@ -53,15 +58,16 @@ def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) 
     return mean_s
 
 
-def lateness(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
-    """Mean period of the times, and by how many periods each sample is early or late."""
+def period_and_jitter(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
+    """Mean sampling period, and the deviation of every sample from an evenly spaced clock in
+    periods."""
     mean_s = float((time_s[-1] - time_s[0]) / (len(time_s) - 1))
     even = time_s[0] + mean_s * np.arange(len(time_s))
     return mean_s, np.abs(time_s - even) / mean_s
 
 
-def refuse_backwards(time_s: Float[np.ndarray, "T"], where: str) -> None:
-    """Refuse times that run backwards, and times that were rounded so far that they repeat."""
+def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
+    """Refuse times that decrease, and times that were rounded so far that they repeat."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         k = int(np.argmax(steps < 0)) + 1
@@ -76,12 +82,12 @@ def refuse_backwards(time_s: Float[np.ndarray, "T"], where: str) -> None:
 
 
 def typical_period_s(time_s: Float[np.ndarray, "T"]) -> float:
-    """Median of the first hundred periods that are positive."""
+    """Median of the first hundred positive time differences."""
     steps = np.diff(time_s)
     return float(np.median(steps[steps > 0][:100]))
 
 
-def on_even_clock(
+def resample_to_even_clock(
     time_s: Float[np.ndarray, "T"],
     values: Float[np.ndarray, "T c"],
     inputs: int,
@@ -91,7 +97,7 @@ def on_even_clock(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Put the rows of a log on an even clock, cut at holes and at missing values.
+    """Assign evenly spaced times to the rows of a log, and cut it at gaps and missing values.
 
     `step_s`, where it is given, must agree with the times within 0.1 %. The first `inputs` columns
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a
@@ -102,27 +108,32 @@ def on_even_clock(
     values = values[known]
     at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     if step_s is not None and (np.diff(time_s) == 0).any():
-        return rounded_clock(time_s, values, step_s, where)
-    rounded = None if step_s is not None or resample else rounded_rows(time_s, values, tolerance)
+        return check_rounded_clock(time_s, values, step_s, where)
+    rounded = (
+        None if step_s is not None or resample else recover_rounded_clock(time_s, values, tolerance)
+    )
     if rounded is not None:
         return rounded
-    refuse_backwards(time_s, where)
-    mean_s, late = lateness(time_s)
+    refuse_decreasing_times(time_s, where)
+    mean_s, late = period_and_jitter(time_s)
     if late.max() <= tolerance and not resample:
-        require_agreement(step_s, mean_s, where)
+        require_equal_period(step_s, mean_s, where)
         period_s = mean_s if step_s is None else step_s
-        return without_missing(EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[]))
-    return cut_at_holes(time_s, values, inputs, where, step_s, tolerance, resample)
+        return cut_at_missing_values(
+            EvenRows(values=[values], starts=[0], step_s=period_s, remarks=[])
+        )
+    return cut_at_gaps(time_s, values, inputs, where, step_s, tolerance, resample)
 
 
-def rounded_rows(
+def recover_rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], tolerance: float
 ) -> EvenRows | None:
-    """Recover an even clock from times that were rounded. Rows on the even clock that explains
-    times written with few digits, None where none does or the times are even as they stand."""
+    """Recover an evenly spaced clock from times that were rounded when they were written. Rows on
+    the even clock that explains times written with few digits, None where none does or the times
+    are even as they stand."""
     steps = np.diff(time_s)
     forwards = bool((steps >= 0).all()) and time_s[-1] > time_s[0]
-    if not forwards or (steps.all() and lateness(time_s)[1].max() <= tolerance):
+    if not forwards or (steps.all() and period_and_jitter(time_s)[1].max() <= tolerance):
         return None
     period = rounded_period_s(time_s)
     if period is None:
@@ -132,16 +143,16 @@ def rounded_rows(
         f"explains every row (to {period[1]:.2g} of it; data.step_s states it exactly)"
     )
     rows = EvenRows(values=[values], starts=[0], step_s=period[0], remarks=[remark])
-    return without_missing(rows)
+    return cut_at_missing_values(rows)
 
 
-def rounded_clock(
+def check_rounded_clock(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], step_s: float, where: str
 ) -> EvenRows:
-    """Compare rounded times with a stated sampling time and give the rows an even clock. Rows with
-    times that were rounded, on the sampling time that is given; refuses another one than the first
-    rows show."""
-    refuse_backwards(time_s[np.append(True, np.diff(time_s) != 0)], where)
+    """Check rounded times against a stated sampling time, and give the rows evenly spaced times.
+    Rows with times that were rounded, on the sampling time that is given; refuses another one than
+    the first rows show."""
+    refuse_decreasing_times(time_s[np.append(True, np.diff(time_s) != 0)], where)
     span_s = float(time_s[-1] - time_s[0])
     coarsest_s = float(np.diff(time_s).max())
     expected_s = step_s * (len(time_s) - 1)
@@ -149,18 +160,20 @@ def rounded_clock(
     problem = f"the times of {where}, which were rounded, show {span_s / (len(time_s) - 1):.4g} s"
     require(agrees, "data.step_s", step_s, problem, "correct one of them (units?)")
     remark = f"times rounded to {coarsest_s:.3g} s at their end, data.step_s taken"
-    return without_missing(EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark]))
+    return cut_at_missing_values(
+        EvenRows(values=[values], starts=[0], step_s=step_s, remarks=[remark])
+    )
 
 
-def require_agreement(step_s: float | None, period_s: float, where: str) -> None:
-    """Refuse a sampling time that the times contradict."""
+def require_equal_period(step_s: float | None, period_s: float, where: str) -> None:
+    """Refuse a stated sampling time that differs from the period of the recorded times."""
     agrees = step_s is None or abs(step_s - period_s) <= AGREEMENT * period_s
     remedy = "correct one of them (units?), or leave step_s null"
     problem = f"the times of {where} show {period_s:.6g} s"
     require(agrees, "data.step_s", step_s, problem, remedy)
 
 
-def cut_at_holes(
+def cut_at_gaps(
     time_s: Float[np.ndarray, "T"],
     values: Float[np.ndarray, "T c"],
     inputs: int,
@@ -169,39 +182,39 @@ def cut_at_holes(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Cut a log into pieces where its clock has holes. Stretches between the holes of a clock;
+    """Cut a log into pieces where its clock has gaps. Stretches between the holes of a clock;
     interpolated where the clock wanders."""
     steps = np.diff(time_s)
     median_s = float(np.median(steps))
     holes = np.flatnonzero(steps > HOLE * median_s)
     bounds = [0, *(holes + 1).tolist(), len(time_s)]
     stretches = [(a, b) for a, b in pairwise(bounds) if b - a > 2]
-    remarks = hole_remarks(steps, holes, median_s)
-    late = [lateness(time_s[a:b])[1].max() for a, b in stretches]
+    remarks = gap_remarks(steps, holes, median_s)
+    late = [period_and_jitter(time_s[a:b])[1].max() for a, b in stretches]
     if stretches and not resample and max(late) <= tolerance:
         elapsed_s = sum(time_s[b - 1] - time_s[a] for a, b in stretches)
         periods = sum(b - a - 1 for a, b in stretches)
         period_s = float(elapsed_s / periods)
-        require_agreement(step_s, period_s, where)
+        require_equal_period(step_s, period_s, where)
         period_s = period_s if step_s is None else step_s
         starts = [round((time_s[a] - time_s[0]) / period_s) for a, _ in stretches]
         cut = [values[a:b] for a, b in stretches]
-        return without_missing(
+        return cut_at_missing_values(
             EvenRows(values=cut, starts=starts, step_s=period_s, remarks=remarks)
         )
     require(stretches, f"{where} (time)", "holes", "no stretch without a hole is left", "log on")
-    refuse_wandering(steps, median_s, where, resample)
+    refuse_uneven_times(steps, median_s, where, resample)
     if not resample:
-        require_agreement(step_s, median_s, where)
+        require_equal_period(step_s, median_s, where)
     period_s = median_s if step_s is None else step_s
-    return interpolated(time_s, values, inputs, stretches, period_s, remarks)
+    return interpolate_pieces(time_s, values, inputs, stretches, period_s, remarks)
 
 
-def hole_remarks(
+def gap_remarks(
     steps: Float[np.ndarray, "T"], holes: Int[np.ndarray, "H"], period_s: float
 ) -> list[str]:
-    """Sentences that describe the holes of a log. How many holes there are, and how long, in
-    words."""
+    """Sentences that describe the gaps in the times of a log. How many holes there are, and how
+    long, in words."""
     if not len(holes):
         return []
     missing_s = float(steps[holes].sum()) - len(holes) * period_s
@@ -209,7 +222,7 @@ def hole_remarks(
     return [f"cut at {len(holes)} {word} of {missing_s:.3g} s in all"]
 
 
-def refuse_wandering(
+def refuse_uneven_times(
     steps: Float[np.ndarray, "T"], median_s: float, where: str, resample: bool
 ) -> None:
     """Refuse a log whose times are unevenly spaced, unless resampling is requested."""
@@ -223,7 +236,7 @@ def refuse_wandering(
     require(resample or spread <= WANDERS, f"{where} (time)", median_s, problem, remedy)
 
 
-def interpolated(
+def interpolate_pieces(
     time_s: Float[np.ndarray, "T"],
     values: Float[np.ndarray, "T c"],
     inputs: int,
@@ -231,8 +244,8 @@ def interpolated(
     period_s: float,
     remarks: list[str],
 ) -> EvenRows:
-    """Resample pieces of a log by interpolation. Stretches on a clock of that period: outputs on
-    lines between rows, held inputs held."""
+    """Resample pieces of a log at evenly spaced times by interpolation. Stretches on a clock of
+    that period: outputs on lines between rows, held inputs held."""
     cut: list[np.ndarray] = []
     starts: list[int] = []
     between = 0
@@ -244,43 +257,43 @@ def interpolated(
         clock = times[0] + period_s * np.arange(count)
         columns = []
         for j, column in enumerate(values[a:b].T):
-            columns.append(held_or_linear(clock, times, column, j < inputs))
-        nearest = np.abs(clock - times[nearest_row(clock, times)])
+            columns.append(interpolate_column(clock, times, column, j < inputs))
+        nearest = np.abs(clock - times[nearest_row_indices(clock, times)])
         between += int((nearest > 1e-3 * period_s).sum())
         samples += count
         cut.append(np.stack(columns, axis=1))
         starts.append(round((times[0] - time_s[0]) / period_s))
     remark = f"uneven clock: {between / samples:.0%} of the samples interpolated"
-    return without_missing(
+    return cut_at_missing_values(
         EvenRows(values=cut, starts=starts, step_s=period_s, remarks=[*remarks, remark])
     )
 
 
-def nearest_row(
+def nearest_row_indices(
     clock: Float[np.ndarray, "K"], times: Float[np.ndarray, "T"]
 ) -> Int[np.ndarray, "K"]:
-    """Index of the recorded time that is nearest to each instant of the clock."""
+    """Indices of the recorded times that are nearest to the instants of an evenly spaced clock."""
     after = np.clip(np.searchsorted(times, clock), 1, len(times) - 1)
     before = after - 1
     is_before = clock - times[before] < times[after] - clock
     return np.where(is_before, before, after)
 
 
-def held_or_linear(
+def interpolate_column(
     clock: Float[np.ndarray, "K"],
     times: Float[np.ndarray, "T"],
     column: Float[np.ndarray, "T"],
     is_input: bool,
 ) -> Float[np.ndarray, "K"]:
-    """Interpolate a column at other times. An input that holds levels is held, anything else is
-    interpolated linearly."""
+    """Interpolate one column of a log at other times: piecewise constant for a held input, linear
+    otherwise. An input that holds levels is held, anything else is interpolated linearly."""
     if is_input and (np.diff(column) == 0).mean() > HELD:
         last = np.searchsorted(times, clock * (1 + 1e-12) + 1e-12, side="right") - 1
         return column[np.clip(last, 0, len(column) - 1)]
     return np.interp(clock, times, column)
 
 
-def without_missing(pieces: EvenRows) -> EvenRows:
+def cut_at_missing_values(pieces: EvenRows) -> EvenRows:
     """Cut pieces of a log where a value is missing; stretches of one or two rows are left out."""
     cut: list[np.ndarray] = []
     starts: list[int] = []

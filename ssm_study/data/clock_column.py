@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock_restarts import clock_restarts
-from ssm_study.data.readers.reader import Table, folded, title_without_unit
+from ssm_study.data.clock_restarts import find_clock_restarts
+from ssm_study.data.readers.reader import Table, fold_title, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
 
@@ -56,9 +56,9 @@ FEWEST_UNITS = 2.0  # from one row to the next: a clock in seconds often counts 
 MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clock out of order
 
 
-def clock_unit(title: str, stated: str) -> float | None:
-    """Unit of a clock in seconds. Seconds of one unit of a clock, as its name or its column states;
-    None without a unit.
+def clock_unit_s(title: str, stated: str) -> float | None:
+    """Number of seconds in the unit that the title of a clock column states. Seconds of one unit of
+    a clock, as its name or its column states; None without a unit.
 
     `time(ms)`, `time_ms`, `t [ms]`, `time ms`, `millis`. Raises `BadRequest` for a unit that is
     none of time.
@@ -71,7 +71,7 @@ def clock_unit(title: str, stated: str) -> float | None:
             remedy = "use s, ms, us, ns, min or h, or data.step_s"
             raise BadRequest("data.time", title, problem, remedy)
         return seconds
-    words = words_of(title.replace("µ", "μ"))
+    words = title_words(title.replace("µ", "μ"))
     known = [SECONDS[word] for word in words[-1:] if word in SECONDS and len(words) > 1]
     whole = title.strip().lower()
     long_words = ("millis", "micros", "seconds", "milliseconds", "microseconds", "minutes", "hours")
@@ -82,27 +82,27 @@ def is_clock_name(title: str) -> bool:
     """Whether a column's title is that of a clock, as `time`, `t`, `Timestamp (ms)`, `time_s` or
     `date` are."""
     plain = title_without_unit(title)
-    if folded(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
+    if fold_title(plain) in WORDS or plain.strip().lower() in ("millis", "micros", "seconds"):
         return True
-    words = words_of(plain)
-    return len(words) > 1 and folded("".join(words[:-1])) in WORDS and words[-1] in SECONDS
+    words = title_words(plain)
+    return len(words) > 1 and fold_title("".join(words[:-1])) in WORDS and words[-1] in SECONDS
 
 
 def has_clock_word(title: str) -> bool:
     """Whether a title begins or ends with a word for a clock, as `t_now` and `sensor_timestamp`
     do."""
-    words = words_of(title_without_unit(title))
-    return any(folded(word) in WORDS for word in (*words[:1], *words[-1:]))
+    words = title_words(title_without_unit(title))
+    return any(fold_title(word) in WORDS for word in (*words[:1], *words[-1:]))
 
 
-def words_of(title: str) -> list[str]:
-    """Words of a title in small letters, separated at spaces, underscores, points and dashes."""
+def title_words(title: str) -> list[str]:
+    """Words of a column's title in lower case, split at spaces, underscores, points and dashes."""
     return [word for word in re.split(r"[\s_.\-/]+", title.lower()) if word]
 
 
-def find_clock(table: Table, signals: Collection[str]) -> str | None:
-    """Find the clock among the columns of a log. The column that is the clock: named like one, or
-    without a name and first; else None.
+def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
+    """Find the column of a log that is its clock; None if there is none. The column that is the
+    clock: named like one, or without a name and first; else None.
 
     Its values must increase (a clock written with few digits may stand still); where a title has a
     clock's word beside others, `t_now`, they must not stand still either. The first column of
@@ -112,30 +112,30 @@ def find_clock(table: Table, signals: Collection[str]) -> str | None:
     free = [title for title in table.columns if title not in signals]
     for title in free:
         times = table.columns[title]
-        if is_clock_name(title) and (runs_forwards(times) or clock_restarts(times)):
+        if is_clock_name(title) and (is_increasing(times) or find_clock_restarts(times)):
             return title
     for title in free:
-        if has_clock_word(title) and runs_forwards(table.columns[title], strictly=True):
+        if has_clock_word(title) and is_increasing(table.columns[title], strictly=True):
             return title
     for title in free:
         times = table.columns[title]
-        if title.endswith(":1") and runs_evenly(times) and not counts_rows(times):
+        if title.endswith(":1") and is_evenly_spaced(times) and not counts_rows(times):
             return title
     first = next(iter(table.columns), None)
     nameless = first is not None and (first == "" or table.nameless or first.startswith("Unnamed"))
     if not nameless or first not in free or len(table.columns) < 2:
         return None
     times = table.columns[first]
-    if not runs_forwards(times) or counts_rows(times):
+    if not is_increasing(times) or counts_rows(times):
         return None
     known = times[np.isfinite(times)]
     mostly = bool((np.diff(known) > 0).mean() > 0.5)
     return first if mostly or rounded_period_s(known) is not None else None
 
 
-def runs_forwards(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
-    """Whether times increase. Whether the times never run backwards (strictly: nor stand still),
-    and are mostly known."""
+def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
+    """Whether a sequence of times increases. Whether the times never run backwards (strictly: nor
+    stand still), and are mostly known."""
     known = times[np.isfinite(times)]
     enough = len(known) >= max(3, 0.5 * len(times))
     if not enough or known[-1] <= known[0]:
@@ -144,8 +144,8 @@ def runs_forwards(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> b
     return bool((steps > 0).all() if strictly else (steps >= 0).all())
 
 
-def runs_evenly(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the steps from row to row are equal, to a thousandth."""
+def is_evenly_spaced(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether the steps between successive times are equal to within a thousandth."""
     if len(times) < 3 or not np.isfinite(times).all():
         return False
     steps = np.diff(times)
@@ -153,12 +153,12 @@ def runs_evenly(times: Float[np.ndarray, "T"]) -> bool:
 
 
 def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether the column is 0, 1, 2, ... or 1, 2, 3, ..."""
+    """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
     known = times[np.isfinite(times)]
     return bool(known[0] in (0.0, 1.0) and (np.diff(known) == 1.0).all())
 
 
-def clock_seconds(
+def clock_column_seconds(
     title: str, table: Table, *, is_stated: bool = False
 ) -> tuple[Float[np.ndarray, "T"], str]:
     """Convert the times of a clock column to seconds. The times of a column in seconds, and in
@@ -171,7 +171,7 @@ def clock_seconds(
     name = title or "the nameless first column"
     if title in table.dated:
         return times, f"clock {name} (dates)"
-    factor = clock_unit(title, table.units.get(title, ""))
+    factor = clock_unit_s(title, table.units.get(title, ""))
     if factor is not None:
         return factor * times, f"clock {name}"
     known = np.abs(times[np.isfinite(times)])
@@ -179,14 +179,14 @@ def clock_seconds(
     for digits, seconds in EPOCHS:
         if largest >= digits and np.ptp(known) < 0.1 * largest:
             return seconds * (times - times[0]), f"clock {name} (units of {seconds:g} s since 1970)"
-    if not is_stated and counts_small_units(times):
+    if not is_stated and is_in_small_units(times):
         return times, f"clock {name} ({MAYBE_SMALLER})"
     return times, f"clock {name} (no unit: seconds)"
 
 
-def counts_small_units(times: Float[np.ndarray, "T"]) -> bool:
-    """Whether times are whole numbers with a median step of several units that is no whole number
-    of minutes."""
+def is_in_small_units(times: Float[np.ndarray, "T"]) -> bool:
+    """Whether times are whole numbers of a unit that is smaller than a second, judged by their
+    median step."""
     known = times[np.isfinite(times)]
     steps = np.diff(known)
     if len(steps) < 2 or not np.array_equal(known, np.round(known)):
@@ -195,8 +195,8 @@ def counts_small_units(times: Float[np.ndarray, "T"]) -> bool:
     return period >= FEWEST_UNITS and period % 60 != 0
 
 
-def counts_in_first_column(contents: Table) -> bool:
-    """Whether the first column has no name and counts the rows."""
+def first_column_counts_rows(contents: Table) -> bool:
+    """Whether the first column of a log has no title and counts the rows."""
     title, times = next(iter(contents.columns.items()))
     nameless = title == "" or contents.nameless or title.startswith("Unnamed")
     if not nameless or len(contents.columns) < 2 or not np.isfinite(times).all():
@@ -207,7 +207,8 @@ def counts_in_first_column(contents: Table) -> bool:
 def refuse_backward_clock(
     contents: Table, taken: list[str], file: Path, *, is_stated: bool
 ) -> None:
-    """Refuse a log whose clock, found by its name, runs backwards, at a row or as a whole.
+    """Refuse a log whose clock column, found by its title, runs backwards, at one row or as a
+    whole.
 
     Where the sampling time is stated a column of one letter may be anything (`T`, a temperature).
     """
@@ -230,7 +231,7 @@ def refuse_backward_clock(
 
 
 def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> None:
-    """Refuse a signal that is the clock: by its name, or nameless, first and even."""
+    """Refuse to use the clock column of a log as a signal."""
     first = next(iter(contents.columns))
     for title in taken:
         steps = np.diff(contents.columns[title])

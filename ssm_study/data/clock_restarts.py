@@ -6,16 +6,16 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.clock import AGREEMENT, HOLE, EvenRows, on_even_clock
+from ssm_study.data.clock import AGREEMENT, HOLE, EvenRows, resample_to_even_clock
 from ssm_study.refusal import require
 
 SHORTEST_EXPERIMENT = 10  # rows: of a clock that starts again more often than this it is none
 APART = 2  # samples between two experiments: none follows the other
 
 
-def clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
-    """Find the rows at which a clock starts again, where a file holds several experiments. A clock
-    that runs backwards elsewhere too has none."""
+def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
+    """Find the rows at which the clock starts again in a file that holds several experiments. A
+    clock that runs backwards elsewhere too has none."""
     known = time_s[np.isfinite(time_s)]
     if len(known) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
@@ -30,7 +30,7 @@ def clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
     return [int(row) for row in backwards] if whole else []
 
 
-def on_even_clocks(
+def resample_experiments(
     time_s: Float[np.ndarray, "T"],
     values: Float[np.ndarray, "T c"],
     inputs: int,
@@ -40,14 +40,14 @@ def on_even_clocks(
     tolerance: float,
     resample: bool,
 ) -> EvenRows:
-    """Put the rows on an even clock, each experiment of a file by itself (`on_even_clock`).
+    """Assign evenly spaced times to the rows of each experiment in a file separately.
 
     Raises `BadRequest` as that does, and for experiments of different sampling times.
     """
-    restarts = clock_restarts(time_s)
+    restarts = find_clock_restarts(time_s)
     bounds = [0, *restarts, len(time_s)]
     experiments = [
-        on_even_clock(
+        resample_to_even_clock(
             time_s[a:b],
             values[a:b],
             inputs,
@@ -64,8 +64,8 @@ def on_even_clocks(
 
 
 def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
-    """Join the experiments of one file into one log. Experiments of one sampling time as pieces
-    of one log, none of which follows another."""
+    """Join the experiments of one file into one log of separate pieces. Experiments of one sampling
+    time as pieces of one log, none of which follows another."""
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s

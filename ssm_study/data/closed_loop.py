@@ -26,11 +26,12 @@ AT_LIMIT = 0.02
 Rows = Float[np.ndarray, "_ r"]
 
 
-def from_set_points(
+def project_inputs_on_set_points(
     logs: Sequence[Trajectory], references: Sequence[Rows]
 ) -> tuple[list[Trajectory], float]:
-    """Replace the input of closed-loop logs by the part `u_r` that the set point explains. One
-    filter serves all logs; that part's share of the input's power is returned, too.
+    """Replace the input of closed-loop logs by the part that the set point explains in a
+    least-squares fit. One filter serves all logs; that part's share of the input's power is
+    returned, too.
 
     Raises `BadRequest` for logs that are too short.
     """
@@ -52,9 +53,10 @@ def from_set_points(
     return [replace(log, u=own) for log, own in zip(logs, inputs, strict=True)], share
 
 
-def set_point_of_pi(log: Trajectory, gain: float, integral_s: float) -> Rows:
-    """Reconstruct the set point of a loop from the settings of its PI controller. `r = y + e`, `e =
-    (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it rested at the start.
+def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) -> Rows:
+    """Reconstruct the set point of a closed-loop log from the settings of its PI controller. `r = y
+    + e`, `e = (u - u_eq) / gain - i`, `i+ = i + (step_s / integral_s) e`, i as if it rested at the
+    start.
 
     Raises `BadRequest` for more than one input or output, and where the input is at a limit, which
     hides e.

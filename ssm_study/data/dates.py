@@ -17,17 +17,18 @@ ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
 
 class AmbiguousDates(ValueError):
-    """Raised when the order of day and month is ambiguous and the two readings give different
-    clocks."""
+    """Raised when the order of day and month in dates is ambiguous, so that two readings give
+    different times."""
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell is a date, with or without a time, or a time of day."""
+    """Whether a cell of a table is a date, with or without a time, or a time of day."""
     return bool(re.fullmatch(DATE, cell) or re.fullmatch(TIME_OF_DAY, cell))
 
 
 def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
-    """Seconds since the first date among the cells. NaN where a cell is no date.
+    """Convert the dates in a column's cells to seconds since the first of them. NaN where a cell is
+    no date.
 
     `03/04/2026` may be March or April: the order under which the times increase is taken. Raises
     `AmbiguousDates` where both do and differ.
@@ -35,7 +36,7 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     series = pd.Series(cells, dtype=str)
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")
     if of_day["hour"].notna().sum() > len(cells) / 2:
-        seconds = unwrap_midnight(clock_seconds(of_day))
+        seconds = unwrap_midnight(seconds_since_midnight(of_day))
     else:
         dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
         seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
@@ -43,8 +44,8 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     return seconds - known[0] if len(known) else seconds
 
 
-def clock_seconds(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
-    """Seconds since midnight of a time of day."""
+def seconds_since_midnight(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
+    """Convert times of day to seconds since midnight."""
     hours = parts["hour"].fillna("0").astype(float)
     minutes = parts["minute"].fillna("0").astype(float)
     seconds = parts["second"].fillna("0").str.replace(",", ".").astype(float)
@@ -57,16 +58,16 @@ def clock_seconds(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
 
 
 def unwrap_midnight(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Make times of day continue over midnight."""
+    """Make times of day continue past midnight, so that they never jump back by a day."""
     steps = np.diff(np.nan_to_num(seconds, nan=0.0), prepend=seconds[:1])
     days = np.cumsum(steps < -DAY_S / 2)
     return seconds + DAY_S * days
 
 
 def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
-    """Seconds since 1970 of all cells, read in the order of day, month and year that fits them
-    all."""
-    within = clock_seconds(parts)
+    """Convert dates to seconds since 1970, with the order of day, month and year that fits all of
+    them."""
+    within = seconds_since_midnight(parts)
     shift = parts["zone"].map(zone_seconds, na_action="ignore").fillna(0.0).to_numpy(dtype=float)
     readings = []
     for order in ORDERS.values():
@@ -84,7 +85,7 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
             continue
         days = (dates - pd.Timestamp(0)) / pd.Timedelta(days=1)
         readings.append(DAY_S * days.to_numpy(dtype=float) + within - shift)
-    return the_reading_that_increases(readings, len(parts))
+    return choose_increasing_reading(readings, len(parts))
 
 
 def zone_seconds(zone: str) -> float:
@@ -96,27 +97,27 @@ def zone_seconds(zone: str) -> float:
     return -offset if zone[0] == "-" else offset
 
 
-def the_reading_that_increases(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
-    """Choose among several readings of the same dates the one in which time runs forwards, and
+def choose_increasing_reading(readings: list[np.ndarray], samples: int) -> Float[np.ndarray, "T"]:
+    """Choose, among several readings of the same dates, the one in which time increases, and
     evenly."""
     if not readings:
         return np.full(samples, np.nan)
-    forwards = [one for one in readings if (known_steps(one) >= 0).all()]
+    forwards = [one for one in readings if (steps_between_dates(one) >= 0).all()]
     chosen = forwards or readings
-    if len(chosen) > 1 and any(is_even(one) for one in chosen):
-        chosen = [one for one in chosen if is_even(one)]
-    first = known_steps(chosen[0])
-    if any(not np.allclose(first, known_steps(other)) for other in chosen[1:]):
+    if len(chosen) > 1 and any(has_even_steps(one) for one in chosen):
+        chosen = [one for one in chosen if has_even_steps(one)]
+    first = steps_between_dates(chosen[0])
+    if any(not np.allclose(first, steps_between_dates(other)) for other in chosen[1:]):
         raise AmbiguousDates
     return chosen[0]
 
 
-def known_steps(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
-    """Time differences between successive dates, the missing ones left out."""
+def steps_between_dates(seconds: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T2"]:
+    """Time differences between successive dates, with missing dates left out."""
     return np.diff(seconds[np.isfinite(seconds)])
 
 
-def is_even(seconds: Float[np.ndarray, "T"]) -> bool:
-    """Whether no step is longer than 1.5 times the median step."""
-    steps = known_steps(seconds)
+def has_even_steps(seconds: Float[np.ndarray, "T"]) -> bool:
+    """Whether no time step is longer than 1.5 times the median step."""
+    steps = steps_between_dates(seconds)
     return bool(len(steps)) and bool(steps.max() <= 1.5 * np.median(steps))

@@ -10,7 +10,7 @@ from ssm_study.data.assembly import Parts
 from ssm_study.data.metrics import SCORES
 from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
-from ssm_study.data.splits import without_fold
+from ssm_study.data.splits import cut_out_fold
 from ssm_study.refusal import BadRequest, one_of, require
 from ssm_study.signals import DataSet, Trajectory
 
@@ -58,34 +58,36 @@ class RecordedExperiments(AroundRest):
     def files(self) -> tuple[Path, ...]:
         apart = (*self.validation, *self.test) if self.fold is None else ()
         names = dict.fromkeys(recording.path for recording in (*self.training, *apart))
-        return tuple(file_in(self.located(), name) for name in names)
+        return tuple(find_record_file(self.records_folder(), name) for name in names)
 
     def build(self, seed: int) -> DataSet:
         about = {"benchmark": self.benchmark, "score": self.score, "seed": str(seed)}
         if self.fold is not None:
             about["held_out"] = f"fold {self.fold} of {self.folds}, of the training records"
-        return self.assembled(
-            self._parts(), (self.training[0].inputs, self.training[0].outputs), **about
+        return self.assemble_about_equilibrium(
+            self._read_parts(), (self.training[0].inputs, self.training[0].outputs), **about
         )
 
-    def _parts(self) -> Parts:
-        """Records of training, validation and test. Of a fold, what is kept also validates, as it
-        does without folds."""
-        folder = self.located()
+    def _read_parts(self) -> Parts:
+        """Read the records for training, validation and test. Of a fold, what is kept also
+        validates, as it does without folds."""
+        folder = self.records_folder()
         if self.fold is None:
             return (
-                _read(folder, self.training),
-                _read(folder, self.validation),
-                _read(folder, self.test),
+                _read_recordings(folder, self.training),
+                _read_recordings(folder, self.validation),
+                _read_recordings(folder, self.test),
             )
         parts = [
-            without_fold(record, self.fold, self.folds) for record in _read(folder, self.training)
+            cut_out_fold(record, self.fold, self.folds)
+            for record in _read_recordings(folder, self.training)
         ]
         kept = [piece for pieces, _ in parts for piece in pieces]
         return kept, kept, [piece for _, piece in parts]
 
-    def located(self) -> Path:
-        """Folder that holds the records. Raises `BadRequest` where there is none."""
+    def records_folder(self) -> Path:
+        """Folder in which the recordings of the data set lie. Raises `BadRequest` where there is
+        none."""
         if self.folder is None:
             return benchmark_folder(self.benchmark)
         require(
@@ -123,9 +125,9 @@ def benchmark_folder(benchmark: str) -> Path:
     return Path(found if isinstance(found, str | os.PathLike) else found[0]).parent
 
 
-def file_in(folder: Path, name: str) -> Path:
-    """Find a file in a folder by its name, or by its stem as CSV or MAT. Records are distributed as
-    both. Refuses without."""
+def find_record_file(folder: Path, name: str) -> Path:
+    """Find a record file in a folder by its name, or by its stem with the suffix of CSV or MAT.
+    Records are distributed as both. Refuses without."""
     exact = folder / name
     twins = sorted(
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")
@@ -137,8 +139,9 @@ def file_in(folder: Path, name: str) -> Path:
     return found[0]
 
 
-def _read(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
+def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajectory]:
+    """Read several recordings from a folder."""
     return [
-        replace(recording, path=str(file_in(folder, recording.path))).read()
+        replace(recording, path=str(find_record_file(folder, recording.path))).read()
         for recording in recordings
     ]

@@ -38,8 +38,9 @@ Signal = Float[np.ndarray, "T"]
 
 @dataclass(frozen=True, kw_only=True)
 class InputShares:
-    """Shares of the output's level, and of its change over a window, that the input explains. Also
-    the share of its level that the output loses over that window, and at that pace over the log."""
+    """Shares of the variance of the output's level, and of its change over a window, that the input
+    explains. Also the share of its level that the output loses over that window, and at that pace
+    over the log."""
 
     level: float
     change: float
@@ -49,24 +50,24 @@ class InputShares:
 
     @property
     def is_integrator(self) -> bool:
-        """Whether the plant integrates its input: the input explains the output's change, and the
-        output forgets nothing."""
+        """Whether the logged plant integrates its input: the input explains the output's changes
+        better than its level."""
         changes = self.change > self.level + INTEGRATES
         return changes and self.lost > -DRIFTS and self.lost_in_log < FORGETS
 
 
-def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
-    """Describe the longest stretch of a log in words: returns of the input, delay of the response,
-    integrator, closed loop and noise."""
+def describe_log_dynamics(records: Sequence[Trajectory]) -> list[str]:
+    """Describe in sentences the plant's dynamics in a log: delay, integrator, closed loop and
+    noise."""
     record = max(records, key=len)
     u = record.u[:, 0]
     y = record.y[:, 0]
     if len(record) < 4 * LAGS or np.ptp(u) == 0 or np.ptp(y) == 0:
         return ["too short, or nothing moves: no dynamics measured"]
     shares = input_shares(u, y)
-    sentences = [rest_sentence(sum(len(rest_segments(piece)) for piece in records))]
-    fed_back = share_from_earlier_outputs(u, y)
-    answer = answer_sentence(u, y, shares)
+    sentences = [input_return_sentence(sum(len(rest_segments(piece)) for piece in records))]
+    fed_back = feedback_share(u, y)
+    answer = response_delay_sentence(u, y, shares)
     is_ambiguous = FEEDTHROUGH in answer and fed_back > MAYBE_FED_BACK
     sentences.append(same_sample_sentence() if is_ambiguous else answer)
     if fed_back > FED_BACK:
@@ -79,23 +80,24 @@ def describe_dynamics(records: Sequence[Trajectory]) -> list[str]:
             f"integrator: the input explains {shares.change:.0%} of the output's changes and "
             f"{max(shares.level, 0):.0%} of its level ({INTEGRATOR})"
         )
-    sentences.append(noise_sentence(y))
+    sentences.append(sensor_noise_sentence(y))
     return sentences
 
 
 def same_sample_sentence() -> str:
-    """Sentence on an output that responds within the same sample, as it does in a closed loop."""
+    """Sentence on an output that responds within the same sample, so that cause and effect are
+    ambiguous."""
     return "input and output move within the same sample: which of them answers is not to be seen"
 
 
-def rest_sentence(rests: int) -> str:
-    """Sentence on how often the input returns to its last value."""
+def input_return_sentence(rests: int) -> str:
+    """Sentence on how often the input of a log returns to its last value."""
     if not rests:
         return "no rest at the input at which the log ends"
     return f"{rests} {'rest' if rests == 1 else 'rests'} at the input at which the log ends"
 
 
-def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
+def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
     """Sentence on the number of samples after which the output responds to the input. Of an
     integrator it is the output's change that responds."""
     rate = np.diff(y)
@@ -107,8 +109,12 @@ def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
         enough = len(coarse_u) >= 4 * LAGS
         lag = first_response_lag(coarse_u, coarse_y) if enough else None
         if lag is not None:
-            return lag_sentence(lag, word) if stride == 1 else slow_sentence(lag, stride, word)
-    level = explained_level(u, y)
+            return (
+                dead_time_sentence(lag, word)
+                if stride == 1
+                else slow_response_sentence(lag, stride, word)
+            )
+    level = largest_explained_level(u, y)
     if max(level, shares.change) > FOLLOWS:
         by_level = level >= shares.change
         explained = "output" if by_level else f"output's changes over {shares.window} samples"
@@ -120,13 +126,13 @@ def answer_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
 
 
 def block_means(values: Signal, length: int) -> Float[np.ndarray, "B"]:
-    """Means over blocks of so many samples."""
+    """Means of a signal over consecutive blocks of a fixed length."""
     blocks = len(values) // length
     return values[: blocks * length].reshape(blocks, length).mean(axis=1)
 
 
-def lag_sentence(lag: int, word: str) -> str:
-    """Sentence on the delay of the response, in samples."""
+def dead_time_sentence(lag: int, word: str) -> str:
+    """Sentence on the dead time of the response, a whole number of samples."""
     if lag == 0:
         return f"{word} answers within the same sample ({FEEDTHROUGH})"
     if lag == 1:
@@ -136,8 +142,8 @@ def lag_sentence(lag: int, word: str) -> str:
     return f"dead time: {word} answers after {lag} samples"
 
 
-def slow_sentence(lag: int, stride: int, word: str) -> str:
-    """Sentence on the delay of a slow response, which was found in steps of several samples."""
+def slow_response_sentence(lag: int, stride: int, word: str) -> str:
+    """Sentence on the delay of a slow response, which is known only to within several samples."""
     if lag <= 1:
         return f"{word} answers slowly, within {(lag + 1) * stride} samples"
     return (
@@ -146,11 +152,11 @@ def slow_sentence(lag: int, stride: int, word: str) -> str:
 
 
 def first_response_lag(u: Signal, y: Signal) -> int | None:
-    """Smallest lag at which the output responds to a change of the input. None where none is
-    significant."""
+    """Smallest lag at which the output responds significantly to a change of the input. None where
+    none is significant."""
     if np.std(np.diff(u)) == 0 or np.std(np.diff(y)) == 0:
         return None
-    x, target = increments(u, y)
+    x, target = increment_regression(u, y)
     gains, _, rank, _ = np.linalg.lstsq(x, target, rcond=1e-10)
     residual = target - x @ gains
     variance = float(residual @ residual) / max(len(target) - int(rank), 1)
@@ -162,9 +168,14 @@ def first_response_lag(u: Signal, y: Signal) -> int | None:
     return int(np.argmax(counts)) if counts.any() else None
 
 
-def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
-    """Regression of output increments on past increments: regressors `du[k - 0 ... LAGS],
-    dy[k - 1], dy[k - 2]` and `dy[k]`, scaled."""
+def increment_regression(
+    u: Signal, y: Signal
+) -> tuple[Float[np.ndarray, "K R"], Float[np.ndarray, "K"]]:
+    """Regressors and target of a linear regression of output increments on past input and output
+    increments.
+
+    Regressors `du[k - 0 ... LAGS], dy[k - 1], dy[k - 2]`, target `dy[k]`; both scaled.
+    """
     du = np.diff(u) / np.std(u)
     dy = np.diff(y) / np.std(y)
     columns = [du[LAGS - lag : len(du) - lag] for lag in range(LAGS + 1)]
@@ -172,9 +183,9 @@ def increments(u: Signal, y: Signal) -> tuple[Float[np.ndarray, "K R"], Float[np
     return np.stack(columns, axis=1), dy[LAGS:]
 
 
-def share_from_earlier_outputs(u: Signal, y: Signal) -> float:
-    """Share of the input's changes that earlier outputs explain, beyond what earlier inputs
-    explain.
+def feedback_share(u: Signal, y: Signal) -> float:
+    """Share of the input's variance that earlier outputs explain beyond earlier inputs, a sign of
+    feedback.
 
     An input that its own past foretells, as a sweep of sines, needs more of that past than the few
     outputs that a controller reads: else outputs stand for inputs of long ago.
@@ -197,8 +208,8 @@ def share_from_earlier_outputs(u: Signal, y: Signal) -> float:
 
 
 def input_shares(u: Signal, y: Signal) -> InputShares:
-    """Shares of the output's level and change that the input's mean over a window explains, by a
-    polynomial of degree three.
+    """Shares of the output's level and changes that the input explains, over the window that
+    explains them best.
 
     The window is the shortest over which the input explains most of the output's changes: over a
     long one a plant with an integrator is turned round (a position must come back), a plant without
@@ -208,7 +219,7 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
     for window in WINDOWS:
         if len(u) < 8 * window:
             continue
-        shares = shares_over(u, y, window)
+        shares = input_shares_over_window(u, y, window)
         if shares.change > best.change:
             best = shares
         if shares.change > MOVED:
@@ -216,15 +227,16 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
     return best
 
 
-def explained_level(u: Signal, y: Signal) -> float:
-    """Largest share of the output's level that the input's mean over a window explains, among
-    windows of several lengths."""
+def largest_explained_level(u: Signal, y: Signal) -> float:
+    """Largest share of the output's level that the mean input over a window explains, among several
+    window lengths."""
     windows = [window for window in WINDOWS if len(u) >= 8 * window]
-    return max((shares_over(u, y, window).level for window in windows), default=0.0)
+    return max((input_shares_over_window(u, y, window).level for window in windows), default=0.0)
 
 
-def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
-    """Shares of the output that the input's mean over windows of one length explains."""
+def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
+    """Shares of the output's level and changes that the mean input over windows of one length
+    explains."""
     weights = np.full(window, 1 / window)
     mean = np.convolve(u, weights, mode="valid")[:-1:window]
     ends = y[window::window][: len(mean)]
@@ -236,23 +248,23 @@ def shares_over(u: Signal, y: Signal, window: int) -> InputShares:
     gains = np.linalg.lstsq(with_level, ends - begins, rcond=1e-9)[0]
     lost = float(-gains[-1])
     return InputShares(
-        level=explained_share(x, ends),
-        change=explained_share(x, ends - begins),
+        level=explained_variance_share(x, ends),
+        change=explained_variance_share(x, ends - begins),
         lost=lost,
         lost_in_log=lost * len(y) / window,
         window=window,
     )
 
 
-def explained_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of the target's variance that a least-squares fit explains."""
+def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
+    """Share of a signal's variance that a least-squares fit explains."""
     residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
     return 1.0 - float(residual.var() / max(float(target.var()), 1e-300))
 
 
-def noise_sentence(y: Signal) -> str:
-    """Sentence on the sensor's resolution and noise. Resolution of the output, and its noise by
-    second differences."""
+def sensor_noise_sentence(y: Signal) -> str:
+    """Sentence on the resolution and the noise of the output's sensor. Resolution of the output,
+    and its noise by second differences."""
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
     resolution = float(moving.min()) if len(moving) else 0.0

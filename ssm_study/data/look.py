@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from ssm_study.data.clock_column import (
-    clock_seconds,
-    counts_in_first_column,
-    find_clock,
-    runs_evenly,
+    clock_column_seconds,
+    find_clock_column,
+    first_column_counts_rows,
+    is_evenly_spaced,
 )
-from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_dynamics
-from ssm_study.data.readers.reader import Table, folded, reader_for, title_without_unit
+from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
+from ssm_study.data.readers.reader import Table, choose_reader, fold_title, title_without_unit
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
@@ -43,8 +43,8 @@ SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desir
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnFacts:
-    """Range, levels and gaps of one column of a log. One column: its unit, range, how many
-    values it takes, how many are missing."""
+    """Range, number of levels and missing values of one column of a log. One column: its unit,
+    range, how many values it takes, how many are missing."""
 
     name: str
     unit: str
@@ -55,14 +55,14 @@ class ColumnFacts:
     held: float
     rows: int
 
-    def line(self) -> str:
-        """One line of a table on the column's range, levels and gaps."""
+    def table_line(self) -> str:
+        """One line of text with the title, range and levels of a column."""
         name = (self.name or "(no name)")[:28]
         unit = f"[{self.unit}]" if self.unit else ""
         return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
 
     def range_words(self) -> str:
-        """Range and levels in words."""
+        """Range, levels and missing values of a column in words."""
         if not self.levels:
             return "empty"
         if self.levels == 1:
@@ -76,7 +76,7 @@ class ColumnFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class LogSettings:
-    """Columns and clock of a log as its user states them. None leaves a setting to be found."""
+    """Columns and clock of a log as the user states them. None leaves a setting to be found."""
 
     input: str | None = None
     output: str | None = None
@@ -84,8 +84,8 @@ class LogSettings:
     step_s: float | None = None
     text: TextSettings = field(default_factory=TextSettings)
 
-    def source(self, path: Path, u: str, y: str) -> RecordedData:
-        """Data source of a run with these settings."""
+    def as_data_source(self, path: Path, u: str, y: str) -> RecordedData:
+        """Data source of a run that reads the log with the stated settings."""
         return RecordedData(
             path=str(path),
             input=u,
@@ -98,18 +98,22 @@ class LogSettings:
         )
 
     def overrides(self) -> list[str]:
-        """The stated settings as words of the command."""
-        words = [f"data.time={quoted(self.time)}"] if self.time is not None else []
+        """Command-line words for the settings of a log that the user states."""
+        words = [f"data.time={quote_for_command(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
         for name, value in vars(self.text).items():
-            words += [f"data.{name}={quoted(str(value).lower())}"] if value is not None else []
+            words += (
+                [f"data.{name}={quote_for_command(str(value).lower())}"]
+                if value is not None
+                else []
+            )
         return words
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogLook:
-    """Result of examining a log. Contents of a log: facts of its columns, sentences, the
-    command, and the signals if read."""
+    """Overview of a log: facts on its columns, sentences on its dynamics, and the command that fits
+    it. Contents of a log: facts of its columns, sentences, the command, and the signals if read."""
 
     path: Path
     columns: list[ColumnFacts]
@@ -122,15 +126,15 @@ class LogLook:
     step_is_known: bool = True
 
     def __str__(self) -> str:
-        lines = [f"{self.path.name}", *(column.line() for column in self.columns)]
-        lines += skipped_lines(self.skipped)
+        lines = [f"{self.path.name}", *(column.table_line() for column in self.columns)]
+        lines += skipped_column_lines(self.skipped)
         lines += [f"- {sentence}" for sentence in self.sentences]
         return "\n".join([*lines, "", self.command])
 
 
-def skipped_lines(skipped: dict[str, str]) -> list[str]:
-    """Lines of text on the columns that were skipped. Lines on what was skipped and why; of a long
-    list, those with numbers, and how many more."""
+def skipped_column_lines(skipped: dict[str, str]) -> list[str]:
+    """Lines of text that say which columns of a log were skipped, and why. Lines on what was
+    skipped and why; of a long list, those with numbers, and how many more."""
     worth = skipped
     if len(skipped) > MOST_SKIPPED:
         worth = {name: why for name, why in skipped.items() if "samples" in why}
@@ -149,7 +153,7 @@ def look(
     step_s: float | None = None,
     settings: TextSettings | None = None,
 ) -> LogLook:
-    """Examine a log and propose the command that fits it.
+    """Examine a log file and propose the command that fits a model to it.
 
     Input and output are guessed by their names and by which column holds levels, unless they are
     named. Raises `BadRequest` for a file that cannot be read at all.
@@ -162,11 +166,11 @@ def look(
         step_s=step_s,
         text=settings or TextSettings(),
     )
-    table = reader_for(path, stated.text).contents(path)
+    table = choose_reader(path, stated.text).contents(path)
     require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
     facts = [column_facts(name, table) for name in table.columns]
-    signals = [column for column in facts if not runs_evenly(table.columns[column.name])]
-    clock = stated.time if stated.time is not None else clock_of(table)
+    signals = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
+    clock = stated.time if stated.time is not None else clock_column_name(table)
     guessed_u, guessed_y = guess_signals(signals, clock)
     u = guessed_u if stated.input is None else stated.input
     y = guessed_y if stated.output is None else stated.output
@@ -179,14 +183,16 @@ def look(
         if None in (stated.input, stated.output):
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
         sentences += set_point_sentences(facts, (u, y), stated)
-        records, step_is_known, found = examine(path, table, clock, stated.source(path, u, y))
-        sentences += [*found, *other_columns(facts, clock, (u, y))]
+        records, step_is_known, found = examine_signals(
+            path, table, clock, stated.as_data_source(path, u, y)
+        )
+        sentences += [*found, *other_signal_sentences(facts, clock, (u, y))]
     return LogLook(
         path=path,
         columns=facts,
         skipped=table.skipped,
         sentences=sentences,
-        command=run_command(path, u, y, stated, step_is_known, sentences),
+        command=study_command(path, u, y, stated, step_is_known, sentences),
         records=records,
         input=u,
         output=y,
@@ -197,27 +203,27 @@ def look(
 def set_point_sentences(
     facts: Sequence[ColumnFacts], signals: tuple[str, str], stated: LogSettings
 ) -> list[str]:
-    """Sentences on other columns whose names are those of set points."""
-    names = [column.name for column in facts if is_set_point(column.name)]
+    """Sentences on columns whose titles suggest a set point."""
+    names = [column.name for column in facts if is_set_point_title(column.name)]
     others = [name for name in names if name not in (*signals, stated.time)]
     if not others:
         return []
-    settings = " or ".join(f"data.reference={quoted(name)}" for name in others)
+    settings = " or ".join(f"data.reference={quote_for_command(name)}" for name in others)
     return [f"named like a set point: if a controller made the input, state {settings}"]
 
 
-def clock_of(table: Table) -> str | None:
-    """Name of the column that is the clock, or that counts the rows."""
-    if counts_in_first_column(table):
+def clock_column_name(table: Table) -> str | None:
+    """Name of the column that is the clock of a log, or that counts its rows."""
+    if first_column_counts_rows(table):
         return next(iter(table.columns))
-    return find_clock(table, ())
+    return find_clock_column(table, ())
 
 
-def examine(
+def examine_signals(
     path: Path, table: Table, clock: str | None, source: RecordedData
 ) -> tuple[list[Trajectory], bool, list[str]]:
-    """Read the signals as a run does and describe them in sentences, or say what hinders the
-    reading. Also returns whether the sampling time is known.
+    """Read the input and output of a log as a run does, and describe their dynamics or the obstacle
+    to reading them. Also returns whether the sampling time is known.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """
@@ -233,13 +239,13 @@ def examine(
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:
             return [], False, sentences
-        return records, False, [*sentences, *describe_dynamics(records)]
+        return records, False, [*sentences, *describe_log_dynamics(records)]
     prefix = f"{path.name}: {table.remark}; "
-    return records, True, [remark.removeprefix(prefix), *describe_dynamics(records)]
+    return records, True, [remark.removeprefix(prefix), *describe_log_dynamics(records)]
 
 
 def column_facts(name: str, table: Table) -> ColumnFacts:
-    """Compute range, levels and missing values of one column."""
+    """Compute range, levels and missing values of one column of a log."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
     held = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
@@ -256,34 +262,36 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
 
 
 def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:
-    """Guess which columns are input and output, by words in their titles, then by their levels."""
+    """Guess which columns of a log are input and output, by words in their titles, then by their
+    levels."""
     moving = [column for column in facts if column.name != clock and column.levels > 1]
     if len(moving) < 2:
         return None, None
-    free = [column for column in moving if not is_set_point(column.name)]
+    free = [column for column in moving if not is_set_point_title(column.name)]
     moving = free if len(free) > 1 else moving
     u = max(moving, key=input_score)
     others = [column for column in moving if column is not u]
-    y = max(others, key=lambda column: word_score(column.name, OUTPUT_WORDS))
+    y = max(others, key=lambda column: title_word_score(column.name, OUTPUT_WORDS))
     return u.name, y.name
 
 
-def is_set_point(name: str) -> bool:
-    """Whether a title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
+def is_set_point_title(name: str) -> bool:
+    """Whether a column's title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
     `speed_target` are."""
-    return word_score(name, SET_POINT_WORDS) == 1.0
+    return title_word_score(name, SET_POINT_WORDS) == 1.0
 
 
-def other_columns(
+def other_signal_sentences(
     facts: Sequence[ColumnFacts], clock: str | None, signals: tuple[str, str]
 ) -> list[str]:
-    """Columns that move besides input and output, and the setting to which one of them belongs."""
+    """Sentence that lists the varying columns besides input and output, for they may be
+    disturbances."""
     titles = [column.name for column in facts]
-    places = [place_in(titles, name) for name in (*signals, clock)]
+    places = [column_index(titles, name) for name in (*signals, clock)]
     moving = [
         column.name
         for k, column in enumerate(facts)
-        if column.levels > 1 and k not in places and not is_set_point(column.name)
+        if column.levels > 1 and k not in places and not is_set_point_title(column.name)
     ]
     if not moving:
         return []
@@ -295,31 +303,31 @@ def other_columns(
     ]
 
 
-def place_in(titles: Sequence[str], name: str | None) -> int | None:
-    """Find the column that a name means. Which column a name of the command means; None for a
-    name of none of them."""
+def column_index(titles: Sequence[str], name: str | None) -> int | None:
+    """Index of the column that a name or number on the command line means. Which column a name of
+    the command means; None for a name of none of them."""
     if name is None or name in titles:
         return None if name is None else titles.index(name)
-    plain = [folded(title_without_unit(title)) for title in titles]
-    if folded(name) in plain:
-        return plain.index(folded(name))
+    plain = [fold_title(title_without_unit(title)) for title in titles]
+    if fold_title(name) in plain:
+        return plain.index(fold_title(name))
     return int(name) if name.isdigit() and int(name) < len(titles) else None
 
 
 def input_score(column: ColumnFacts) -> float:
-    """Score of how much a column looks like an input of the plant. How much a column looks like an
-    input: by its name, by how it holds few levels, and by how far it moves. Columns that are alike
-    in this are taken in their order."""
+    """Score of how likely a column of a log is the input of the plant. How much a column looks like
+    an input: by its name, by how it holds few levels, and by how far it moves. Columns that are
+    alike in this are taken in their order."""
     few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
     by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
     magnitude = max(abs(column.low), abs(column.high))
     is_steady = column.high - column.low < STEADY * magnitude
-    return word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
+    return title_word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
 
 
-def word_score(name: str, words: tuple[str, ...]) -> float:
-    """Score of how well a column's title matches a word. One if a word of the name is among the
-    words, a half if one begins with them."""
+def title_word_score(name: str, words: tuple[str, ...]) -> float:
+    """Score of how well a column's title matches a list of words. One if a word of the name is
+    among the words, a half if one begins with them."""
     parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
     if any(part in words for part in parts):
         return 1.0
@@ -328,18 +336,18 @@ def word_score(name: str, words: tuple[str, ...]) -> float:
 
 
 def clock_sentences(table: Table, clock: str | None) -> list[str]:
-    """Sentences on which column is the clock and what period it shows."""
+    """Sentences on which column is the clock of a log, and what sampling period it shows."""
     if clock is None or clock not in table.columns:
         return ["no clock found: give data.step_s in seconds, or name the column data.time"]
-    if counts_in_first_column(table):
+    if first_column_counts_rows(table):
         return []
-    time_s, words = clock_seconds(clock, table)
+    time_s, words = clock_column_seconds(clock, table)
     steps = np.diff(time_s[np.isfinite(time_s)])
     median_s = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     return [f"{words}: median period {median_s:.5g} s"]
 
 
-def run_command(
+def study_command(
     path: Path,
     u: str | None,
     y: str | None,
@@ -347,11 +355,15 @@ def run_command(
     step_is_known: bool,
     sentences: Sequence[str],
 ) -> str:
-    """Command that runs a study on the log, ready to paste."""
+    """Command line, ready to paste, that runs a study on the log."""
     if u is None or y is None:
-        return f"ssm-study run data=recorded data.path={quoted(str(path))} ..."
-    words = ["ssm-study run data=recorded", f"data.path={quoted(str(path))}"]
-    words += [f"data.input={quoted(u)}", f"data.output={quoted(y)}", *stated.overrides()]
+        return f"ssm-study run data=recorded data.path={quote_for_command(str(path))} ..."
+    words = ["ssm-study run data=recorded", f"data.path={quote_for_command(str(path))}"]
+    words += [
+        f"data.input={quote_for_command(u)}",
+        f"data.output={quote_for_command(y)}",
+        *stated.overrides(),
+    ]
     if not step_is_known and stated.step_s is None:
         words.append("data.step_s=SECONDS")
     text = " ".join(sentences)
@@ -359,7 +371,7 @@ def run_command(
     return " ".join(words)
 
 
-def quoted(text: str) -> str:
+def quote_for_command(text: str) -> str:
     """Quote a value for the shell and the configuration. A value as shell and configuration read it
     back: letters and digits need no quotes."""
     if re.fullmatch(r"[\w./:\-]+", text, re.ASCII):

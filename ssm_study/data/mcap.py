@@ -49,8 +49,9 @@ DAMAGE = (McapError, DecodeError, zstandard.ZstdError, zlib.error, struct.error,
 
 @dataclass(frozen=True, kw_only=True)
 class SignalGroup:
-    """Signals sampled at common times, as one topic of a recording. Signals sampled together:
-    `values (T, c)` of the `channels`, at `time_s (T,)`, under one topic such as `/output`.
+    """Signals of an MCAP recording that are sampled at common times, as one topic. Signals sampled
+    together: `values (T, c)` of the `channels`, at `time_s (T,)`, under one topic such as
+    `/output`.
 
     Times are kept to the nanosecond. Channel names must be identifiers, for they become protobuf
     fields.
@@ -76,7 +77,8 @@ class SignalGroup:
 
 
 def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, str]) -> None:
-    """Write the groups to a new file at `path`, beside it first and moved there when complete.
+    """Write groups of signals to a new MCAP file, which appears under its name only when it is
+    complete.
 
     Foxglove shows topics with schemas, `/output.speed` or `/case_0.output.speed`; units stand in
     the channel metadata as `unit.<signal>` or `unit.<group>.<signal>`, the file's own `metadata`
@@ -106,12 +108,13 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     )  # on a full disk Foxglove prints a line a message and its error does not say what it met
     with foxglove.open_mcap(written, context=context, writer_options=options) as writer:
         writer.write_metadata(METADATA_NAME, metadata)
-        shared = _shared(groups)
+        shared = _merge_topics(groups)
         channels = [_open_channel(context, topic, parts) for topic, parts in shared.items()]
         for index, parts in enumerate(shared.values()):
             times = np.rint(parts[0].time_s * NANOSECONDS).astype(np.int64).tolist()
             queue += [
-                (time, index, message) for time, message in zip(times, _encoded(parts), strict=True)
+                (time, index, message)
+                for time, message in zip(times, _encode_rows(parts), strict=True)
             ]
         for time, index, message in sorted(
             queue, key=lambda item: item[:2]
@@ -121,8 +124,8 @@ def write_mcap(path: Path, groups: tuple[SignalGroup, ...], metadata: dict[str, 
     temporary.replace(path)
 
 
-def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
-    """Merge topics below one name into that name, where their clocks are the same."""
+def _merge_topics(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
+    """Merge MCAP topics with a common parent name and equal times into one topic."""
     below: dict[str, list[SignalGroup]] = defaultdict(list)
     for group in groups:
         below[group.topic.rpartition("/")[0]].append(group)
@@ -142,8 +145,8 @@ def _shared(groups: tuple[SignalGroup, ...]) -> dict[str, list[SignalGroup]]:
 def _open_channel(
     context: foxglove.Context, topic: str, parts: list[SignalGroup]
 ) -> foxglove.Channel:
-    """Open a topic whose schema is one message of doubles, or one of such messages. Field numbers
-    follow the order given."""
+    """Open an MCAP topic whose schema is a protobuf message of doubles, nested where several groups
+    share it. Field numbers follow the order given."""
     words = "".join(ch if ch.isalnum() else " " for ch in topic).split()
     message = "".join(word[0].upper() + word[1:] for word in words)
     file = descriptor_pb2.FileDescriptorProto(
@@ -178,9 +181,11 @@ def _open_channel(
     )
 
 
-def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
-    """Byte layout of a protobuf message of doubles. A message of zeros, each double behind its
-    tag, and where the bytes of the doubles lie: of a fixed size."""
+def _message_layout(
+    counts: list[int], nested: bool
+) -> tuple[UInt8[np.ndarray, "b"], Int[np.ndarray, "k"]]:
+    """Byte layout of a protobuf message of doubles. A message of zeros, each double behind its tag,
+    and where the bytes of the doubles lie: of a fixed size."""
     message = b""
     at = list[int]()
     for number, channels in enumerate(counts, start=1):
@@ -194,10 +199,10 @@ def _layout(counts: list[int], nested: bool) -> tuple[UInt8[np.ndarray, "b"], In
     return np.frombuffer(message, np.uint8), np.array(at, dtype=np.int64)
 
 
-def _encoded(parts: list[SignalGroup]) -> list[bytes]:
-    """The protobuf messages of all rows, encoded at once."""
+def _encode_rows(parts: list[SignalGroup]) -> list[bytes]:
+    """Encode all rows of the signals as protobuf messages at once."""
     values = np.hstack([part.values for part in parts])
-    message, at = _layout([len(part.channels) for part in parts], nested=len(parts) > 1)
+    message, at = _message_layout([len(part.channels) for part in parts], nested=len(parts) > 1)
     rows = np.tile(message, (len(values), 1))
     rows[:, at] = np.ascontiguousarray(values, dtype="<f8").view(np.uint8)
     whole = rows.tobytes()
@@ -206,14 +211,13 @@ def _encoded(parts: list[SignalGroup]) -> list[bytes]:
 
 
 def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
-    """The signal groups of a recording (topics of protobuf or JSON messages, their number fields)
-    and its metadata.
+    """Read the groups of signals and the metadata of an MCAP recording.
 
     Raises `BadRequest` for a file that is missing, truncated or damaged, or that holds no numbers.
     """
     require(path.is_file(), "path", path, "no such file", "check the spelling")
     try:
-        return _read(path)
+        return _read_groups(path)
     except BadRequest:
         raise
     except DAMAGE as error:
@@ -221,9 +225,10 @@ def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
         raise BadRequest("path", path, problem, "record it again") from error
 
 
-def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
+def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
+    """Read the groups of signals and the metadata of an MCAP file, and check that it is whole."""
     found: dict[type, list[Any]] = defaultdict(list)
-    for record in _records(path):
+    for record in _iterate_records(path):
         found[type(record)].append(record)
     schemas = {schema.id: schema for schema in found[records.Schema]}
     topics: dict[int, tuple[records.Channel, list[records.Message]]] = {
@@ -239,7 +244,9 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
     read = (
-        _groups(*topic, schemas.get(topic[0].schema_id)) for topic in topics.values() if topic[1]
+        _decode_groups(*topic, schemas.get(topic[0].schema_id))
+        for topic in topics.values()
+        if topic[1]
     )
     numeric = tuple(group for groups in read for group in groups)
     require(
@@ -252,9 +259,9 @@ def _read(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     return numeric, metadata
 
 
-def _records(path: Path) -> Iterator[records.McapRecord]:
-    """Iterate over the records of an MCAP file and of its chunks. Raises `BadRequest` before more
-    than `LARGEST` bytes are unpacked."""
+def _iterate_records(path: Path) -> Iterator[records.McapRecord]:
+    """Iterate over the records of an MCAP file and of its compressed chunks. Raises `BadRequest`
+    before more than `LARGEST` bytes are unpacked."""
     unpacked = 0
     with path.open("rb") as stream:
         reader = StreamReader(
@@ -281,18 +288,21 @@ def _records(path: Path) -> Iterator[records.McapRecord]:
             yield from breakup_chunk(record, validate_crc=True)
 
 
-def _groups(
+def _decode_groups(
     channel: records.Channel, messages: list[records.Message], schema: records.Schema | None
 ) -> Iterator[SignalGroup]:
-    """Signal groups of one topic, those of nested messages as topics below it."""
+    """Decode the messages of one MCAP topic to groups of signals."""
     contents = [message.data for message in messages]
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
     names: list[Names] = []
     if decode is not None:
-        names, values = _protobuf(decode, contents)
+        names, values = _decode_protobuf(decode, contents)
     elif channel.message_encoding == "json":
-        names, values = _columns(
-            [{(k,): v for k, v in _object(json.loads(content)).items()} for content in contents]
+        names, values = _number_columns(
+            [
+                {(k,): v for k, v in _require_fields(json.loads(content)).items()}
+                for content in contents
+            ]
         )
     for part in dict.fromkeys(name[:-1] for name in names):
         at = [k for k, name in enumerate(names) if name[:-1] == part]
@@ -308,14 +318,17 @@ def _groups(
         )
 
 
-def _object(message: Any) -> dict[str, Any]:
+def _require_fields(message: Any) -> dict[str, Any]:
+    """Refuse a JSON message that is not an object with fields."""
     require(isinstance(message, dict), "path", "message", "not an object with fields", "log fields")
     return dict(message)
 
 
-def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Decode the protobuf messages of a topic. All rows at once where every message is laid out
-    as this project writes it, one by one otherwise."""
+def _decode_protobuf(
+    decode: Any, contents: list[bytes]
+) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
+    """Decode the protobuf messages of an MCAP topic to columns of numbers. All rows at once where
+    every message is laid out as this project writes it, one by one otherwise."""
     fields = decode(contents[0]).DESCRIPTOR.fields
     nested = all(one.message_type is not None for one in fields)
     parts = [list(one.message_type.fields) for one in fields] if nested else [list(fields)]
@@ -323,7 +336,7 @@ def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np
     names = [
         (*prefix, one.name) for prefix, part in zip(prefixes, parts, strict=True) for one in part
     ]
-    message, at = _layout([len(part) for part in parts], nested)
+    message, at = _message_layout([len(part) for part in parts], nested)
     doubles = names and all(one.type == one.TYPE_DOUBLE for part in parts for one in part)
     if doubles and {len(content) for content in contents} == {len(message)}:
         rows = np.frombuffer(b"".join(contents), np.uint8).reshape(len(contents), -1)
@@ -332,12 +345,16 @@ def _protobuf(decode: Any, contents: list[bytes]) -> tuple[list[Names], Float[np
     # A field that repeats, such as a list of points, has none of the fields of its messages: no
     # number.
     value = partial(reduce, lambda whole, field: getattr(whole, field, None))
-    return _columns([{name: value(name, one) for name in names} for one in map(decode, contents)])
+    return _number_columns(
+        [{name: value(name, one) for name in names} for one in map(decode, contents)]
+    )
 
 
-def _columns(messages: list[dict[Names, Any]]) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
-    """Columns of the number fields of messages. Fields that are a number in the first message,
-    and must be in all others."""
+def _number_columns(
+    messages: list[dict[Names, Any]],
+) -> tuple[list[Names], Float[np.ndarray, "T c"]]:
+    """Collect the number fields of messages as columns. Fields that are a number in the first
+    message, and must be in all others."""
     names = [
         name
         for name, value in messages[0].items()

@@ -35,9 +35,9 @@ COLUMNS = (
 )
 
 
-def data_facts(data: DataSet) -> dict[str, Any]:
-    """Columns of a record that describe the data. Where the records come from and how much of
-    the input's range they visit; no output enters."""
+def data_columns(data: DataSet) -> dict[str, Any]:
+    """Columns of a result record that describe the data set: its source and what its inputs excite.
+    Where the records come from and how much of the input's range they visit; no output enters."""
     return {
         "data_source": data.metadata.get("source"),
         "benchmark": data.metadata.get("benchmark"),
@@ -49,8 +49,9 @@ def data_facts(data: DataSet) -> dict[str, Any]:
 
 
 def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -> tuple[float, ...]:
-    """Root mean square errors as a public benchmark scores them. One RMSE per test record, after
-    the start-up samples: in the unit of `data.metadata["score"]`."""
+    """Root mean square errors on the test records in the form in which a public benchmark scores
+    them. One RMSE per test record, after the start-up samples: in the unit of
+    `data.metadata["score"]`."""
     require(
         len(y_hat) == len(data.test),
         "y_hat",
@@ -69,9 +70,9 @@ def benchmark_rmse(data: DataSet, y_hat: tuple[Float[np.ndarray, "_ p"], ...]) -
 def position_rmse_mm(
     record: Trajectory, velocity_hat: Float[np.ndarray, "T 1"], start_up_samples: int
 ) -> float:
-    """Root mean square error of the position that a simulated velocity integrates to, in mm. `1000
-    rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the measured position
-    `q[s]`.
+    """Root mean square error, in mm, of the position that results from integrating a simulated
+    velocity. `1000 rms(q - q_hat)` with `q[k] = q[s] + step_s sum(y[s+1..k])`, started at the
+    measured position `q[s]`.
 
     The recorded velocity is the position's backward difference, so its running sum is the measured
     position exactly; `s` is the last start-up sample. Velocities in m/s.
@@ -82,13 +83,13 @@ def position_rmse_mm(
 
 
 class SlopesNotIdentifiable(UserWarning):
-    """Warning that the training inputs visit too few amplitudes to identify the slopes of S_u
-    between them."""
+    """Warning that the training inputs take too few levels to identify the slopes of the input
+    nonlinearity."""
 
 
 def input_coverage(data: DataSet) -> float:
-    """Share of the amplitude range that the training inputs visit, in `BINS` equal bins. The worst
-    input channel counts.
+    """Share of the input's amplitude range that the training inputs visit, in `BINS` equal bins.
+    The worst input channel counts.
 
     The range of a channel is that of all its records, so a two-level signal scores 2 / `BINS`. In
     [0, 1].
@@ -104,7 +105,7 @@ def input_coverage(data: DataSet) -> float:
 
 
 def warn_if_two_level(data: DataSet) -> str | None:
-    """Warning where the training inputs take two levels at most, else None."""
+    """Warn where a training input takes at most two levels; returns the warning, or None."""
     training = np.concatenate([r.u for r in data.training])
     for j, channel in enumerate(data.inputs):
         levels = len(np.unique(training[:, j]))
@@ -122,8 +123,8 @@ def warn_if_two_level(data: DataSet) -> str | None:
 
 
 def persistency_order(u: Float[np.ndarray, "T m"]) -> int:
-    """Order of persistent excitation of an input. The largest L <= `HIGHEST_ORDER` for which the
-    block Hankel matrix of L rows of u has full row rank `m L`.
+    """Order of persistent excitation of an input signal. The largest L <= `HIGHEST_ORDER` for which
+    the block Hankel matrix of L rows of u has full row rank `m L`.
 
     A linear system of order n is identifiable from such data if `L >= n + its lag + 1` (Willems et
     al. 2005). Judged on the first 2000 samples.

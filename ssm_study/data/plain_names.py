@@ -8,16 +8,16 @@ LETTERS = {"\N{DEGREE SIGN}": "deg", "ß": "ss", "æ": "ae", "Æ": "Ae", "ø": "
 
 
 def plain_name(column: str) -> str:
-    """Convert a column's title to a name of letters, digits and underscores. `Motor voltage (V)`
-    becomes `Motor_voltage_V`, `ω` becomes `omega`."""
+    """Convert a column's title to a name of ASCII letters, digits and underscores. `Motor voltage
+    (V)` becomes `Motor_voltage_V`, `ω` becomes `omega`."""
     letters = unicodedata.normalize("NFKD", column)
-    spelled = "".join(_spelled(letter) for letter in letters)
+    spelled = "".join(_spell_in_ascii(letter) for letter in letters)
     return re.sub(r"[^0-9A-Za-z]+", "_", spelled).strip("_") or "signal"
 
 
-def _spelled(letter: str) -> str:
-    """Spell a letter outside ASCII in ASCII letters. `ω` -> `omega`, `Ω` -> `Omega`, `°` ->
-    `deg`, `ß` -> `ss`; another letter stays."""
+def _spell_in_ascii(letter: str) -> str:
+    """Spell a letter outside ASCII in ASCII letters. `ω` -> `omega`, `Ω` -> `Omega`, `°` -> `deg`,
+    `ß` -> `ss`; another letter stays."""
     if letter in LETTERS:
         return LETTERS[letter]
     name = re.match(r"GREEK (SMALL|CAPITAL) LETTER (FINAL )?([A-Z]+)", unicodedata.name(letter, ""))

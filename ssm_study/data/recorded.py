@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 
 from ssm_study.data import splits
-from ssm_study.data.assembly import Channels, Parts, assemble
-from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
+from ssm_study.data.assembly import Channels, Parts, assemble_dataset
+from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.readers.reader import has_columns
-from ssm_study.data.recording import Columns, Names, listed, read_channels
+from ssm_study.data.recording import Columns, Names, as_name_list, name_channels
 from ssm_study.data.splits import (
     BLOCKS,
     FEWEST,
     Pieces,
-    by_fold,
-    by_intervals,
-    by_time,
-    end_is_unlike,
-    in_blocks,
+    is_test_output_different,
+    split_at_intervals,
+    split_by_fold,
+    split_by_time,
+    split_into_blocks,
 )
 from ssm_study.refusal import at_least, one_of, require
 from ssm_study.signals import DataSet, Trajectory
@@ -31,22 +31,24 @@ Splitter = Callable[[Trajectory], Pieces]
 
 
 class RecordedSource(ABC):
-    """Data source that reads files. It names the files and builds the data set."""
+    """Base class of data sources that read files. It names the files and builds the data set."""
 
     @abstractmethod
     def files(self) -> tuple[Path, ...]:
-        """Every file that `build` reads. Each exists, or `BadRequest` is raised."""
+        """Paths of all files from which the data set is built. Each exists, or `BadRequest` is
+        raised."""
 
     @abstractmethod
     def build(self, seed: int) -> DataSet:
-        """Build the data set. `seed` only names the run, as nothing here is random."""
+        """Build the data set from its files. `seed` only names the run, as nothing here is
+        random."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class AroundRest(RecordedSource):
-    """Base class of recorded data about an equilibrium. It is "zero" or "mean" (of the training
-    samples), or one number per channel, as given. Records about an equilibrium: "zero" or "mean"
-    (of the training samples), or one number per channel, as given.
+    """Base class of recorded data whose scaling is relative to an equilibrium. It is "zero" or
+    "mean" (of the training samples), or one number per channel, as given. Records about an
+    equilibrium: "zero" or "mean" (of the training samples), or one number per channel, as given.
 
     `start_up_samples` at the beginning of each record are simulated, not scored: a record seldom
     starts at rest. `fold` k of `folds`, counted from 0, tests on the k-th of so many equal pieces
@@ -69,8 +71,11 @@ class AroundRest(RecordedSource):
             inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0"
         )
 
-    def assembled(self, parts: Parts, channels: tuple[Channels, ...], **about: str) -> DataSet:
-        """Assemble a data set from these parts. Refuses what `assemble` refuses."""
+    def assemble_about_equilibrium(
+        self, parts: Parts, channels: tuple[Channels, ...], **about: str
+    ) -> DataSet:
+        """Assemble a data set that is scaled about the equilibrium of its records. Refuses what
+        `assemble_dataset` refuses."""
         require(
             len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
         )
@@ -89,12 +94,12 @@ class AroundRest(RecordedSource):
             measured = [record.d for record in parts[0] if record.d is not None]
             rest.append(np.concatenate(measured).mean(axis=0))
         about = {"source": "recorded", **about}
-        return assemble(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
+        return assemble_dataset(parts, tuple(rest), channels, self.start_up_samples, metadata=about)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedData(Columns, AroundRest):
-    """Logs of one system, each cut into training, validation and test (`data.splits`).
+    """Data set from logs of one system, each cut into training, validation and test.
 
     The rests of whole logs are `mismatch_records` (`splits.rest_segments`), and so are repeated
     periods where every log is made of such (`splits.periodic_segments`), although they train, too.
@@ -162,24 +167,26 @@ class RecordedData(Columns, AroundRest):
             "is no PI",
             "give [gain, integral time in seconds]",
         )
-        self._refuse_disturbances()
-        require(len(listed(self.path)) > 0, "data.path", self.path, "names no file", "give a path")
-        self.files_of("path", "output_path")
-        self.files_of("test_path", "test_output_path")
+        self._check_disturbance_columns()
+        require(
+            len(as_name_list(self.path)) > 0, "data.path", self.path, "names no file", "give a path"
+        )
+        self.pair_files("path", "output_path")
+        self.pair_files("test_path", "test_output_path")
 
-    def _refuse_disturbances(self) -> None:
-        """Raise `BadRequest` for a disturbance that is another signal too, or named twice."""
-        names = listed(self.disturbance or ())
+    def _check_disturbance_columns(self) -> None:
+        """Refuse a disturbance column that is named twice or is another signal too."""
+        names = as_name_list(self.disturbance or ())
         require(all(names), "data.disturbance", names, "names no column", "name a column")
         twice = [name for name in names if names.count(name) > 1]
         problem = "the same column twice"
         require(not twice, "data.disturbance", twice[:1], problem, "name each column once")
-        outputs = () if self.apart else listed(self.output)
+        outputs = () if self.has_output_files else as_name_list(self.output)
         taken = {
-            "an input": listed(self.input),
+            "an input": as_name_list(self.input),
             "an output": outputs,
             "the clock": () if self.time is None else (str(self.time),),
-            "the set point": listed(self.reference or ()),
+            "the set point": as_name_list(self.reference or ()),
         }
         for role, columns in taken.items():
             both = sorted(set(names) & set(columns))
@@ -191,18 +198,20 @@ class RecordedData(Columns, AroundRest):
         """Channels of the measured disturbances."""
         names = self.disturbance or ()
         return (
-            read_channels(names, self.disturbance_unit, "disturbance", self.apart) if names else ()
+            name_channels(names, self.disturbance_unit, "disturbance", self.has_output_files)
+            if names
+            else ()
         )
 
     @property
-    def apart(self) -> bool:
+    def has_output_files(self) -> bool:
         return self.output_path is not None
 
-    def files_of(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Each file of `field` with that of its outputs, where these stand apart. Refuses too few
-        or too many."""
-        names, others = (listed(getattr(self, name) or ()) for name in (field, outputs))
-        expected = len(names) if self.apart else 0
+    def pair_files(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """Pair each input file with its output file, where the outputs have files of their own.
+        Refuses too few or too many."""
+        names, others = (as_name_list(getattr(self, name) or ()) for name in (field, outputs))
+        expected = len(names) if self.has_output_files else 0
         problem = f"{len(others)} files of outputs, {expected} expected"
         require(
             len(others) == expected,
@@ -218,8 +227,8 @@ class RecordedData(Columns, AroundRest):
 
     def files(self) -> tuple[Path, ...]:
         pairs = [
-            *self.files_of("path", "output_path"),
-            *self.files_of("test_path", "test_output_path"),
+            *self.pair_files("path", "output_path"),
+            *self.pair_files("test_path", "test_output_path"),
         ]
         for path in (paths := tuple(path for pair in pairs for path in pair)):
             require(path.is_file(), "data.path", path, "no such file", "check the spelling")
@@ -227,24 +236,24 @@ class RecordedData(Columns, AroundRest):
 
     def build(self, seed: int) -> DataSet:
         logs = self._read_logs("path", "output_path")
-        cuts, split = self._split([log.pieces for log in logs])
+        cuts, split = self._split_logs([log.pieces for log in logs])
         training, validation, test = (
             [piece for pieces in cuts for piece in pieces[k]] for k in range(3)
         )
         if self.test_path is not None:
             tested = self._read_logs("test_path", "test_output_path", before=len(logs))
             test = [piece for log in tested for piece in log.pieces]
-        about = {"path": ", ".join(listed(self.path)), "seed": str(seed), "split": split}
+        about = {"path": ", ".join(as_name_list(self.path)), "seed": str(seed), "split": split}
         about["reading"] = ". ".join(dict.fromkeys(log.remark for log in logs))
         share = logs[0].share_by_set_point
         about |= {} if share is None else {"by_set_point": f"{share:.2f}"}
         channels: tuple[Channels, ...] = (self.inputs, self.outputs)
         channels = (*channels, self.disturbances) if self.disturbances else channels
-        data = self.assembled((training, validation, test), channels, **about)
-        return replace(data, mismatch_records=self._mismatch_records(logs))
+        data = self.assemble_about_equilibrium((training, validation, test), channels, **about)
+        return replace(data, mismatch_records=self._cut_mismatch_records(logs))
 
-    def _mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
-        """Records that serve the mismatch alone: stretches of constant input in whole logs, and
+    def _cut_mismatch_records(self, logs: "list[_Log]") -> tuple[Trajectory, ...]:
+        """Cut out the records that only measure the model error: stretches of constant input and
         repeated periods."""
         pieces = [piece for log in logs for piece in log.pieces]
         rests = [splits.rest_segments(piece) for piece in pieces]
@@ -254,35 +263,36 @@ class RecordedData(Columns, AroundRest):
         least = self.start_up_samples + 1
         return tuple(one for found in segments for one in found if len(one) > least)
 
-    def _paths(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
-        """Pair the files of every log. Two files of which one has the inputs and the other the
-        outputs are one log."""
-        files = self.files_of(field, outputs)
-        if len(files) != 2 or self.apart:
+    def _files_of_logs(self, field: str, outputs: str) -> list[tuple[Path, ...]]:
+        """Files of every log, one or a pair; two files with inputs in one and outputs in the other
+        are one log. Two files of which one has the inputs and the other the outputs are one log."""
+        files = self.pair_files(field, outputs)
+        if len(files) != 2 or self.has_output_files:
             return files
         (first,), (second,) = files
         settings = self.text_settings
-        inputs = listed(self.input)
-        measured = listed(self.output)
+        inputs = as_name_list(self.input)
+        measured = as_name_list(self.output)
         alone = has_columns(first, measured, settings) or not has_columns(first, inputs, settings)
         apart = not alone and has_columns(second, measured, settings)
         return [(first, second)] if apart else files
 
     def _read_logs(self, field: str, outputs: str, before: int = 0) -> "list[_Log]":
-        """Read every log. Where set point or PI are known, the input is the part that the set point
-        makes, and its share is noted."""
+        """Read every log, and reduce its input to the set point's part where the set point is
+        known. Where set point or PI are known, the input is the part that the set point makes, and
+        its share is noted."""
         source = self
         if self.reference is not None:
-            columns = [*listed(self.input), *listed(self.reference)]
+            columns = [*as_name_list(self.input), *as_name_list(self.reference)]
             source = replace(self, input=columns, input_unit="", reference=None)
         logs = []
-        for number, files in enumerate(self._paths(field, outputs), start=before + 1):
+        for number, files in enumerate(self._files_of_logs(field, outputs), start=before + 1):
             pieces, remark = source.read_pieces(*files)
             numbered = [replace(piece, log=number) for piece in pieces]
             logs.append(_Log(pieces=numbered, remark=remark))
         if self.reference is None and self.controller is None:
             return logs
-        return self._project_inputs_on_set_point(logs)
+        return self._project_inputs(logs)
 
     def read_pieces(
         self,
@@ -292,28 +302,28 @@ class RecordedData(Columns, AroundRest):
         first: int = 0,
         last: int | None = None,
     ) -> tuple[list[Trajectory], str]:
-        """Read one log as pieces without holes. Read as `Columns` does; disturbances are read,
-        held and averaged as inputs are."""
+        """Read one log as pieces without gaps, with its measured disturbances. Read as `Columns`
+        does; disturbances are read, held and averaged as inputs are."""
         if self.disturbance is None:
             return super().read_pieces(path, output_path, first=first, last=last)
-        columns = [*listed(self.input), *listed(self.disturbance)]
+        columns = [*as_name_list(self.input), *as_name_list(self.disturbance)]
         source = replace(self, input=columns, input_unit="", disturbance=None)
         pieces, remark = source.read_pieces(path, output_path, first=first, last=last)
         count = len(self.inputs)
         apart = [replace(one, u=one.u[:, :count], d=one.u[:, count:]) for one in pieces]
         return apart, remark
 
-    def _project_inputs_on_set_point(self, logs: "list[_Log]") -> "list[_Log]":
+    def _project_inputs(self, logs: "list[_Log]") -> "list[_Log]":
         """Replace the input of closed-loop logs by the part that the set point explains."""
         pieces = [piece for log in logs for piece in log.pieces]
         count = len(self.inputs)
         if self.controller is not None:
             gain, integral_s = self.controller
-            references = [set_point_of_pi(piece, gain, integral_s) for piece in pieces]
+            references = [reconstruct_pi_set_point(piece, gain, integral_s) for piece in pieces]
         else:
             references = [piece.u[:, count:] for piece in pieces]
             pieces = [replace(piece, u=piece.u[:, :count]) for piece in pieces]
-        made, share = from_set_points(pieces, references)
+        made, share = project_inputs_on_set_points(pieces, references)
         return [
             _Log(
                 pieces=[piece for piece in made if piece.log == number],
@@ -323,9 +333,9 @@ class RecordedData(Columns, AroundRest):
             for number, log in enumerate(logs, start=logs[0].pieces[0].log)
         ]
 
-    def _split(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
+    def _split_logs(self, logs: list[list[Trajectory]]) -> tuple[list[Pieces], str]:
         """Split every log into training, validation and test, and describe the cuts in words."""
-        splitter, words = self._splitter(logs)
+        splitter, words = self._choose_splitter(logs)
         cuts = [self._split_log(log, splitter) for log in logs]
         samples = sum(len(piece) for log in logs for piece in log)
         taken = sum(len(record) for cut in cuts for part in cut for record in part)
@@ -333,37 +343,41 @@ class RecordedData(Columns, AroundRest):
         return cuts, words + (short if taken < samples else "")
 
     def _split_log(self, log: list[Trajectory], splitter: Splitter) -> Pieces:
-        return splits.over_pieces(log, splitter, self.start_up_samples + 2)
+        """Split one log, of one or several pieces, into training, validation and test."""
+        return splits.split_pieces(log, splitter, self.start_up_samples + 2)
 
-    def _splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
-        """Function that splits a log into training, validation and test, and the same in words."""
+    def _choose_splitter(self, logs: list[list[Trajectory]]) -> tuple[Splitter, str]:
+        """Choose the function that splits a log into training, validation and test, and describe it
+        in words."""
         if self.validation is not None:
             named = {"validation": self.validation, "test": self.test or []}
-            return partial(by_intervals, named=named), "into named intervals"
+            return partial(split_at_intervals, named=named), "into named intervals"
         if self.fold is not None:
             said = (
                 f"into {self.folds} folds, of which number {self.fold} tests "
                 "and the one before it validates"
             )
-            return partial(by_fold, fold=self.fold, folds=self.folds), said
+            return partial(split_by_fold, fold=self.fold, folds=self.folds), said
         own_test = self.test_path is None
         test = self.test_fraction if own_test else 0.0
-        in_time = partial(by_time, validation=self.validation_fraction, test=test)
+        in_time = partial(split_by_time, validation=self.validation_fraction, test=test)
         if self.split == "time" or not own_test:
             return in_time, "in the order of time"
         if self.split == "auto":
             shortest = self.start_up_samples + FEWEST
             able = all(sum(map(len, log)) // BLOCKS >= shortest for log in logs)
-            if not able or not any(end_is_unlike(self._split_log(log, in_time)) for log in logs):
+            if not able or not any(
+                is_test_output_different(self._split_log(log, in_time)) for log in logs
+            ):
                 return in_time, "in the order of time"
         why = "" if self.split == "blocks" else ", because its end is unlike its beginning"
-        return in_blocks, f"in {BLOCKS} interleaved blocks{why}"
+        return split_into_blocks, f"in {BLOCKS} interleaved blocks{why}"
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Log:
-    """The pieces of one log, how it was read, and the share of its input that the set point
-    makes."""
+    """Pieces of one log, how it was read, and the share of its input that the set point
+    explains."""
 
     pieces: list[Trajectory]
     remark: str

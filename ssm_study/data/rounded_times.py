@@ -21,8 +21,8 @@ DIGITS = 12  # of a written time; the rest is arithmetic
 
 
 def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | None:
-    """Estimate the sampling time of rounded times. Period of the even clock that explains rounded
-    times, and its relative uncertainty.
+    """Estimate the sampling time of rounded times, and its relative uncertainty. Period of the even
+    clock that explains rounded times, and its relative uncertainty.
 
     The period is the shortest decimal number among the possible ones. None where no even clock
     explains the times, or clocks of clearly different periods do.
@@ -31,18 +31,20 @@ def rounded_period_s(time_s: Float[np.ndarray, "T"]) -> tuple[float, float] | No
     if 0 < repeats < FEWEST_REPEATS:
         return None
     for share in (ROUNDED, CUT_OFF):
-        possible_s = possible_periods_s(time_s, share * written_resolution(time_s))
+        possible_s = period_bounds_s(time_s, share * written_resolution(time_s))
         if possible_s is not None and possible_s[0] > 0.0:
             uncertainty = 0.5 * (possible_s[1] - possible_s[0]) / possible_s[0]
-            return (roundest(*possible_s), uncertainty) if uncertainty <= SURE_PERIOD else None
+            return (
+                (roundest_number(*possible_s), uncertainty) if uncertainty <= SURE_PERIOD else None
+            )
     return None
 
 
-def possible_periods_s(
+def period_bounds_s(
     time_s: Float[np.ndarray, "T"], error_s: Float[np.ndarray, "T"]
 ) -> tuple[float, float] | None:
-    """Shortest and longest period of an even clock that stays within a tolerance of every time.
-    None without any."""
+    """Smallest and largest period of an evenly spaced clock that lies within a tolerance of every
+    time. None without any."""
     rows = len(time_s) - 1
     span_s = float(time_s[-1] - time_s[0])
     scaled = (time_s - time_s[0]) / span_s
@@ -61,8 +63,7 @@ def possible_periods_s(
 
 
 def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Value of the last written digit of each time, for columns of so many decimals or so many
-    digits."""
+    """Value of the last digit with which each time was written."""
     written = [f"{time:.{DIGITS}g}" for time in time_s]
     decimals = max(decimal_places(text) for text in written)
     digits = max(significant_digits(text) for text in written)
@@ -71,20 +72,20 @@ def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]
 
 
 def decimal_places(text: str) -> int:
-    """Digits behind the decimal point of a number."""
+    """Number of digits behind the decimal point of a written number."""
     mantissa, _, exponent = text.partition("e")
     behind = len(mantissa.partition(".")[2])
     return max(behind - int(exponent or 0), 0)
 
 
 def significant_digits(text: str) -> int:
-    """Digits of a number without leading and closing zeros."""
+    """Number of significant digits of a written number."""
     mantissa = text.partition("e")[0]
     return len(mantissa.replace(".", "").lstrip("-0").rstrip("0"))
 
 
-def roundest(low: float, high: float) -> float:
-    """Number between two positive ones that has the fewest digits, nearest to their middle."""
+def roundest_number(low: float, high: float) -> float:
+    """Number in an interval of positive numbers that has the fewest digits."""
     middle = 0.5 * (low + high)
     for digits in range(1, DIGITS + 1):
         number = float(f"{middle:.{digits}g}")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import at_least
@@ -47,12 +47,12 @@ FRESH = 11  # marks the seeds of fresh data sets
 
 
 class TrainingAlone(UserWarning):
-    """Warning that an excitation's own amplitude changes the training records only."""
+    """Warning that an excitation's own amplitude applies to the training records only."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreshRecords:
-    """Further simulated records that measure the mismatch; nothing is fitted to it."""
+    """Simulated records, seen by neither fit nor design, that measure the model error anew."""
 
     validation: Trajectories
     mismatch_records: Trajectories
@@ -60,8 +60,8 @@ class FreshRecords:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedData:
-    """Data set simulated with a plant of this project. `y = h(x) + e`, `e ~ N(0, noise_variance)`
-    on training and validation records; the test record is noise-free.
+    """Data set that is simulated with one of the project's plants. `y = h(x) + e`, `e ~ N(0,
+    noise_variance)` on training and validation records; the test record is noise-free.
 
     Validation and test, one record each, are excited by `scoring_excitation` whatever the training
     excitation is, so that runs compare. Every record of the three parts starts at the plant's
@@ -94,13 +94,14 @@ class SimulatedData:
         at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
-        """Simulate the data set of this plant under this excitation. Equal seeds give equal
-        numbers."""
+        """Simulate the data set of a plant under an excitation. Equal seeds give equal numbers."""
         rng = np.random.default_rng(seed)
         scoring = self.scoring_excitation
-        training = self._records(plant, excitation, rng, self.trajectories, self.samples)
-        validation = self._records(plant, scoring, rng, 1, self.validation_samples)
-        test = self._records(plant, scoring, rng, 1, self.test_samples, noisy=self.test_noise)
+        training = self._simulate_records(plant, excitation, rng, self.trajectories, self.samples)
+        validation = self._simulate_records(plant, scoring, rng, 1, self.validation_samples)
+        test = self._simulate_records(
+            plant, scoring, rng, 1, self.test_samples, noisy=self.test_noise
+        )
         about = {
             "source": "simulated",
             "plant": type(plant).__name__,
@@ -109,42 +110,43 @@ class SimulatedData:
         told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
         if self.trials:
             trial_rng = np.random.default_rng([seed, 7])
-            told["mismatch_records"] = mismatch_records(plant, trial_rng, self.deviation(plant))
+            told["mismatch_records"] = simulate_mismatch_records(
+                plant, trial_rng, self.noise_deviation(plant)
+            )
         parts = (training, validation, test)
         rest = plant.equilibrium()
         channels = (plant.inputs, plant.outputs)
-        return assemble(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
+        return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
-        """Simulate `fresh_sets` further validation records and trials of the plant, each with a
-        seed of its own."""
+        """Simulate further records that neither fit nor design uses, each set with a seed of its
+        own."""
         for number in range(self.fresh_sets):
             rng = np.random.default_rng([seed, FRESH, number])
             scoring = self.scoring_excitation
-            validation = self._records(plant, scoring, rng, 1, self.validation_samples)
+            validation = self._simulate_records(plant, scoring, rng, 1, self.validation_samples)
             trials: Trajectories = ()
             if self.trials:
-                trials = mismatch_records(plant, rng, self.deviation(plant))
+                trials = simulate_mismatch_records(plant, rng, self.noise_deviation(plant))
             yield FreshRecords(validation=tuple(validation), mismatch_records=trials)
 
     def simulate_sines(
         self, plant: Plant, seed: int, lines: Sequence[int]
     ) -> tuple[Trajectory, ...]:
-        """Simulate single-sine experiments at these lines of a period, where a design is most
+        """Simulate single-sine experiments at the frequencies to which a design is most
         sensitive."""
-        return sine_records(
-            plant, np.random.default_rng([seed, SINES]), self.deviation(plant), lines
+        return simulate_sine_records(
+            plant, np.random.default_rng([seed, SINES]), self.noise_deviation(plant), lines
         )
 
-    def deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
-        """Standard deviation of the sensor's noise, in physical units, from `noise_variance` or the
-        plant's own."""
+    def noise_deviation(self, plant: Plant) -> Float[np.ndarray, "p"]:
+        """Standard deviation of the simulated sensor noise, in physical units."""
         variance = np.array(plant.noise_variance)
         if self.noise_variance is not None:
             variance = np.full_like(variance, self.noise_variance)
         return np.asarray(np.sqrt(variance))
 
-    def _records(
+    def _simulate_records(
         self,
         plant: Plant,
         excitation: Excitation,
@@ -154,7 +156,7 @@ class SimulatedData:
         *,
         noisy: bool = True,
     ) -> list[Trajectory]:
-        """Simulate `count` records that begin at the equilibrium."""
+        """Simulate records under an excitation that begin at the plant's equilibrium."""
         request = SignalRequest(
             samples=samples,
             step_s=plant.step_s,
@@ -165,15 +167,16 @@ class SimulatedData:
         u = plant.equilibrium().u + signals
         y = plant.simulate(u)[1]
         if noisy:
-            y = y + self.deviation(plant) * rng.standard_normal(y.shape)
+            y = y + self.noise_deviation(plant) * rng.standard_normal(y.shape)
         return [Trajectory(u=u[i], y=y[i], step_s=plant.step_s) for i in range(count)]
 
 
-def mismatch_records(
+def simulate_mismatch_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"]
 ) -> tuple[Trajectory, ...]:
-    """Simulate records that measure the mismatch. Two periods at each of `SHARES` and then rest;
-    free decays from each of `DECAYS`; noise of that `deviation`.
+    """Simulate the records that only measure the model error: periodic excitation, free decays and
+    slow returns. Two periods at each of `SHARES` and then rest; free decays from each of `DECAYS`;
+    noise of that `noise_deviation`.
 
     Then slow returns from each of `RETURNS`, and rest: friction lets go of a jump to rest, not of a
     slow return.
@@ -181,7 +184,7 @@ def mismatch_records(
     rest = plant.equilibrium()
     longest = 5 * max(round(plant.input_clock_s / plant.step_s), 1)
     amplitude = np.array(plant.input_amplitude)
-    period = np.stack([_broadband(rng, longest) for _ in rest.u], axis=1) * amplitude
+    period = np.stack([_broadband_signal(rng, longest) for _ in rest.u], axis=1) * amplitude
     at_rest = np.zeros((REST, len(rest.u)))
     whole = np.concatenate([period[-LEAD_IN:], period, period, at_rest])
     driven = rest.u + np.array(SHARES)[:, None, None] * whole
@@ -202,26 +205,26 @@ def mismatch_records(
         y = plant.simulate(u, x0)[1]
         noisy = y + deviation * rng.standard_normal(y.shape)
         names = [f"{word}_{share:g}" for share in shares]
-        records += _named_records(plant, names, u, noisy)
+        records += _split_into_records(plant, names, u, noisy)
     return tuple(records)
 
 
-def _named_records(
+def _split_into_records(
     plant: Plant, names: Sequence[str], u: np.ndarray, y: np.ndarray
 ) -> list[Trajectory]:
-    """One record for each name, of stacked inputs and outputs."""
+    """Split stacked inputs and outputs into one named record each."""
     records = []
     for name, inputs, outputs in zip(names, u, y, strict=True):
         records.append(Trajectory(u=inputs, y=outputs, step_s=plant.step_s, name=name))
     return records
 
 
-def sine_records(
+def simulate_sine_records(
     plant: Plant, rng: np.random.Generator, deviation: Float[np.ndarray, "p"], lines: Sequence[int]
 ) -> tuple[Trajectory, ...]:
-    """Simulate single-sine experiments at chosen frequencies. Single sines at these lines of
-    `PERIOD`, at each of `SINE_SHARES` of the amplitude: one period of lead-in and two that
-    count; every input moves alike."""
+    """Simulate single-sine experiments at chosen frequencies and several amplitudes. Single sines
+    at these lines of `PERIOD`, at each of `SINE_SHARES` of the amplitude: one period of lead-in and
+    two that count; every input moves alike."""
     rest = plant.equilibrium()
     amplitude = np.array(plant.input_amplitude)
     inputs = []
@@ -235,11 +238,11 @@ def sine_records(
     y = plant.simulate(u)[1]
     noisy = y + deviation * rng.standard_normal(y.shape)
     names = [f"sine_{line}_at_{share:g}" for line in lines for share in SINE_SHARES]
-    return tuple(_named_records(plant, names, u, noisy))
+    return tuple(_split_into_records(plant, names, u, noisy))
 
 
-def _broadband(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
-    """Excitation with random levels and random holding times. Levels uniform in [-1, 1], held from
-    one sample to `longest`, short and long equally often on a log scale."""
+def _broadband_signal(rng: np.random.Generator, longest: int) -> Float[np.ndarray, "T"]:
+    """Generate a broadband signal with random levels and random holding times. Levels uniform in
+    [-1, 1], held from one sample to `longest`, short and long equally often on a log scale."""
     holds = np.exp(rng.uniform(0.0, np.log(longest + 1), PERIOD)).astype(int)
     return np.repeat(rng.uniform(-1.0, 1.0, PERIOD), holds)[:PERIOD]

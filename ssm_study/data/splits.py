@@ -22,23 +22,23 @@ FEWEST = 50  # samples a block needs beyond the start-up window
 UNLIKE = 1.0
 
 
-def over_pieces(
-    pieces: Sequence[Trajectory], split: Callable[[Trajectory], Pieces], shortest: int
+def split_pieces(
+    log_pieces: Sequence[Trajectory], split_record: Callable[[Trajectory], Pieces], shortest: int
 ) -> Pieces:
-    """Split a log with holes into training, validation and test. Cut a log that has holes as one
-    without would be cut, its samples counted over the holes.
+    """Split a log that consists of several pieces as if it had no gaps. Cut a log that has holes as
+    one without would be cut, its samples counted over the holes.
 
     Parts of a piece that are shorter than `shortest` samples are left out.
     """
-    if len(pieces) == 1:
-        return split(pieces[0])
-    whole = replace(Trajectory.joined(pieces), first=0)
-    ends = np.cumsum([len(piece) for piece in pieces])
-    starts = ends - [len(piece) for piece in pieces]
+    if len(log_pieces) == 1:
+        return split_record(log_pieces[0])
+    whole = replace(Trajectory.joined(log_pieces), first=0)
+    ends = np.cumsum([len(piece) for piece in log_pieces])
+    starts = ends - [len(piece) for piece in log_pieces]
     parts: Pieces = ([], [], [])
-    for part, records in zip(parts, split(whole), strict=True):
+    for part, records in zip(parts, split_record(whole), strict=True):
         for record in records:
-            for piece, start in zip(pieces, starts, strict=True):
+            for piece, start in zip(log_pieces, starts, strict=True):
                 a = max(record.first - int(start), 0)
                 b = min(record.first + len(record) - int(start), len(piece))
                 if b - a >= shortest:
@@ -46,26 +46,26 @@ def over_pieces(
     return parts
 
 
-def by_time(record: Trajectory, validation: float, test: float) -> Pieces:
-    """Split a record in the order of time. Contiguous pieces, in the order of time: training
-    first."""
+def split_by_time(record: Trajectory, validation: float, test: float) -> Pieces:
+    """Split a record in the order of time, the first part for training and the last for the test.
+    Contiguous pieces, in the order of time: training first."""
     first = round(len(record) * (1 - validation - test))
     second = round(len(record) * (1 - test))
     return [record[:first]], [record[first:second]], [record[second:]]
 
 
-def in_blocks(record: Trajectory) -> Pieces:
-    """Split a record into interleaved blocks. `BLOCKS` equal pieces: 1, 2, 3 train, 4 validates,
-    5 tests, and so on."""
+def split_into_blocks(record: Trajectory) -> Pieces:
+    """Split a record into interleaved blocks for training, validation and test. `BLOCKS` equal
+    pieces: 1, 2, 3 train, 4 validates, 5 tests, and so on."""
     edges = np.linspace(0, len(record), BLOCKS + 1).round().astype(int)
     blocks = [record[a:b] for a, b in pairwise(edges)]
     training = [block for k, block in enumerate(blocks) if k % 5 < 3]
     return training, blocks[3::5], blocks[4::5]
 
 
-def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
-    """Split a record at stated intervals of time. `named` holds intervals in seconds for
-    `validation` and `test`; the rest, piece by piece, trains.
+def split_at_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
+    """Split a record at stated time intervals into training, validation and test. `named` holds
+    intervals in seconds for `validation` and `test`; the rest, piece by piece, trains.
 
     Raises `BadRequest` for an interval that is empty, outside the log, or shared by two parts.
     """
@@ -85,21 +85,20 @@ def by_intervals(record: Trajectory, named: Mapping[str, Intervals]) -> Pieces:
             remedy = "give each sample to one part"
             require(is_free, f"data.{name}", pair.tolist(), problem, remedy)
             part[start:end] = number
-    return _cut(record, part)
+    return _group_by_part(record, part)
 
 
-def by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
-    """Cut a record into `folds` equal pieces, of which number `fold` tests and the one before it
-    validates. Before the first comes the last; the others train."""
+def split_by_fold(record: Trajectory, fold: int, folds: int) -> Pieces:
+    """Split a record into equal folds, of which one tests and the one before it validates. Before
+    the first comes the last; the others train."""
     piece = folds * np.arange(len(record)) // len(record)
     is_tested = piece == fold
     validates = piece == (fold - 1) % folds
-    return _cut(record, np.select([is_tested, validates], [2, 1], 0))
+    return _group_by_part(record, np.select([is_tested, validates], [2, 1], 0))
 
 
-def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
-    """Cut one of `folds` equal pieces out of a record; return the remaining pieces, and that
-    piece."""
+def cut_out_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajectory], Trajectory]:
+    """Cut one of several equal folds out of a record; returns the remaining pieces and the fold."""
     start = round(len(record) * fold / folds)
     end = round(len(record) * (fold + 1) / folds)
     sides = (record[:start], record[end:])
@@ -107,25 +106,24 @@ def without_fold(record: Trajectory, fold: int, folds: int) -> tuple[list[Trajec
 
 
 def rest_segments(record: Trajectory) -> list[Trajectory]:
-    """Cut out every stretch of constant input, at the value with which the record ends, with the
-    sample before it. None where it ends moving. Measured disturbances count as inputs: while they
-    move nothing rests.
+    """Cut out the stretches in which the input rests at the value with which the record ends. None
+    where it ends moving. Measured disturbances count as inputs: while they move nothing rests.
 
     A stretch counts that lasts half as long as the last one. What the plant does there is evidence;
     no fit uses it.
     """
-    return [record[a:b] for a, b in _rests(record)]
+    return [record[a:b] for a, b in _rest_ranges(record)]
 
 
 def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Trajectory]:
-    """Cut out the segments whose input repeats itself between two stretches of constant input. Half
-    of the stretch before and all behind belong to them.
+    """Cut out the segments between rests in which the input repeats itself periodically. Half of
+    the stretch before and all behind belong to them.
 
     `ssm-study excite` writes one for each amplitude: what its second period does not repeat is
     noise. Nothing of a log that moves otherwise, too: a few equal pulses would stand for all that
     it shows.
     """
-    rests = _rests(record, first=True)
+    rests = _rest_ranges(record, first=True)
     if not rests or rests[0][0] != 0:
         return []
     between = []
@@ -135,9 +133,9 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     return between if all(repetition(u) for u in inputs) else []
 
 
-def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
-    """Index ranges of the stretches of constant input at the value with which the record ends, from
-    the sample before. With `first`, one at its beginning counts, too."""
+def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
+    """Index ranges in which the input rests at the value with which the record ends. With `first`,
+    one at its beginning counts, too."""
     moving = record.driven_by
     moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
@@ -147,8 +145,8 @@ def _rests(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
     return [(max(a, 0), b) for a, b in pairwise(ends) if b - a > least]
 
 
-def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
-    """Records of one part of a split, one for each run of consecutive samples. 0 trains, 1
+def _group_by_part(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
+    """Cut a record into runs of samples that belong to training, validation or test. 0 trains, 1
     validates, 2 tests."""
     pieces: Pieces = ([], [], [])
     edges = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
@@ -157,9 +155,8 @@ def _cut(record: Trajectory, part: Int[np.ndarray, "T"]) -> Pieces:
     return pieces
 
 
-def end_is_unlike(parts: Pieces) -> bool:
-    """Whether the output of the last piece differs in mean or deviation from the training
-    output."""
+def is_test_output_different(parts: Pieces) -> bool:
+    """Whether the test output differs from the training output in mean or standard deviation."""
     if not parts[0] or not parts[2]:
         return True
     trained = np.concatenate([record.y for record in parts[0]])

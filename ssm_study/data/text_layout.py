@@ -39,7 +39,7 @@ BYTE_ORDER_MARKS = (
 
 @dataclass(frozen=True, kw_only=True)
 class TextSettings:
-    """Layout of a text file as the user states it; a setting that is None is detected from the
+    """Layout of a text file as the user states it; settings that are None are detected from the
     file.
 
     `separator` is a mark or its name (tabs, semicolons, commas, bars, spaces); `decimal` is "." or
@@ -59,8 +59,8 @@ class TextSettings:
             one_of((".", ","), "data.decimal", self.decimal)
 
     @property
-    def mark(self) -> str | None:
-        """The separator as a character."""
+    def separator_mark(self) -> str | None:
+        """Separator of the cells as a character."""
         return BY_WORD.get(self.separator or "", self.separator)
 
 
@@ -83,7 +83,7 @@ class TextLayout:
     remarks: list[str] = field(default_factory=list)
 
     def describe(self) -> str:
-        """Describe the detected layout in one line."""
+        """Describe the detected layout of a text file in one line."""
         decimal = ", decimal comma" if self.decimal == "," else ""
         encoding = "" if self.encoding.startswith("utf-8") else f", encoding {self.encoding}"
         header = "no names" if self.names is None else "a line of names"
@@ -93,8 +93,8 @@ class TextLayout:
 
 
 def decode_text(path: Path, content: bytes) -> tuple[str, str]:
-    """Decode the bytes of a text file. The text and the name of its encoding; refuses bytes that
-    are no text."""
+    """Decode the bytes of a text file, and name the encoding. The text and the name of its
+    encoding; refuses bytes that are no text."""
     for mark, encoding in BYTE_ORDER_MARKS:
         if content.startswith(mark):
             try:
@@ -113,9 +113,9 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
         return content.decode("cp1252", errors="replace"), "cp1252"
 
 
-def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
-    """Detect the layout of a text file. Take a text apart; raises `BadRequest` where no row of
-    numbers is found."""
+def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
+    """Detect the layout of a text file: encoding, separator, decimal mark, header and units. Take a
+    text apart; raises `BadRequest` where no row of numbers is found."""
     text, encoding = decode_text(path, content)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     numbered = [(k, line) for k, line in enumerate(lines, start=1) if line.strip()]
@@ -124,29 +124,29 @@ def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayou
     comments = [line for (_, line), comment in zip(numbered, is_comment, strict=True) if comment]
     remedy = "export it as CSV with a line of names and rows of numbers"
     require(body, "data.path", path, "has no header and no rows", remedy)
-    separator, decimal = find_marks([line for _, line in body], settings)
+    separator, decimal = find_separators([line for _, line in body], settings)
     cells = [split_cells(line, separator) for _, line in body[:SAMPLED_ROWS]]
-    sample = [split_cells(line, separator) for line in sampled([line for _, line in body])]
+    sample = [split_cells(line, separator) for line in sample_lines([line for _, line in body])]
     columns = Counter(map(len, sample)).most_common(1)[0][0]
-    numeric = numeric_columns(sample, columns, decimal)
-    first = first_row_of_numbers(cells, columns, numeric, decimal)
+    numeric = find_numeric_columns(sample, columns, decimal)
+    first = first_value_row(cells, columns, numeric, decimal)
     remedy = f"{remedy}; data.separator and data.decimal say what stands between and in numbers"
     if not any(numeric) or first is None:
         raise BadRequest("data.path", path, "has no rows of numbers", remedy)
     if first > 1 and any(is_number(cell, decimal) for cell in cells[first - 1]):
         first -= 1  # a row of numbers with a cell that is none: it is refused where it is read
-    above = [row for row in cells[:first] if is_header(row, columns, sample)]
+    above = [row for row in cells[:first] if fits_header(row, columns, sample)]
     refuse_shifted_names(path, cells[:first], above, columns)
     remarks = [number_with_noun(len(comments), "comment line")] if comments else []
-    names, units = names_and_units(above)
+    names, units = split_names_and_units(above)
     if len(above) < first and first:
         remarks.append(f"{number_with_noun(first - len(above), 'line')} of prose above")
     if names is None and comments and first == 0:
-        names = names_in_comment(comments, separator, columns, decimal)
+        names = parse_names_in_comment(comments, separator, columns, decimal)
     if units:
         remarks.append("a row of units")
     if names is None:
-        names, skip = counting_names(cells, columns, settings.header)
+        names, skip = counted_column_names(cells, columns, settings.header)
         first += skip
         if skip:
             remarks.append("names that count")
@@ -166,15 +166,15 @@ def find_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayou
     )
 
 
-def sampled(lines: list[str]) -> list[str]:
-    """Sample at most `SAMPLED_ROWS` lines from all over the file but its first ones."""
+def sample_lines(lines: list[str]) -> list[str]:
+    """Sample lines from all over a text file except its first ones."""
     later = lines[min(len(lines) // 2, 20) :]
     stride = max(len(later) // SAMPLED_ROWS, 1)
     return later[::stride][:SAMPLED_ROWS]
 
 
 def split_cells(line: str, separator: str) -> list[str]:
-    """The cells of one line, without the spaces around them."""
+    """Split one line of a text file into cells, without the spaces around them."""
     if separator == " ":
         return [cell.strip('"') for cell in line.split()]
     if '"' not in line:
@@ -187,7 +187,7 @@ def split_cells(line: str, separator: str) -> list[str]:
 
 
 def is_value(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number, a date or missing."""
+    """Whether a cell is a number, a date or a missing value."""
     number = COMMA_NUMBER if decimal == "," else NUMBER
     return cell.lower() in MISSING or bool(number.fullmatch(cell) or DATE.fullmatch(cell))
 
@@ -197,12 +197,11 @@ def is_number(cell: str, decimal: str) -> bool:
     return bool((COMMA_NUMBER if decimal == "," else NUMBER).fullmatch(cell))
 
 
-def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
-    """Find the separator and decimal mark under which the rows are most nearly a table of
-    values."""
-    separators = SEPARATORS if settings.mark is None else (settings.mark,)
+def find_separators(lines: list[str], settings: TextSettings) -> tuple[str, str]:
+    """Find the separator and the decimal mark for which the lines best form a table of values."""
+    separators = SEPARATORS if settings.separator_mark is None else (settings.separator_mark,)
     decimals = (".", ",") if settings.decimal is None else (settings.decimal,)
-    rows = sampled(lines)
+    rows = sample_lines(lines)
     is_quoted = any('"' in row for row in rows)  # then a comma may stand in and between numbers
     best = (",", ".")
     best_score = -1.0
@@ -220,8 +219,8 @@ def find_marks(lines: list[str], settings: TextSettings) -> tuple[str, str]:
 
 
 def table_score(rows: list[list[str]], decimal: str) -> float:
-    """Score of how well separated rows form a table. How nearly the rows are a table: share of rows
-    of the usual length, times share of values.
+    """Score of how well lines that were split into cells form a table of values. How nearly the
+    rows are a table: share of rows of the usual length, times share of values.
 
     Of two readings that are both perfect, the one with more columns scores more. Cells as `05`
     are the digits behind a decimal comma, not whole numbers.
@@ -236,9 +235,9 @@ def table_score(rows: list[list[str]], decimal: str) -> float:
     return count / len(rows) * share + 1e-3 * min(length, 20) * (share > 0.99)
 
 
-def numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
-    """Which columns hold values in nine of ten sampled rows. Columns of missing values alone do not
-    count."""
+def find_numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[bool]:
+    """For each column, whether nine of ten sampled cells are values. Columns of missing values
+    alone do not count."""
     regular = [row for row in rows if len(row) == columns]
     numeric = []
     for j in range(columns):
@@ -248,7 +247,7 @@ def numeric_columns(rows: list[list[str]], columns: int, decimal: str) -> list[b
     return numeric
 
 
-def first_row_of_numbers(
+def first_value_row(
     cells: list[list[str]], columns: int, numeric: list[bool], decimal: str
 ) -> int | None:
     """Index of the first row that has values in all numeric columns. None if there is none."""
@@ -269,8 +268,8 @@ def number_with_noun(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
-def is_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
-    """Whether a row above the numbers has a cell for each column, but for a separator too many."""
+def fits_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
+    """Whether a row above the numbers has one cell for each column, so that it can name them."""
     if len(row) == columns + 1:
         return row[-1] == ""
     if len(row) == columns - 1:
@@ -282,8 +281,8 @@ def is_header(row: list[str], columns: int, sample: list[list[str]]) -> bool:
 def refuse_shifted_names(
     path: Path, cells: list[list[str]], above: list[list[str]], columns: int
 ) -> None:
-    """Refuse a last row above the numbers that has one name too many or too few. A trace whose
-    variables stand one below the other is refused, too."""
+    """Refuse a header line with one name too many or too few. A trace whose variables stand one
+    below the other is refused, too."""
     stacked = bool(above or cells) and (above + cells)[0][0].strip().lower() == "[key]"
     remedy = "export a table with one column a variable"
     problem = "is a trace of keys and values, its variables one below the other"
@@ -294,9 +293,8 @@ def refuse_shifted_names(
         raise BadRequest(path.name, names, problem, "correct the line of names")
 
 
-def names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
-    """Names of the columns, and their units where the last of two rows above the numbers can be
-    units."""
+def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
+    """Separate the header lines of a text file into column names and units."""
     if not above:
         return None, []
     *before, last = above
@@ -306,10 +304,10 @@ def names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]
     return last, []
 
 
-def names_in_comment(
+def parse_names_in_comment(
     comments: list[str], separator: str, columns: int, decimal: str
 ) -> list[str] | None:
-    """Names of the columns in the last comment line, as NumPy writes them. None without."""
+    """Parse the column names in the last comment line, as NumPy writes them. None without."""
     bare = comments[-1].strip().lstrip('#%/" ')
     for mark in (separator, ",", ";", "\t", " "):
         cells = split_cells(bare, mark)
@@ -318,11 +316,11 @@ def names_in_comment(
     return None
 
 
-def counting_names(
+def counted_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
-    """Names `0,1,2` or `1,2,3` for columns without names above rows of numbers, and how many rows
-    they take.
+    """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows they
+    take.
 
     Counting from 0 they are names if the numbers below are unlike whole numbers, as pandas writes
     an array; counting from 1, always (a reader that is asked for a number refuses to guess).

@@ -18,9 +18,9 @@ BY_INPUT = 0.5  # share of the output's power that must follow from the input
 FORGOTTEN = 0.1  # share that a piece's own state may add to it: noise leaves both equally little
 
 
-def findings(case: Case) -> list[Finding]:
+def judge_autonomous_motion(case: Case) -> list[Finding]:
     """Findings about an output that moves by itself more than by its input."""
-    shares = shares_predicted(case)
+    shares = predicted_power_shares(case)
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
     own, carried = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
@@ -35,9 +35,10 @@ def findings(case: Case) -> list[Finding]:
     ]
 
 
-def shares_predicted(case: Case) -> tuple[float, float] | None:
-    """Share of the output's power that the model predicts in each piece. `1 - |y - y_hat|^2 /
-    |y|^2`, about the means of each piece, over those that validate or test behind others.
+def predicted_power_shares(case: Case) -> tuple[float, float] | None:
+    """Shares of the output's power that the model predicts from each piece's own initial state and
+    from the log before it. `1 - |y - y_hat|^2 / |y|^2`, about the means of each piece, over those
+    that validate or test behind others.
 
     The first is of free runs from the piece's own estimated state, the second of runs from the
     beginning of the log. Means are taken off, for an integrator keeps an offset. None where no
@@ -46,27 +47,27 @@ def shares_predicted(case: Case) -> tuple[float, float] | None:
     skip = case.data.start_up_samples
     scale = case.data.scale.output_scale
 
-    def power(y: Float[np.ndarray, "T p"]) -> float:
+    def signal_power(y: Float[np.ndarray, "T p"]) -> float:
         """Power of a scaled signal about its mean, start-up samples left out."""
         deviation = (y - y[skip:].mean(axis=0)) / scale
         return float((deviation[skip:] ** 2).sum())
 
     powers = []
-    for piece, own in scored_pieces(case):
+    for piece, own in pieces_with_free_runs(case):
         past = log_before(case.data, piece)
         if past is None:
             continue
         log = Trajectory.joined([past, piece])
         carried = free_run(case.model, log, skip)[-len(piece) :]
         sides = (piece.y, piece.y - own, piece.y - carried)
-        powers.append([power(side) for side in sides])
+        powers.append([signal_power(side) for side in sides])
     if not powers:
         return None
     moved, missed, missed_by_input = np.sum(powers, axis=0)
     return (1 - missed / moved, 1 - missed_by_input / moved) if moved else None
 
 
-def scored_pieces(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
-    """Records of validation and test, each with the model's free run."""
+def pieces_with_free_runs(case: Case) -> Iterator[tuple[Trajectory, Float[np.ndarray, "T p"]]]:
+    """Validation and test records, each with the model's free run of it."""
     yield from zip(case.data.validation, case.validation.simulated, strict=True)
     yield from zip(case.data.test, case.test.simulated, strict=True)

@@ -57,8 +57,9 @@ STRIDE = 10  # of the static map, and the samples over which growth is looked fo
 Rows = Float[np.ndarray, "_ _"]
 
 
-def findings(case: Case) -> Iterator[Finding]:
-    """Findings about a log that was recorded in a closed loop, or whose plant runs away."""
+def judge_feedback(case: Case) -> Iterator[Finding]:
+    """Findings about a log that was recorded in a closed loop, or whose plant is unstable or
+    integrates."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
         told = (
@@ -70,10 +71,10 @@ def findings(case: Case) -> Iterator[Finding]:
             if float(share) >= LEAST_SHARE
             else doubt(f"{told}: move the set point more.")
         )
-    earlier = fed_back_share(case.data, 1)
-    present = fed_back_share(case.data, 0)
-    closed = is_closed(case.data, earlier, present)
-    at_once = closed and earlier < EARLIER and answers_at_once(case.data)
+    earlier = feedback_share(case.data, 1)
+    present = feedback_share(case.data, 0)
+    closed = shows_closed_loop(case.data, earlier, present)
+    at_once = closed and earlier < EARLIER and responds_within_sample(case.data)
     if at_once and not case.model.linear.d.any():
         yield doubt(
             f"The output answers the input within the sample ({100 * present:.0f} % of what is new "
@@ -81,7 +82,7 @@ def findings(case: Case) -> Iterator[Finding]:
             "model.feedthrough=true."
         )
     elif closed and not at_once:
-        shared = words_of_the_loop(earlier, present)
+        shared = feedback_sentence(earlier, present)
         remedy = (
             "check data.reference or data.controller"
             if share
@@ -90,11 +91,12 @@ def findings(case: Case) -> Iterator[Finding]:
         yield doubt(f"{shared}, as in a closed-loop log: {remedy}, or record with the loop open.")
     integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
     in_loop = (closed and not at_once) or share is not None
-    yield from runs_away(case.data, closed=in_loop, integrated=integrated)
+    yield from judge_instability(case.data, closed=in_loop, integrated=integrated)
 
 
-def words_of_the_loop(earlier: float, present: float) -> str:
-    """Words on the statistic that reveals a closed loop, the one that exceeds its limit by more."""
+def feedback_sentence(earlier: float, present: float) -> str:
+    """Sentence with the statistic that reveals a closed loop, the one further above its threshold
+    of two."""
     if present - PRESENT >= earlier - EARLIER:
         return (
             f"What is new in the output explains {100 * present:.0f} % of what is new in the input"
@@ -102,9 +104,9 @@ def words_of_the_loop(earlier: float, present: float) -> str:
     return f"Earlier outputs explain {100 * earlier:.0f} % of what is new in the input"
 
 
-def answers_at_once(data: DataSet) -> bool:
-    """Whether the plant itself responds to its input within one sample, rather than a controller to
-    its output.
+def responds_within_sample(data: DataSet) -> bool:
+    """Whether the plant responds to its input within one sample, rather than a controller to its
+    output.
 
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
@@ -124,25 +126,27 @@ def answers_at_once(data: DataSet) -> bool:
     return bool(at_once[largest] * later[largest] > 0)
 
 
-def is_closed(data: DataSet, earlier: float, present: float) -> bool:
-    """Whether the statistics show that a log was recorded in a closed loop."""
+def shows_closed_loop(data: DataSet, earlier: float, present: float) -> bool:
+    """Whether the statistics of a log show that it was recorded in a closed loop."""
     samples = sum(len(record) for record in data.training)
     return samples >= FEWEST and max(earlier - EARLIER, present - PRESENT) >= SCATTER / samples
 
 
-def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Iterator[Finding]:
-    """Whether ARX models of three lengths agree on an unstable mode.
+def judge_instability(
+    data: DataSet, *, closed: bool, integrated: bool = False
+) -> Iterator[Finding]:
+    """Findings on a log whose plant is unstable or integrates its input.
 
     In open loop sensor noise makes a mode look slower, and integrators of noise stay below
     `GROWTH`. A loop's noise moves it either way, so that only `UNSTABLE` is clear.
     """
     whole = replace(data, training=(*data.training, *data.validation, *data.test))
-    modes = [own_mode(data if closed else whole, lags) for lags in LAGS]
+    modes = [dominant_mode_modulus(data if closed else whole, lags) for lags in LAGS]
     samples = sum(map(len, whole.training))
     least = UNSTABLE if closed else math.exp(GROWTH / samples)
     alike = np.ptp(modes) < ALIKE
     mode = f"a mode at {np.median(modes):.5g} a sample"
-    by_input, by_itself = growth(whole)
+    by_input, by_itself = growth_statistics(whole)
     if alike and min(modes) > least and (closed or by_itself > GROWS):
         told = f"The output runs away by itself ({mode}), and models here are stable"
         yield Finding(
@@ -156,7 +160,7 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
     if lasts and by_input > MOVED_BY_INPUT:
         reason = f"{mode}, and {100 * by_input:.0f} % of its rise follow a static map of the input"
     else:
-        share = integrated_share(whole)
+        share = integrator_share(whole)
         if share is not None:
             reason = (
                 f"the input's mean explains {100 * share:.0f} % of its changes, and it forgets none"
@@ -166,10 +170,10 @@ def runs_away(data: DataSet, *, closed: bool, integrated: bool = False) -> Itera
         yield doubt(f"The output integrates its input ({reason}): {remedy}.")
 
 
-def integrated_share(data: DataSet) -> float | None:
-    """Share by which a log looks like that of an integrator. Share of the output's changes that its
-    one input's mean explains, where the longest stretch of a log shows an integrator; None
-    elsewhere."""
+def integrator_share(data: DataSet) -> float | None:
+    """Share of the output's changes that the mean input explains, where the log shows an
+    integrator. Share of the output's changes that its one input's mean explains, where the longest
+    stretch of a log shows an integrator; None elsewhere."""
     stretches = log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
@@ -178,9 +182,10 @@ def integrated_share(data: DataSet) -> float | None:
     return shares.change if shares.is_integrator else None
 
 
-def growth(data: DataSet) -> tuple[float, float]:
-    """Share of the output's growth that the input explains. Share of the output's rise that the
-    input explains, and whether the output grows with itself.
+def growth_statistics(data: DataSet) -> tuple[float, float]:
+    """Share of the output's rise that the input explains, and a statistic of growth with the
+    output's own level. Share of the output's rise that the input explains, and whether the output
+    grows with itself.
 
     Least squares `y[k + h] - y[k] = h (f(u) + g(u before)) + c y[k - h]` with f and g piecewise
     linear: an integrator behind a dead zone or a curve has c = 0. Returns the share of the power of
@@ -202,7 +207,7 @@ def growth(data: DataSet) -> tuple[float, float]:
     power = np.maximum((rise**2).sum(axis=0), np.finfo(float).tiny)
     explained = 1 - (missed**2).sum(axis=0) / power
     outputs = zip(rise.T, before.T, strict=True)
-    errors = [_standard_errors(moved, risen, earlier) for risen, earlier in outputs]
+    errors = [_last_t_statistic(moved, risen, earlier) for risen, earlier in outputs]
     return float(explained.min()), max(errors)
 
 
@@ -221,10 +226,10 @@ def _growth_rows(u: Rows, y: Rows, nodes: list[Float[np.ndarray, "_"]]) -> tuple
     return moved, rise, y[k - STRIDE]
 
 
-def _standard_errors(
+def _last_t_statistic(
     moved: Rows, rise: Float[np.ndarray, "_"], before: Float[np.ndarray, "_"]
 ) -> float:
-    """Coefficient of the last regressor in a least-squares fit, in standard errors."""
+    """Ratio of the last regression coefficient to its standard error."""
     rows = np.column_stack([moved, before])
     weights, _, rank, _ = np.linalg.lstsq(rows, rise, rcond=ROUNDING)
     missed = rise - rows @ weights
@@ -233,9 +238,9 @@ def _standard_errors(
     return float(weights[-1] / np.sqrt(max(spread, np.finfo(float).tiny)))
 
 
-def own_mode(data: DataSet, lags: int) -> float:
-    """Largest modulus of a mode of an ARX model fitted to the log. It is arbitrary without a
-    reference in the log."""
+def dominant_mode_modulus(data: DataSet, lags: int) -> float:
+    """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary without
+    a reference in the log."""
     a = arx(scaled(data), lags, feedthrough=False)[0]
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
@@ -243,29 +248,30 @@ def own_mode(data: DataSet, lags: int) -> float:
     return float(np.abs(np.linalg.eigvals(companion)).max())
 
 
-def fed_back_share(data: DataSet, first: int) -> float:
-    """Share of the input's innovations that earlier innovations of the output explain. The
-    largest share of any input's `w` that `v`, from `first` samples ago on, explains in the other
-    half."""
-    halves = [half for u, y in scaled(data) for half in _halves(u, y, first)]
+def feedback_share(data: DataSet, first: int) -> float:
+    """Share of the input's innovations that the output's innovations explain, a sign of a closed
+    loop. The largest share of any input's `w` that `v`, from `first` samples ago on, explains in
+    the other half."""
+    halves = [half for u, y in scaled(data) for half in _split_regression(u, y, first)]
     if not halves:
         return 0.0
-    first_half = _joined_rows(halves[0::2])
-    second_half = _joined_rows(halves[1::2])
+    first_half = _join_rows(halves[0::2])
+    second_half = _join_rows(halves[1::2])
     powers = _residual_powers(first_half, second_half) + _residual_powers(second_half, first_half)
     power, new, clipped, missed = powers
     tested = (new > FORESEEN * power) & (clipped > 0)
     return float(np.max(1 - missed[tested] / clipped[tested], initial=0.0))
 
 
-def _joined_rows(halves: list[list[Rows]]) -> list[Rows]:
-    """Concatenate the regression arrays of several halves."""
+def _join_rows(halves: list[list[Rows]]) -> list[Rows]:
+    """Concatenate the regression arrays of several halves of records."""
     return [np.concatenate(arrays) for arrays in zip(*halves, strict=True)]
 
 
 def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray, "4 m"]:
-    """Residual powers of a regression on fresh data. Powers in the scored half: of the input, of
-    `w`, of `w` clipped, and of what `v` leaves of that."""
+    """Powers of the residuals when a regression that is fitted to one half of a log predicts the
+    other. Powers in the scored half: of the input, of `w`, of `w` clipped, and of what `v` leaves
+    of that."""
     past, y, u = fitted
     own_past, own_y, own_u = scored
     on_u = np.linalg.lstsq(past, u, rcond=ROUNDING)[0]
@@ -283,8 +289,8 @@ def _residual_powers(fitted: list[Rows], scored: list[Rows]) -> Float[np.ndarray
     return np.array([(signal**2).sum(axis=0) for signal in signals])
 
 
-def _halves(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
-    """Regression arrays of both halves of the log. Past inputs (and one), outputs of `first` to
+def _split_regression(u: Rows, y: Rows, first: int) -> Iterator[list[Rows]]:
+    """Regression arrays of each half of a record. Past inputs (and one), outputs of `first` to
     `OUTPUTS` samples ago, the input: of each half of a record."""
     rows = len(u) - PAST
     if len(u) < SHORTEST * PAST:

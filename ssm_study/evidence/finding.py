@@ -20,8 +20,8 @@ CANNOT_JUDGE = "cannot judge"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One sentence about the records with its severity. A `note` leaves the evidence sound, a
-    `doubt` qualifies a prediction, `cannot judge` forbids one.
+    """One sentence about the records or the model, with its severity. A `note` leaves the evidence
+    sound, a `doubt` qualifies a prediction, `cannot judge` forbids one.
 
     Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness
     test.
@@ -39,7 +39,7 @@ ScaledRecord = tuple[Inputs, Outputs]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Data set, model and records whose evidence is judged. Case to be judged: the records, and
+    """Data set, model and free runs whose evidence is judged. Case to be judged: the records, and
     the model's free runs of validation and test."""
 
     data: DataSet
@@ -47,57 +47,59 @@ class Case:
     validation: Simulation
     test: Simulation
 
-    def scaled(self, record: Trajectory) -> ScaledRecord:
-        """Input and output of a record as deviations from the equilibrium, scaled."""
+    def scale_record(self, record: Trajectory) -> ScaledRecord:
+        """Input and output of a record in scaled units, as deviations from the equilibrium."""
         scale = self.data.scale
         return scale.scaled_input(record.u), scale.scaled_output(record.y)
 
-    def driven(self, record: Trajectory) -> ScaledRecord:
-        """Scaled record with measured disturbances as further inputs. `scaled`, with measured
-        disturbances beside the input: all that moves the output."""
+    def scale_with_disturbances(self, record: Trajectory) -> ScaledRecord:
+        """Input and output of a record in scaled units, with measured disturbances as further
+        inputs. `scale_record`, with measured disturbances beside the input: all that moves the
+        output."""
         scale = self.data.scale.with_disturbances_as_inputs()
         return scale.scaled_input(record.driven_by), scale.scaled_output(record.y)
 
-    def regression(
+    def regression_arrays(
         self, records: Trajectories, lags: int
     ) -> tuple[Float[np.ndarray, "K d"], Float[np.ndarray, "K p"]]:
-        """Regression of the output on past inputs. Rows `(u[k], ..., u[k - lags], 1)` beside
-        `y[k]`, scaled, of the records longer than twice the lags."""
+        """Regressors of past inputs and target outputs for a linear FIR model of several records.
+        Rows `(u[k], ..., u[k - lags], 1)` beside `y[k]`, scaled, of the records longer than twice
+        the lags."""
         scale = self.data.scale
         inputs = [np.empty((lags, scale.inputs))]  # of these no row follows
         outputs = [np.empty((lags, scale.outputs))]
         for record in records:
             if len(record) > 2 * lags:
-                u, y = self.scaled(record)
+                u, y = self.scale_record(record)
                 inputs.append(u)
                 outputs.append(y)
         past = np.concatenate([lagged(u, lags) for u in inputs])
         return past, np.concatenate([y[lags:] for y in outputs])
 
-    def scored(self) -> Iterator[ScoredRecord]:
-        """Scaled `u`, `y` and `y - y_model` of every record of validation, then of test. Start-up
+    def scored_records(self) -> Iterator[ScoredRecord]:
+        """Scaled input, output and simulation error of every validation and test record. Start-up
         samples are left out."""
         for part in (self.validation, self.test):
             start = part.start_up_samples
             for record, simulated in zip(part.records, part.simulated, strict=True):
-                u, y = self.scaled(record)
+                u, y = self.scale_record(record)
                 error = (record.y - simulated) / self.data.scale.output_scale
                 yield u[start:], y[start:], error[start:]
 
 
 def note(sentence: str) -> Finding:
-    """Construct a finding of level `note`."""
+    """Construct a finding of the level `note`, which leaves the evidence sound."""
     return Finding(level="note", sentence=sentence)
 
 
 def doubt(sentence: str) -> Finding:
-    """Construct a finding of level `doubt`."""
+    """Construct a finding of the level `doubt`, which qualifies a prediction."""
     return Finding(level="doubt", sentence=sentence)
 
 
-def finding_by_size(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
-    """Finding whose level depends on the size of a number. A doubt from `doubtful` on, `cannot
-    judge` from `hopeless` on, nothing below."""
+def grade_by_size(size: float, doubtful: float, hopeless: float, sentence: str) -> list[Finding]:
+    """Finding whose level depends on the size of a number; none below the level of a doubt. A doubt
+    from `doubtful` on, `cannot judge` from `hopeless` on, nothing below."""
     if size >= hopeless:
         return [Finding(level="cannot judge", sentence=sentence)]
     return [doubt(sentence)] if size >= doubtful else []

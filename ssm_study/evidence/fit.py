@@ -4,7 +4,7 @@ and test against predictors that know nothing, or are linear."""
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, doubt, finding_by_size, note
+from ssm_study.evidence.finding import Case, Finding, doubt, grade_by_size, note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import other_start
 from ssm_study.signals import fit_of_error, fit_percent, lagged
@@ -23,44 +23,43 @@ LAGS = 40
 FEW = 300  # samples below which the fits of two parts are not compared
 
 
-def findings(case: Case) -> list[Finding]:
-    """Findings about the fit: its size, its differences between the parts, a linear filter's fit,
-    and the input's trace in the residual."""
+def judge_fit(case: Case) -> list[Finding]:
+    """Findings about the fit: its size, its differences between the parts, and what the model
+    misses."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
-    found = poor_fit(case)
+    found = judge_poor_fit(case)
     samples = [sum(len(r) for r in part.records) for part in (case.validation, case.test)]
     if not found and min(samples) >= FEW and abs(validation - test) > APART:
         sentence = f"Validation fits by {validation:.0f} %, test by {test:.0f} %"
         found = [doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")]
-    linear = linear_fit(case)
+    linear = fir_fit_percent(case)
     if not found and linear > test + LINEAR_BETTER:
         sentence = (
             f"A linear filter of {LAGS} taps fits the test record by {linear:.0f} %, the model "
             f"by {test:.0f} %"
         )
         found = [doubt(f"{sentence}: raise model.order or training.starts.")]
-    found += starts_apart(case)
-    owed = owed_to_input(case)
+    found += judge_initial_state(case)
+    owed = unmodelled_input_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
-    return found + finding_by_size(
+    return found + grade_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
 
 
-def poor_fit(case: Case) -> list[Finding]:
-    """Finding on a poor fit of validation and test together, with the two numbers that the outcome
-    prints.
+def judge_poor_fit(case: Case) -> list[Finding]:
+    """Finding on a poor fit of the validation and test records together.
 
     Where the error is small against the range of the training output, the percentage is poor
     because those records hardly move: a doubt that says both, never `cannot judge`.
     """
-    pooled = pooled_fit(case)
+    pooled = pooled_fit_percent(case)
     sentence = (
         f"In free run the model fits the test record by {case.test.fit_percent:z.1f} %, validation "
         f"by {case.validation.fit_percent:z.1f} %, the mean alone by 0 %"
     )
-    share = error_share(case)
+    share = relative_rms_error(case)
     if share < SMALL_ERROR and pooled < POOR_FIT:
         return [
             doubt(
@@ -69,12 +68,11 @@ def poor_fit(case: Case) -> list[Finding]:
             )
         ]
     remedy = "record more of what moves the output, or another input."
-    return finding_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
+    return grade_by_size(-pooled, -POOR_FIT, -NO_FIT, f"{sentence}: {remedy}")
 
 
-def starts_apart(case: Case) -> list[Finding]:
-    """Doubt about a test record whose fit depends on its estimated initial state by more than
-    ten points."""
+def judge_initial_state(case: Case) -> list[Finding]:
+    """Doubt about a test record whose fit depends strongly on its estimated initial state."""
     other = other_start(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []
@@ -89,38 +87,38 @@ def starts_apart(case: Case) -> list[Finding]:
     return [doubt(sentence)]
 
 
-def linear_fit(case: Case) -> float:
-    """Fit in percent of a linear FIR filter on the test records. It is estimated on the training
-    records (`LAGS` taps).
+def fir_fit_percent(case: Case) -> float:
+    """Fit in percent of a linear FIR filter, estimated on the training records, on the test
+    records. It is estimated on the training records (`LAGS` taps).
 
     Minus infinity where no record is long enough for one.
     """
-    x, y = case.regression(case.data.training, LAGS)
-    tested, true = case.regression(case.data.test, LAGS)
+    x, y = case.regression_arrays(case.data.training, LAGS)
+    tested, true = case.regression_arrays(case.data.test, LAGS)
     if not len(x) or not len(true):
         return -np.inf
     weights = np.linalg.lstsq(x, y, rcond=None)[0]
     return fit_percent(true, tested @ weights)
 
 
-def pooled_fit(case: Case) -> float:
-    """Fit in percent over validation and test together, each part about its own mean.
+def pooled_fit_percent(case: Case) -> float:
+    """Fit in percent over the validation and test records together.
 
     It lies between the two fits that the outcome prints, which are about the same means.
     """
     missed = 0.0
     moved = 0.0
     for part in (case.validation, case.test):
-        y, error = scored_part(case, part)
+        y, error = scaled_output_and_error(case, part)
         missed += float((error**2).sum())
         moved += float(((y - y.mean(axis=0)) ** 2).sum())
     return fit_of_error(np.sqrt(missed / moved)) if moved else -np.inf
 
 
-def scored_part(
+def scaled_output_and_error(
     case: Case, part: Simulation
 ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
-    """Scaled output and error of all records of a part, start-up samples left out."""
+    """Scaled outputs and simulation errors of all records of a part, without start-up samples."""
     start = part.start_up_samples
     scale = case.data.scale
     y = [scale.scaled_output(record.y)[start:] for record in part.records]
@@ -129,26 +127,26 @@ def scored_part(
     return np.concatenate(y), np.concatenate(error)
 
 
-def error_share(case: Case) -> float:
-    """Root mean square error over validation and test as a share of the training output's range. Of
-    several outputs the largest counts."""
-    parts = [scored_part(case, part)[1] for part in (case.validation, case.test)]
+def relative_rms_error(case: Case) -> float:
+    """Root mean square simulation error as a share of the range of the training output. Of several
+    outputs the largest counts."""
+    parts = [scaled_output_and_error(case, part)[1] for part in (case.validation, case.test)]
     rms = np.sqrt((np.concatenate(parts) ** 2).mean(axis=0))
-    trained = np.concatenate([case.scaled(record)[1] for record in case.data.training])
+    trained = np.concatenate([case.scale_record(record)[1] for record in case.data.training])
     ranges = np.ptp(trained, axis=0)
     shares = rms / np.maximum(ranges, np.finfo(float).tiny)
     return float(shares.max())
 
 
-def owed_to_input(case: Case) -> float:
-    """Share of the output's power by which past inputs still predict the residual. Share of the
+def unmodelled_input_share(case: Case) -> float:
+    """Share of the output's power that past inputs explain and the model misses. Share of the
     output's power by which a filter from u, fitted to one half of the residual, predicts the other.
 
     The power is that of each part about its own mean, as in the fit that the outcome prints.
     """
     gained = 0.0
     samples = 0
-    for u, _, e in case.scored():
+    for u, _, e in case.scored_records():
         half = len(u) // 2
         if half <= 4 * LAGS:
             continue
@@ -158,20 +156,20 @@ def owed_to_input(case: Case) -> float:
         unexplained = rest - lagged(u[half:], LAGS) @ weights
         gained += float((rest**2).sum() - (unexplained**2).sum())
         samples += len(rest)
-    outputs = [scored_part(case, part)[0] for part in (case.validation, case.test)]
+    outputs = [scaled_output_and_error(case, part)[0] for part in (case.validation, case.test)]
     deviations = [y - y.mean(axis=0) for y in outputs]
     powers = np.concatenate([(part**2).sum(axis=1) for part in deviations])
     whole = samples * float(powers.mean())
     return max(gained, 0.0) / whole if whole else 0.0
 
 
-def whiteness(case: Case) -> list[Finding]:
-    """Finding of the standard whiteness test of the residual. It is at most a note, since every
-    free run of a nonlinear plant fails it.
+def judge_whiteness(case: Case) -> list[Finding]:
+    """Finding of the standard whiteness test of the simulation error. It is at most a note, since
+    every free run of a nonlinear plant fails it.
 
     Source: Ljung, System Identification, 2nd ed. (1999) section 16.6.
     """
-    _, _, e = next(case.scored())
+    _, _, e = next(case.scored_records())
     e = e[:, 0] - e[:, 0].mean()
     power = float(e @ e)
     bound = 3.0 / np.sqrt(len(e))

@@ -25,31 +25,33 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """Collected findings about the evidence for one model. The worst level of the findings:
-    `sound` (notes at most), `doubt` or `cannot judge`."""
+    """All findings about the evidence that the records give for a model. The worst level of the
+    findings: `sound` (notes at most), `doubt` or `cannot judge`."""
 
     findings: tuple[Finding, ...]
 
     @property
     def level(self) -> str:
+        """Gravest level among the findings: sound, doubt or cannot judge."""
         levels = {finding.level for finding in self.findings}
         return next((level for level in (CANNOT_JUDGE, DOUBT) if level in levels), SOUND)
 
     @property
     def reasons(self) -> str | None:
-        """Findings against the plant's judgement in one text, the gravest first and notes last.
-        None where there are none."""
+        """Text of all findings, the gravest first. None where there are none."""
         told = sorted(
             self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
         )
         return " ".join(f"{finding.level}: {finding.sentence}" for finding in told) or None
 
     def to_json(self) -> list[dict[str, str]]:
+        """Findings as a list for JSON."""
         return [asdict(finding) for finding in self.findings]
 
     @classmethod
     def from_json(cls, content: list[Mapping[str, Any]]) -> "Judgement":
-        """Read the findings from JSON. Raises `BadRequest` for what is no list of findings."""
+        """Read the findings of a judgement from JSON. Raises `BadRequest` for what is no list of
+        findings."""
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
@@ -57,18 +59,18 @@ class Judgement:
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
 
-def judge(
-    data: DataSet, model: Model, validation: Simulation, test: Simulation, shown: Mismatch
+def collect_findings(
+    data: DataSet, model: Model, validation: Simulation, test: Simulation, mismatch: Mismatch
 ) -> Judgement:
-    """Collect all findings about the records, the model and the measured mismatch."""
+    """Collect all findings about the records, the model and the measured model error."""
     case = Case(data=data, model=model, validation=validation, test=test)
     found = [
-        *fit.findings(case),
-        *records.findings(case, shown),
-        *response.findings(case),
-        *feedback.findings(case),
+        *fit.judge_fit(case),
+        *records.judge_records(case, mismatch),
+        *response.judge_response(case),
+        *feedback.judge_feedback(case),
     ]
-    found += own_motion.findings(case) + fit.whiteness(case)
+    found += own_motion.judge_autonomous_motion(case) + fit.judge_whiteness(case)
     if data.disturbances:
         names = ", ".join(channel.name for channel in data.disturbances)
         found.append(
@@ -79,14 +81,14 @@ def judge(
         )
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
-    found += clock_doubts(data.metadata.get("reading", ""))
+    found += judge_clock(data.metadata.get("reading", ""))
     if data.metadata.get("reading"):
         found.append(note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(found))
 
 
-def clock_doubts(reading: str) -> list[Finding]:
-    """Doubts where the sampling time rests on a clock whose unit nobody stated."""
+def judge_clock(reading: str) -> list[Finding]:
+    """Doubts about a sampling time that rests on a clock of unknown unit."""
     doubts = []
     if ASSUMED_SECOND in reading:
         doubts.append(
@@ -105,14 +107,15 @@ def clock_doubts(reading: str) -> list[Finding]:
     return doubts
 
 
-def evidence_facts(judgement: Judgement, *_: Any) -> dict[str, Any]:
-    """Columns of the evidence. `evidence` is sound, doubt or cannot judge; notes leave it sound."""
+def evidence_columns(judgement: Judgement, *_: Any) -> dict[str, Any]:
+    """Columns of a result record with the judgement of the evidence and its reasons. `evidence` is
+    sound, doubt or cannot judge; notes leave it sound."""
     return {"evidence": judgement.level, "evidence_reasons": judgement.reasons}
 
 
-def withheld(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
-    """Names of the columns of a prediction that the evidence does not allow. The facts of a design
-    with no prediction where the evidence allows none."""
+def withhold_predictions(facts: dict[str, Any], level: str | None) -> dict[str, Any]:
+    """Remove the predictions from a design's columns where the evidence allows none. The facts of a
+    design with no prediction where the evidence allows none."""
     if level != CANNOT_JUDGE:
         return facts
     predictions = ("predicted_stable", "predicted_faster")

@@ -8,7 +8,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
-from ssm_study.evidence.response import INTEGRATES, remaining_share_of_slowest_mode
+from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
@@ -43,28 +43,36 @@ BY_CHANCE = 0.01  # share of windows that may stand in the training records twic
 UNTRAINED = 0.2  # share of the test input's power in bands that training did not excite
 
 
-def findings(case: Case, shown: Mismatch) -> list[Finding]:
-    """Findings about what the records contain. All of them, each with its own sentence; those on
-    rest and on what is unknown of the mismatch come last."""
-    looks = (_range, _levels, _length, _drift, _same, _spectrum)
+def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
+    """Findings about what the records contain: ranges, levels, length, drift, spectra and rest. All
+    of them, each with its own sentence; those on rest and on what is unknown of the mismatch come
+    last."""
+    looks = (
+        _judge_range,
+        _judge_levels,
+        _judge_length,
+        _judge_drift,
+        _judge_repetition,
+        _judge_spectrum,
+    )
     doubts = [doubt(sentence) for look in looks for sentence in look(case)]
-    return [*doubts, *_limits(case), *_rest(case, shown)]
+    return [*doubts, *_judge_saturation(case), *_judge_rest(case, mismatch)]
 
 
-def _joined(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
+def _join_scaled(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
     """Concatenated scaled inputs and outputs of several records."""
-    parts = [case.scaled(record) for record in records]
+    parts = [case.scale_record(record) for record in records]
     inputs = np.concatenate([u for u, _ in parts])
     return inputs, np.concatenate([y for _, y in parts])
 
 
-def _range(case: Case) -> Iterator[str]:
-    """Finding where the test inputs leave the range of the training inputs."""
-    trained = _joined(case, case.data.training)
+def _judge_range(case: Case) -> Iterator[str]:
+    """Sentences on test records that leave the range of the training records."""
+    trained = _join_scaled(case, case.data.training)
     for name, index in (("input", 0), ("output", 1)):
         low = trained[index].min(axis=0)
         high = trained[index].max(axis=0)
-        tested = _joined(case, case.data.test)[index]
+        tested = _join_scaled(case, case.data.test)[index]
         room = ROOM * (high - low)
         is_beyond = (tested < low - room) | (tested > high + room)
         share = float(is_beyond.any(axis=1).mean())
@@ -73,7 +81,7 @@ def _range(case: Case) -> Iterator[str]:
                 f"{100 * share:.0f} % of the test record's {name} is beyond the training "
                 "records: train there too."
             )
-    loops = [case.scaled(record) for record in case.data.mismatch_records]
+    loops = [case.scale_record(record) for record in case.data.mismatch_records]
     starts = [abs(y[0]) for u, y in loops if not np.any(u)]
     reached = np.abs(trained[1]).max()
     farthest = max((float(start.max()) for start in starts), default=0.0)
@@ -84,9 +92,11 @@ def _range(case: Case) -> Iterator[str]:
         )
 
 
-def _levels(case: Case) -> Iterator[str]:
-    u = _joined(case, case.data.training)[0]
-    changes = input_changes(case.data)
+def _judge_levels(case: Case) -> Iterator[str]:
+    """Sentences on a training input that changes too seldom, takes two levels or stays on one
+    side."""
+    u = _join_scaled(case, case.data.training)[0]
+    changes = count_input_changes(case.data)
     if changes < FEWEST_CHANGES:
         yield f"The input changes {changes} times in all training records: move it more often."
     if any(len(np.unique(column)) <= 2 for column in u.T):
@@ -104,9 +114,9 @@ def _levels(case: Case) -> Iterator[str]:
         )
 
 
-def input_changes(data: DataSet) -> int:
-    """Number of input changes in the training records, and where the records were cut from their
-    log.
+def count_input_changes(data: DataSet) -> int:
+    """Number of input changes in the training records and where they continue another piece of
+    their log.
 
     A log that is cut at its steps has none within its pieces.
     """
@@ -125,9 +135,8 @@ def input_changes(data: DataSet) -> int:
     return changes
 
 
-def _limits(case: Case) -> Iterator[Finding]:
-    """Findings on an output that saturates (a doubt) or stands at zero while the input moves (a
-    note).
+def _judge_saturation(case: Case) -> Iterator[Finding]:
+    """Findings on an output that saturates or stands at zero while the input moves.
 
     A machine that comes to a stop reads zero, too: from the log alone a dead zone cannot be told
     from a sensor that ends there.
@@ -153,8 +162,7 @@ def _limits(case: Case) -> Iterator[Finding]:
 
 
 def saturated_share(case: Case, output: int, limit: float) -> float:
-    """Share of training samples in stretches at `limit`, in the output's unit, that a moving output
-    runs into.
+    """Share of training samples at which a moving output has run into a limit of its sensor.
 
     Counted are stretches in which the input still moves and which the output enters at speed: a
     machine at rest, or inside a dead zone, comes to its extreme slowly and once.
@@ -180,12 +188,13 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
     return counted / samples if stretches >= FEWEST_STRETCHES else 0.0
 
 
-def _length(case: Case) -> Iterator[str]:
+def _judge_length(case: Case) -> Iterator[str]:
+    """Sentences on training records that are too short for the model or its response."""
     samples = [len(record) for record in case.data.training]
     response = case.model.linear.response_samples()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
-    elif (kept := remaining_share_of_slowest_mode(case)) > INTEGRATES:
+    elif (kept := slowest_mode_remainder(case)) > INTEGRATES:
         told = (
             f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over "
             "the longest record"
@@ -203,8 +212,9 @@ def _length(case: Case) -> Iterator[str]:
         )
 
 
-def _drift(case: Case) -> Iterator[str]:
-    errors = [e for _, _, e in case.scored()]
+def _judge_drift(case: Case) -> Iterator[str]:
+    """Sentence on a simulation error that drifts within a record."""
+    errors = [e for _, _, e in case.scored_records()]
     shifts = []
     least = max(map(len, errors)) // 4  # a short piece of a slow process is off as a whole
     for e in (e for e in errors if len(e) >= least):
@@ -218,8 +228,9 @@ def _drift(case: Case) -> Iterator[str]:
         )
 
 
-def _same(case: Case) -> Iterator[str]:
-    share = shared_with_training(case.data)
+def _judge_repetition(case: Case) -> Iterator[str]:
+    """Sentence on test records that repeat training records."""
+    share = repeated_test_share(case.data)
     if share > PART:
         yield (
             f"{100 * share:.0f} % of the test record is part of the training records: its fit "
@@ -227,42 +238,45 @@ def _same(case: Case) -> Iterator[str]:
         )
 
 
-def shared_with_training(data: DataSet) -> float:
-    """Share of the test record's windows that stand in the training records to the last bit.
+def repeated_test_share(data: DataSet) -> float:
+    """Share of the test records' windows that also occur, bit for bit, in the training records.
 
     A coarse sensor repeats itself by chance: input and output must agree, over windows so long
     that the training records hardly ever repeat themselves.
     """
     length = WINDOW
-    while length < LONGEST_WINDOW and _repeated(data.training, length) > BY_CHANCE:
+    while length < LONGEST_WINDOW and _repeated_share(data.training, length) > BY_CHANCE:
         length *= 2
-    trained = set().union(*(_windows(record, length) for record in data.training))
-    tested = [_windows(record, length) for record in data.test]
+    trained = set().union(*(_window_bytes(record, length) for record in data.training))
+    tested = [_window_bytes(record, length) for record in data.test]
     shared = sum(len(windows & trained) for windows in tested)
     return shared / max(sum(len(windows) for windows in tested), 1)
 
 
-def _windows(record: Trajectory, length: int) -> set[bytes]:
+def _window_bytes(record: Trajectory, length: int) -> set[bytes]:
+    """Bytes of every window of a record in which the output moves."""
     both = np.ascontiguousarray(np.concatenate([record.u, record.y], axis=1))
     pieces = (slice(k, k + length) for k in range(len(both) - length + 1))
     return {both[piece].tobytes() for piece in pieces if np.ptp(record.y[piece]) > 0}
 
 
-def _repeated(records: tuple[Trajectory, ...], length: int) -> float:
-    """Share of windows in which the output moves that stand in the records more than once."""
+def _repeated_share(records: tuple[Trajectory, ...], length: int) -> float:
+    """Share of the windows with a moving output that occur more than once in the records."""
     moving = 0
     distinct: set[bytes] = set()
     for record in records:
-        distinct |= _windows(record, length)
+        distinct |= _window_bytes(record, length)
         starts = range(len(record) - length + 1)
         moving += sum(np.ptp(record.y[k : k + length]) > 0 for k in starts)
     return 1 - len(distinct) / moving if moving else 0.0
 
 
-def _spectrum(case: Case) -> Iterator[str]:
+def _judge_spectrum(case: Case) -> Iterator[str]:
+    """Sentence on test inputs whose spectrum the training inputs do not excite."""
+
     def power_spectrum(records: tuple[Trajectory, ...]) -> Float[np.ndarray, "F"]:
         """Power spectrum of the input over several records, summed over the channels."""
-        u, _ = _joined(case, records)
+        u, _ = _join_scaled(case, records)
         _, spectrum = scipy.signal.welch(u, nperseg=min(64, len(u)), axis=0)
         return np.asarray(spectrum.sum(axis=1))
 
@@ -280,17 +294,18 @@ def _spectrum(case: Case) -> Iterator[str]:
         )
 
 
-def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
-    """Finding about a plant that does not come to rest. A plant that does not rest is judged,
-    and refused; a record that cannot say so is a note."""
+def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
+    """Findings on a plant that does not come to rest, or whose records do not show whether it does.
+    A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.response_samples()
-    rests = [after_motion(*case.driven(record), response) for record in case.data.test]
+    rests = [
+        after_motion(*case.scale_with_disturbances(record), response) for record in case.data.test
+    ]
     offsets = [remaining_offset(y) for y in rests if len(y)]
-    off = max((*shown.stuck, *offsets), default=0.0)
-    if not shown.rests:
-        told = (
-            f"{shown.left_at_rest:.2g} output scales are left at rest input, more than {AT_REST:g}"
-        )
+    off = max((*mismatch.stuck, *offsets), default=0.0)
+    if not mismatch.rests:
+        left = mismatch.left_at_rest
+        told = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(
             f"The output does not come to rest by itself ({told}): no loop is predicted to "
             "settle it."
@@ -302,7 +317,7 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             "as far off. "
             "Record more returns to rest."
         )
-    elif shown.left_at_rest is None:
+    elif mismatch.left_at_rest is None:
         apart = spread_of_rest_points(
             case.model.scale, [one for one in case.data.mismatch_records if is_return(one)]
         )
@@ -316,21 +331,21 @@ def _rest(case: Case, shown: Mismatch) -> Iterator[Finding]:
             yield note(
                 f"{problem}: whether the output rests by itself is unknown; add such returns."
             )
-    elif shown.left_at_rest > FAINT:
+    elif mismatch.left_at_rest > FAINT:
         told = (
-            f"{shown.left_at_rest:.2g} output scales are left at rest input: a small limit "
+            f"{mismatch.left_at_rest:.2g} output scales are left at rest input: a small limit "
             "cycle, or a slow decay"
         )
         yield doubt(
             f"{told}. A loop may swing farther, and settles in no narrower band. Record "
             "longer rests."
         )
-    if len(shown.views) == 1:
-        amplitude = f"{shown.views[0].amplitude:.2g} input scales, rms"
+    if len(mismatch.views) == 1:
+        amplitude = f"{mismatch.views[0].amplitude:.2g} input scales, rms"
         yield note(
             f"All records have one amplitude ({amplitude}): below it the mismatch is unknown."
         )
-    if shown.unexcited:
-        hertz = min(shown.unexcited) / (2 * np.pi * case.data.step_s)
-        bands = f"{len(shown.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
+    if mismatch.unexcited:
+        hertz = min(mismatch.unexcited) / (2 * np.pi * case.data.step_s)
+        bands = f"{len(mismatch.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
         yield note(f"The input has no power in {bands}: the mismatch is poorly known there.")

@@ -44,19 +44,20 @@ FINE = 1000
 ENOUGH = 200  # samples of a response: too few, more than a design gains from, what to keep
 
 
-def findings(case: Case) -> list[Finding]:
+def judge_response(case: Case) -> list[Finding]:
     """Findings about coherence, dead time and sampling time of the records."""
-    return [*_coherence(case), *_dead_time(case), *_sampling(case)]
+    return [*_judge_coherence(case), *_judge_dead_time(case), *_judge_sampling(case)]
 
 
-def remaining_share_of_slowest_mode(case: Case) -> float:
+def slowest_mode_remainder(case: Case) -> float:
     """Fraction of the model's slowest mode that remains after the longest training record. It is 1
     for an integrator."""
     return case.model.linear.spectral_radius ** max(len(record) for record in case.data.training)
 
 
-def _coherence(case: Case) -> Iterator[Finding]:
-    parts = [case.driven(record) for record in case.data.training]
+def _judge_coherence(case: Case) -> Iterator[Finding]:
+    """Doubt about records whose input and output have a low coherence in the controller's band."""
+    parts = [case.scale_with_disturbances(record) for record in case.data.training]
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
@@ -65,7 +66,7 @@ def _coherence(case: Case) -> Iterator[Finding]:
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = gains(linear, angles)
     used = sizes >= USED * sizes.max()
-    shown = coherence(parts, segment)[1:][used]
+    shown = multiple_coherence(parts, segment)[1:][used]
     share = float((shown < COHERENT).mean())
     hertz = angles[used].max() / (2 * np.pi * case.data.step_s)
     if share > INCOHERENT:
@@ -79,15 +80,15 @@ def _coherence(case: Case) -> Iterator[Finding]:
         )
 
 
-def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
-    """Multiple coherence between inputs and output, for the output with the least, at equal steps
-    from 0 to half the sampling rate.
+def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
+    """Multiple coherence between inputs and output at each frequency, for the output where it is
+    smallest.
 
     Spectra are averaged over all records: where the input rests in one of them, the others tell.
     Zero without power.
     """
 
-    def cross(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
+    def cross_spectra(i: int, j: int) -> Complex[np.ndarray, "F r c"]:
         """Cross spectra of two signals, summed over all records by their lengths."""
         spectra = []
         for part in parts:
@@ -97,9 +98,9 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
             spectra.append(len(a) * spectrum)
         return np.sum(spectra, axis=0)
 
-    power = cross(0, 0)
-    through = cross(0, 1)
-    whole = np.einsum("fpp->fp", cross(1, 1)).real
+    power = cross_spectra(0, 0)
+    through = cross_spectra(0, 1)
+    whole = np.einsum("fpp->fp", cross_spectra(1, 1)).real
     ridge = 1e-9 * np.trace(power, axis1=1, axis2=2).real.mean()
     tiny = np.finfo(float).tiny
     power = power + max(ridge, tiny) * np.eye(power.shape[-1])
@@ -109,15 +110,15 @@ def coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarray, "F"]:
     return np.asarray(shares.min(axis=1))
 
 
-def _sampling(case: Case) -> Iterator[Finding]:
-    """Finding on a log that was sampled much too slowly or too fast for the model's response."""
+def _judge_sampling(case: Case) -> Iterator[Finding]:
+    """Note on a log that was sampled much too slowly or too fast for the model's response."""
     response = case.model.linear.response_samples()
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") != "recorded":
         return
     if response <= COARSE:
         yield note(f"{told}: sample more often, or the controller cannot act within it.")
-    elif response >= FINE and remaining_share_of_slowest_mode(case) <= INTEGRATES:
+    elif response >= FINE and slowest_mode_remainder(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield note(
             f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "
@@ -125,8 +126,9 @@ def _sampling(case: Case) -> Iterator[Finding]:
         )
 
 
-def _dead_time(case: Case) -> Iterator[Finding]:
-    late = dead_time(case)
+def _judge_dead_time(case: Case) -> Iterator[Finding]:
+    """Finding on a plant whose output responds late to its input."""
+    late = dead_time_samples(case)
     order = case.model.order
     if late < LATE:
         return
@@ -138,10 +140,11 @@ def _dead_time(case: Case) -> Iterator[Finding]:
         yield note(f"{told}, which takes as many of the {order} states.")
 
 
-def dead_time(case: Case) -> int:
-    """Dead time of the plant in samples. Samples beyond the first by which every input is
-    clearly not seen in any output; 0 where that is not clear."""
-    x, y = case.regression(case.data.training, LAGS)
+def dead_time_samples(case: Case) -> int:
+    """Dead time of the plant in samples, estimated from an FIR model of the training records.
+    Samples beyond the first by which every input is clearly not seen in any output; 0 where that is
+    not clear."""
+    x, y = case.regression_arrays(case.data.training, LAGS)
     if len(x) < 2 * x.shape[1]:
         return 0
     weights, _, rank, _ = np.linalg.lstsq(x, y, rcond=SMOOTH)

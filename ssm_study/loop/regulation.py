@@ -109,7 +109,7 @@ class IdentifiedPlant(Plant):
     ) -> Float[np.ndarray, "N n"]:
         return self.model.advance(x, self.model.lift(u) + d)
 
-    def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
+    def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
         return self.model.push(measured)
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:

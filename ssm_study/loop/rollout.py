@@ -121,7 +121,7 @@ def close_loop(
         memory = controller.advance(memory, u, measured, targets[k], *load)
         x = plant.advance(x, u, disturbance[going, k])
         if load:
-            x = x + plant.pushed_by(*load)
+            x = x + plant.disturbance_effect(*load)
     _repeat_last_values(log, left_at_sample)
     return Rollouts(
         step_s=plant.step_s, reference=reference, bound=bound, left_at_sample=left_at_sample, **log

@@ -14,8 +14,8 @@ from ssm_study.plants.plant import (
     Outputs,
     Plant,
     States,
-    check_signs,
-    stated,
+    field_property,
+    refuse_wrong_signs,
 )
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -23,7 +23,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class CascadedTanks(Plant):
-    """Two tanks in cascade, each emptying by Torricelli's law and limited by its brim.
+    """Plant of two tanks in cascade, each emptying by Torricelli's law and limited by its brim.
 
         dx1/dt = k4 u - k1 sqrt(x1),                       x1 <= brim, the excess spills
         dx2/dt = k2 sqrt(x1) - k3 sqrt(x2) + k5 spill + d,  x2 <= brim, and what spills here is lost
@@ -38,10 +38,10 @@ class CascadedTanks(Plant):
     outputs = (Channel(name="lower_level", unit="V"),)
     states = (Channel(name="upper_level", unit="V"), Channel(name="lower_level", unit="V"))
     disturbances = (Channel(name="lower_inflow", unit="V/s"),)
-    initial_range = stated("initial_level_v", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude_v", (1,))
-    noise_variance = stated("level_noise_variance", (1,))
+    initial_range = field_property("initial_level_v", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude_v", (1,))
+    noise_variance = field_property("level_noise_variance", (1,))
 
     outflow_upper: float
     inflow_lower: float
@@ -59,7 +59,7 @@ class CascadedTanks(Plant):
     level_noise_variance: float
 
     def __post_init__(self) -> None:
-        check_signs(self, not_negative=("level_noise_variance", "spill_share"))
+        refuse_wrong_signs(self, not_negative=("level_noise_variance", "spill_share"))
         share = self.spill_share
         remedy = "use 0 if nothing falls into the lower"
         require(share <= 1, "spill_share", share, "a share lies in [0, 1]", remedy)
@@ -73,7 +73,8 @@ class CascadedTanks(Plant):
         return Equilibrium(u=u, x=np.array([upper, lower]), y=np.array([lower]))
 
     def states_at(self, y0: Outputs) -> States:
-        """States with the lower level at `y0` and the upper one in equilibrium."""
+        """States with the lower tank's level at the given output and the upper tank in
+        equilibrium."""
         upper = np.full_like(y0, self.equilibrium().x[0])
         return np.concatenate([upper, y0], axis=1)
 
@@ -83,15 +84,17 @@ class CascadedTanks(Plant):
 
         def rate(levels: States) -> States:
             """Time derivative of both levels under the held input."""
-            return self._rate(levels, pumped, d[:, 0])
+            return self._level_rates(levels, pumped, d[:, 0])
 
         for _ in range(self.substeps):  # the brim is enforced after each substep
             x = runge_kutta(rate, x, substep_s, 1)
             x = np.clip(x, 0.0, self.brim_v)
         return x
 
-    def _rate(self, x: States, pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]) -> States:
-        """Time derivative of both levels."""
+    def _level_rates(
+        self, x: States, pumped: Float[np.ndarray, "N"], d: Float[np.ndarray, "N"]
+    ) -> States:
+        """Time derivatives of both water levels."""
         roots = np.sqrt(np.clip(x, 0.0, self.brim_v))
         root_upper = roots[:, 0]
         root_lower = roots[:, 1]

@@ -14,8 +14,8 @@ from ssm_study.plants.plant import (
     Outputs,
     Plant,
     States,
-    check_signs,
-    stated,
+    field_property,
+    refuse_wrong_signs,
 )
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -41,7 +41,7 @@ NOT_NEGATIVE = (
 
 @dataclass(frozen=True, kw_only=True)
 class DCMotor(Plant):
-    """DC motor whose shaft drives a load through an elastic coupling.
+    """DC motor whose shaft drives a load through an elastic coupling, with Coulomb friction.
 
     Coulomb friction can hold each shaft still; the input has a dead-zone.
 
@@ -67,10 +67,10 @@ class DCMotor(Plant):
         Channel(name="shaft_twist", unit="rad"),
     )
     disturbances = (Channel(name="load_torque", unit="N m"),)
-    initial_range = stated("initial_speed_rad_per_s", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude_v", (1,))
-    noise_variance = stated("speed_noise_variance", (1,))
+    initial_range = field_property("initial_speed_rad_per_s", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude_v", (1,))
+    noise_variance = field_property("speed_noise_variance", (1,))
 
     resistance_ohm: float
     inductance_h: float
@@ -92,7 +92,7 @@ class DCMotor(Plant):
     speed_noise_variance: float
 
     def __post_init__(self) -> None:
-        check_signs(self, not_negative=NOT_NEGATIVE)
+        refuse_wrong_signs(self, not_negative=NOT_NEGATIVE)
         step_s = self.solver_step_s
         electrical_s = self.inductance_h / self.resistance_ohm
         problem = (
@@ -103,7 +103,7 @@ class DCMotor(Plant):
 
     @cached_property
     def constants(self) -> MotorConstants:
-        """Constants that the compiled kernel reads."""
+        """Physical constants of the motor in the form that the compiled simulation reads."""
         return MotorConstants(
             resistance=float(self.resistance_ohm),
             per_inductance=float(1.0 / self.inductance_h),
@@ -122,7 +122,7 @@ class DCMotor(Plant):
         return Equilibrium(u=np.zeros(1), x=np.zeros(4), y=np.zeros(1))
 
     def states_at(self, y0: Outputs) -> States:
-        """States with both shafts turning at `y0`, no current and no twist."""
+        """States with both shafts turning at the given speed, no current and no twist."""
         still = np.zeros_like(y0)
         return np.concatenate([still, y0, y0, still], axis=1)
 

@@ -22,16 +22,16 @@ BISECTIONS = 60  # below the spacing of doubles for any substep
 
 @compiled
 @no_type_check
-def _torques(p, i, wm, wl, th, load):
-    """Torques on motor shaft and load without Coulomb friction, N m."""
+def _torques_without_coulomb(p, i, wm, wl, th, load):
+    """Torques on the motor's shaft and the load without Coulomb friction, in N m."""
     shaft = p.stiffness * th + p.damping * (wm - wl)
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
 
 @compiled
 @no_type_check
-def _series(p, c, v, load, motor_mode, load_mode):
-    """Fill the Taylor coefficients `c[1:]` of the motion. Row 0 is the state.
+def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
+    """Fill in the Taylor coefficients of the motor's motion over time. Row 0 is the state.
 
     A stuck body has speed zero in every row, hence exactly.
     """
@@ -41,7 +41,7 @@ def _series(p, c, v, load, motor_mode, load_mode):
         wl = c[q, 2]
         th = c[q, 3]
         held_v, held_load = (v, load) if q == 0 else (0.0, 0.0)
-        tm, tl = _torques(p, i, wm, wl, th, held_load)
+        tm, tl = _torques_without_coulomb(p, i, wm, wl, th, held_load)
         if q == 0:
             tm -= motor_mode * p.coulomb
             tl -= load_mode * p.coulomb
@@ -54,8 +54,8 @@ def _series(p, c, v, load, motor_mode, load_mode):
 
 @compiled
 @no_type_check
-def _at(c, j, t):
-    """Value of state j at time t of the series."""
+def _evaluate_series(c, j, t):
+    """Evaluate the Taylor series of one state at a given time."""
     value = c[ORDER, j]
     for q in range(ORDER - 1, -1, -1):
         value = value * t + c[q, j]  # Horner
@@ -64,26 +64,34 @@ def _at(c, j, t):
 
 @compiled
 @no_type_check
-def _keeps(p, c, t, load, body, mode):
-    """Margin of the present mode of `body` (0 motor, 1 load) at time t of the series. It is
-    positive while the mode lasts."""
+def _mode_margin(p, c, t, load, body, mode):
+    """Margin by which a body stays in its friction mode (stuck or sliding); negative after it has
+    left it. It is positive while the mode lasts."""
     if mode != 0:
-        return mode * _at(c, 1 + body, t)
-    tm, tl = _torques(p, _at(c, 0, t), _at(c, 1, t), _at(c, 2, t), _at(c, 3, t), load)
+        return mode * _evaluate_series(c, 1 + body, t)
+    tm, tl = _torques_without_coulomb(
+        p,
+        _evaluate_series(c, 0, t),
+        _evaluate_series(c, 1, t),
+        _evaluate_series(c, 2, t),
+        _evaluate_series(c, 3, t),
+        load,
+    )
     return p.coulomb - abs(tm if body == 0 else tl)
 
 
 @compiled
 @no_type_check
-def _leaves(p, c, h, load, body, mode):
-    """Time in [0, h] at which the body leaves its mode. Larger than h if it does not."""
-    if _keeps(p, c, h, load, body, mode) >= 0.0:
+def _mode_switch_time(p, c, h, load, body, mode):
+    """Time at which a body leaves its friction mode (stuck or sliding), by bisection. Larger than h
+    if it does not."""
+    if _mode_margin(p, c, h, load, body, mode) >= 0.0:
         return 2.0 * h
     low = 0.0
     high = h
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        if _keeps(p, c, middle, load, body, mode) >= 0.0:
+        if _mode_margin(p, c, middle, load, body, mode) >= 0.0:
             low = middle
         else:
             high = middle
@@ -92,8 +100,9 @@ def _leaves(p, c, h, load, body, mode):
 
 @compiled
 @no_type_check
-def _mode(speed, torque, coulomb):
-    """Mode of a body: 0 stuck, else the sign of its motion or of the motion about to begin."""
+def _friction_mode(speed, torque, coulomb):
+    """Friction mode of a body: 0 stuck, otherwise the sign of its motion or of the motion about to
+    begin."""
     if speed != 0.0:
         return 1 if speed > 0.0 else -1
     if abs(torque) <= coulomb:
@@ -103,35 +112,36 @@ def _mode(speed, torque, coulomb):
 
 @compiled
 @no_type_check
-def _substep(p, c, h, v, load):
-    """Advance row 0 of c by h, mode by mode."""
-    tm, tl = _torques(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
-    motor_mode = _mode(c[0, 1], tm, p.coulomb)
-    load_mode = _mode(c[0, 2], tl, p.coulomb)
+def _advance_substep(p, c, h, v, load):
+    """Advance the motor's state by one substep, across switches of the friction modes."""
+    tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], c[0, 2], c[0, 3], load)
+    motor_mode = _friction_mode(c[0, 1], tm, p.coulomb)
+    load_mode = _friction_mode(c[0, 2], tl, p.coulomb)
     for _ in range(SWITCHES_PER_SUBSTEP):
-        _series(p, c, v, load, motor_mode, load_mode)
-        motor_leaves = _leaves(p, c, h, load, 0, motor_mode)  # which body switches first
-        load_leaves = _leaves(p, c, h, load, 1, load_mode)
+        _fill_taylor_series(p, c, v, load, motor_mode, load_mode)
+        motor_leaves = _mode_switch_time(p, c, h, load, 0, motor_mode)  # which body switches first
+        load_leaves = _mode_switch_time(p, c, h, load, 1, load_mode)
         t = min(h, motor_leaves, load_leaves)
         for j in range(4):
-            c[0, j] = _at(c, j, t)
+            c[0, j] = _evaluate_series(c, j, t)
         if motor_leaves > h and load_leaves > h:
             return
         h -= t  # go on from the switch
         if motor_leaves <= load_leaves:
             c[0, 1] = 0.0  # exactly: what is stuck has speed zero
-            tm, _tl = _torques(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
-            motor_mode = _mode(0.0, tm, p.coulomb if motor_mode != 0 else 0.0)
+            tm, _tl = _torques_without_coulomb(p, c[0, 0], 0.0, c[0, 2], c[0, 3], load)
+            motor_mode = _friction_mode(0.0, tm, p.coulomb if motor_mode != 0 else 0.0)
         else:
             c[0, 2] = 0.0
-            _tm, tl = _torques(p, c[0, 0], c[0, 1], 0.0, c[0, 3], load)
-            load_mode = _mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
+            _tm, tl = _torques_without_coulomb(p, c[0, 0], c[0, 1], 0.0, c[0, 3], load)
+            load_mode = _friction_mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
 
 
 @compiled
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
-    """States `x (N, 4)` after `substeps` steps of `h` seconds.
+    """States of all simulated motors after a number of substeps under constant voltage and load
+    torque.
 
     Under voltage `u (N, 1)` and load torque `d (N, 1)`.
     """
@@ -142,6 +152,6 @@ def advance_batch(p, x, u, d, h, substeps):
         v = 0.0 if abs(volt) < p.dead_zone else volt - np.sign(volt) * p.dead_zone
         c[0] = x[n]
         for _ in range(substeps):
-            _substep(p, c, h, v, d[n, 0])
+            _advance_substep(p, c, h, v, d[n, 0])
         out[n] = c[0]
     return out

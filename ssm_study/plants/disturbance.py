@@ -19,7 +19,7 @@ class Disturbance(ABC):
 
     @abstractmethod
     def signal(self, time_s: Signal) -> Signal:
-        """Value at each time, in seconds."""
+        """Values of the disturbance at given times."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class NoDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepDisturbance(Disturbance):
-    """Step `d = size` for `at_s <= t < until_s` (None: for ever)."""
+    """Disturbance that is a step, optionally limited in time: `size` from `at_s` to `until_s`."""
 
     size: float
     at_s: float
@@ -52,7 +52,7 @@ class StepDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodicDisturbance(Disturbance):
-    """Sine `d = amplitude sin(2 pi frequency_hz t)`."""
+    """Sinusoidal disturbance `d = amplitude sin(2 pi frequency_hz t)`."""
 
     amplitude: float
     frequency_hz: float
@@ -66,7 +66,7 @@ class PeriodicDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RampDisturbance(Disturbance):
-    """Ramp with `slope_per_s` from `from_s` until `until_s`, constant before and after."""
+    """Disturbance that is a ramp of `slope_per_s` from `from_s` until `until_s`, else constant."""
 
     slope_per_s: float
     from_s: float
@@ -85,7 +85,7 @@ class RampDisturbance(Disturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class RandomDisturbance(Disturbance):
-    """Random levels, uniform in `[-amplitude, amplitude]`, each held for `hold_s`.
+    """Disturbance of random levels, uniform in `[-amplitude, amplitude]`, each held for `hold_s`.
 
     A function of seed and time alone.
     """

@@ -11,7 +11,7 @@ Rate = Callable[[States], States]
 
 
 def runge_kutta(rate: Rate, x: States, step_s: float, substeps: int) -> States:
-    """States after `step_s` seconds of `dx/dt = rate(x)`, in `substeps` steps.
+    """Integrate `dx/dt = rate(x)` over one sampling period by the classical Runge-Kutta method.
 
     Fourth order where the rate is smooth.
     """

@@ -46,41 +46,42 @@ class Plant(ABC):
     @property
     @abstractmethod
     def inputs(self) -> tuple[Channel, ...]:
-        """Names and units of the inputs."""
+        """Names and units of the plant's inputs."""
 
     @property
     @abstractmethod
     def outputs(self) -> tuple[Channel, ...]:
-        """Names and units of the outputs."""
+        """Names and units of the plant's outputs."""
 
     @property
     @abstractmethod
     def states(self) -> tuple[Channel, ...]:
-        """Names and units of the states."""
+        """Names and units of the plant's states."""
 
     @property
     @abstractmethod
     def disturbances(self) -> tuple[Channel, ...]:
-        """Names and units of the disturbances."""
+        """Names and units of the plant's disturbances."""
 
     @property
     @abstractmethod
     def initial_range(self) -> tuple[float, float]:
-        """Range of the initial outputs, as offsets from the equilibrium in the output's unit."""
+        """Range of the initial outputs of closed-loop experiments, as offsets from the
+        equilibrium."""
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
-        """Default amplitude of an excitation: offsets of each input from its equilibrium."""
+        """Default amplitude of an excitation: offset of each input from its equilibrium."""
         return (1.0,) * len(self.inputs)
 
     @property
     def input_clock_s(self) -> float:
-        """Shortest time for which an excitation holds a level by default."""
+        """Shortest time, in seconds, for which an excitation holds a level by default."""
         return 10 * self.step_s
 
     @property
     def noise_variance(self) -> tuple[float, ...]:
-        """Variance of each output's measurement noise, its unit squared."""
+        """Variance of the measurement noise of each output."""
         return (0.0,) * len(self.outputs)
 
     @property
@@ -92,8 +93,8 @@ class Plant(ABC):
         return False
 
     def stop(self) -> None:  # noqa: B027  a simulated plant needs nothing
-        """Switch off a physical device. Called at the end of every closed loop, also after an
-        error."""
+        """Switch off the plant if it is a physical device. Called at the end of every closed loop,
+        also after an error."""
 
     @abstractmethod
     def equilibrium(self) -> Equilibrium:
@@ -101,22 +102,24 @@ class Plant(ABC):
 
     @abstractmethod
     def states_at(self, y0: Outputs) -> States:
-        """States with outputs `y0` and all else in equilibrium."""
+        """States of the plant with given outputs and everything else in equilibrium."""
 
     @abstractmethod
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        """States one sampling period later, with `u` and `d` held meanwhile."""
+        """Advance the plant's states by one sampling period under constant input and
+        disturbance."""
 
-    def pushed_by(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        """Contribution of a measured disturbance to the next states. Only an identified model has
-        one."""
+    def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
+        """Contribution of a measured disturbance to the plant's next state. Only an identified
+        model has one."""
         problem = f"{type(self).__name__} has no path for a measured disturbance"
         remedy = "close the loop on the identified model, or use the plant's own disturbance"
         raise refusal.BadRequest("disturbance", len(measured), problem, remedy)
 
     @abstractmethod
     def output(self, x: States) -> Outputs:
-        """Outputs that the sensors read before the input of the same sample acts."""
+        """Outputs of the plant as its sensors read them before the input of the same sample
+        acts."""
 
     def simulate(
         self,
@@ -124,7 +127,7 @@ class Plant(ABC):
         x0: States | None = None,
         d: Float[np.ndarray, "N T q"] | None = None,
     ) -> tuple[Float[np.ndarray, "N T n"], Float[np.ndarray, "N T p"]]:
-        """States and outputs at the sampling instants.
+        """Simulate the plant's states and outputs at the sampling instants.
 
         `x0` None starts at the equilibrium, `d` None is undisturbed.
         """
@@ -143,24 +146,23 @@ class Plant(ABC):
         return x, y
 
 
-def stated(field: str, factors: tuple[int, ...] = ()) -> Any:
-    """Property that returns the plant's field of that name, multiplied by the factors if there are
-    any."""
+def field_property(field: str, factors: tuple[int, ...] = ()) -> Any:
+    """Property that returns a field of the plant, multiplied by factors if there are any."""
 
-    def read(plant: Plant) -> Any:
+    def read_field(plant: Plant) -> Any:
         """Value of the field, times the factors."""
         value = getattr(plant, field)
         if not factors:
             return value
         return tuple(factor * value for factor in factors)
 
-    return property(read)
+    return property(read_field)
 
 
-def check_signs(
+def refuse_wrong_signs(
     plant: Plant, positive: tuple[str, ...] | None = None, not_negative: tuple[str, ...] = ()
 ) -> None:
-    """Raise `BadRequest` for a setting of the plant that has the wrong sign or is not finite.
+    """Refuse settings of a plant that have the wrong sign or are not finite.
 
     `positive` None: every one that is not among `not_negative`.
     """

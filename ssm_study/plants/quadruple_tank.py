@@ -13,8 +13,8 @@ from ssm_study.plants.plant import (
     Outputs,
     Plant,
     States,
-    check_signs,
-    stated,
+    field_property,
+    refuse_wrong_signs,
 )
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -46,10 +46,10 @@ class QuadrupleTank(Plant):
         Channel(name="inflow_1", unit="cm^3/s"),
         Channel(name="inflow_2", unit="cm^3/s"),
     )
-    initial_range = stated("initial_level_v", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude_v", (1, 1))
-    noise_variance = stated("level_noise_variance", (1, 1))
+    initial_range = field_property("initial_level_v", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude_v", (1, 1))
+    noise_variance = field_property("level_noise_variance", (1, 1))
 
     area_cm2: PerTank
     outlet_cm2: PerTank
@@ -73,44 +73,45 @@ class QuadrupleTank(Plant):
         shares = self.share_below
         are_shares = len(shares) == 2 and max(shares) < 1
         require(are_shares, "share_below", shares, "not in (0, 1)", "use 0.6")
-        check_signs(self, not_negative=("level_noise_variance",))
+        refuse_wrong_signs(self, not_negative=("level_noise_variance",))
 
     def equilibrium(self) -> Equilibrium:
-        """Equilibrium, where each outlet passes what flows in: `a_i sqrt(2 g h_i) = inflow_i`."""
+        """Equilibrium at which the outflow of each tank equals its inflow."""
         u = np.array(self.rest_pump_v, dtype=np.float64)
-        into = self._pumped(u[None])[0]
+        into = self._pump_flows(u[None])[0]
         from_upper = np.array([into[2], into[3], 0.0, 0.0])  # upper tanks drain into lower ones
         flow = into + from_upper
         x = (flow / np.array(self.outlet_cm2)) ** 2 / (2 * GRAVITY_CM_PER_S2)
         return Equilibrium(u=u, x=x, y=self.output(x[None])[0])
 
     def states_at(self, y0: Outputs) -> States:
-        """States with the lower levels at `y0` and the upper ones in equilibrium."""
+        """States with the lower tanks' levels at the given outputs and the upper tanks in
+        equilibrium."""
         upper = np.tile(self.equilibrium().x[2:], (len(y0), 1))
         lower = y0 / self.sensor_v_per_cm
         return np.concatenate([lower, upper], axis=1)
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        into = self._pumped(u)
+        into = self._pump_flows(u)
         into[:, :2] += d
 
         def rate(levels: States) -> States:
             """Time derivative of the four levels under the held input."""
-            return self._rate(levels, into)
+            return self._level_rates(levels, into)
 
         levels = runge_kutta(rate, x, self.step_s, self.substeps)
         return np.maximum(levels, 0.0)
 
-    def _rate(self, h: States, into: States) -> States:
-        """Time derivative of the four levels."""
+    def _level_rates(self, h: States, into: States) -> States:
+        """Time derivatives of the four water levels."""
         speed = np.sqrt(2 * GRAVITY_CM_PER_S2 * np.maximum(h, 0.0))  # Torricelli
         out = np.array(self.outlet_cm2) * speed
         out_of_upper = out[:, 2:]
         from_above = np.concatenate([out_of_upper, np.zeros_like(out_of_upper)], axis=1)
         return (into + from_above - out) / np.array(self.area_cm2)
 
-    def _pumped(self, u: Inputs) -> States:
-        """Flow from the pumps into each tank, cm^3/s. A negative voltage pumps nothing."""
+    def _pump_flows(self, u: Inputs) -> States:
+        """Flows from the pumps into each tank, in cm^3/s. A negative voltage pumps nothing."""
         flow = np.array(self.pump_cm3_per_vs) * np.maximum(u, 0.0)
         share = np.array(self.share_below)
         into_lower = share * flow

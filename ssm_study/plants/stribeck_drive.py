@@ -13,8 +13,8 @@ from ssm_study.plants.plant import (
     Outputs,
     Plant,
     States,
-    check_signs,
-    stated,
+    field_property,
+    refuse_wrong_signs,
 )
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
@@ -22,7 +22,7 @@ from ssm_study.signals import Channel
 
 @dataclass(frozen=True, kw_only=True)
 class StribeckDrive(Plant):
-    """One inertia with Stribeck friction, driven by a saturated current loop.
+    """Servo drive: one inertia with Stribeck friction, driven by a saturated current loop.
 
         tau di/dt = sat(u) - i,    J dw/dt = K i - b w - F(w) - d
         F(w) = sgn(w) (Fc + (Fs - Fc) exp(-(w/ws)^2)),   at rest any torque up to Fs
@@ -37,10 +37,10 @@ class StribeckDrive(Plant):
     outputs = (Channel(name="speed", unit="rad/s"),)
     states = (Channel(name="current", unit="A"), Channel(name="speed", unit="rad/s"))
     disturbances = (Channel(name="load_torque", unit="N m"),)
-    initial_range = stated("initial_speed_rad_per_s", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude_a", (1,))
-    noise_variance = stated("speed_noise_variance", (1,))
+    initial_range = field_property("initial_speed_rad_per_s", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude_a", (1,))
+    noise_variance = field_property("speed_noise_variance", (1,))
 
     current_lag_s: float
     current_limit_a: float
@@ -65,7 +65,7 @@ class StribeckDrive(Plant):
             "static_torque_nm",
             "speed_noise_variance",
         )
-        check_signs(self, not_negative=signs)
+        refuse_wrong_signs(self, not_negative=signs)
         static_nm = self.static_torque_nm
         is_higher = static_nm >= self.coulomb_torque_nm
         problem = "below the Coulomb torque"
@@ -92,7 +92,8 @@ class StribeckDrive(Plant):
         return np.stack([i, w], axis=1)
 
     def friction_nm(self, w: Float[np.ndarray, "N"]) -> Float[np.ndarray, "N"]:
-        """Largest friction torque at speed w, in N m. It is `Fs` at rest and falls to `Fc`."""
+        """Largest friction torque, in N m, at a given speed. It is `Fs` at rest and falls to
+        `Fc`."""
         extra = self.static_torque_nm - self.coulomb_torque_nm
         fading = np.exp(-((w / self.stribeck_speed_rad_per_s) ** 2))
         return self.coulomb_torque_nm + extra * fading

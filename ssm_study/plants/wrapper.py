@@ -15,15 +15,14 @@ Limit = float | tuple[float, ...] | list[float]
 Memory = Float[np.ndarray, "N r"]  # the appended states of each case
 
 
-def _inner(name: str) -> Any:
-    """Property that returns the inner plant's property of the same name."""
+def _inner_property(name: str) -> Any:
+    """Property that returns the property of the same name of the wrapped plant."""
     return property(attrgetter(f"plant.{name}"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wrapper(Plant):
-    """Plant built around another plant, from which it takes everything that it does not define
-    itself.
+    """Base class of plants that are built around another plant and change a part of its behaviour.
 
     A wrapper with `memory` appends states of its own.
     """
@@ -31,55 +30,56 @@ class Wrapper(Plant):
     memory: ClassVar[tuple[Channel, ...]] = ()
     plant: Plant
 
-    step_s = _inner("step_s")
-    settling_band = _inner("settling_band")
-    initial_range = _inner("initial_range")
-    inputs = _inner("inputs")
-    outputs = _inner("outputs")
-    disturbances = _inner("disturbances")
-    input_amplitude = _inner("input_amplitude")
-    input_clock_s = _inner("input_clock_s")
-    noise_variance = _inner("noise_variance")
-    real = _inner("real")
-    stop = _inner("stop")
+    step_s = _inner_property("step_s")
+    settling_band = _inner_property("settling_band")
+    initial_range = _inner_property("initial_range")
+    inputs = _inner_property("inputs")
+    outputs = _inner_property("outputs")
+    disturbances = _inner_property("disturbances")
+    input_amplitude = _inner_property("input_amplitude")
+    input_clock_s = _inner_property("input_clock_s")
+    noise_variance = _inner_property("noise_variance")
+    real = _inner_property("real")
+    stop = _inner_property("stop")
 
     @property
     def states(self) -> tuple[Channel, ...]:
         return (*self.plant.states, *self.memory)
 
-    def fresh_memory(self) -> Float[np.ndarray, "r"]:
-        """Initial values of the states that the wrapper adds. They are zeros by default."""
+    def initial_memory(self) -> Float[np.ndarray, "r"]:
+        """Initial values of the states that a wrapper adds to its plant. They are zeros by
+        default."""
         return np.zeros(len(self.memory))
 
     def equilibrium(self) -> Equilibrium:
         rest = self.plant.equilibrium()
-        x = np.append(rest.x, self.fresh_memory())
+        x = np.append(rest.x, self.initial_memory())
         return Equilibrium(u=rest.u, x=x, y=rest.y)
 
     def states_at(self, y0: Outputs) -> States:
-        memory = np.tile(self.fresh_memory(), (len(y0), 1))
+        memory = np.tile(self.initial_memory(), (len(y0), 1))
         return np.hstack([self.plant.states_at(y0), memory])
 
-    def split(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
-        """Split states into those of the inner plant and those that the wrapper adds."""
+    def split_states(self, x: States) -> tuple[Float[np.ndarray, "N k"], Memory]:
+        """Split the states into those of the wrapped plant and those that the wrapper adds."""
         inner = len(self.plant.states)
         return x[:, :inner], x[:, inner:]
 
     def advance(self, x: States, u: Inputs, d: Disturbances) -> States:
-        inner, memory = self.split(x)
-        advanced = self.plant.advance(inner, self.applied(memory, u), d)
-        return np.concatenate([advanced, self.renewed(memory, u)], axis=1)
+        inner, memory = self.split_states(x)
+        advanced = self.plant.advance(inner, self.applied_input(memory, u), d)
+        return np.concatenate([advanced, self.next_memory(memory, u)], axis=1)
 
-    def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
-        """Input that reaches the inner plant."""
+    def applied_input(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
+        """Input that reaches the wrapped plant."""
         return u
 
-    def renewed(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
-        """Values of the added states one sample later."""
+    def next_memory(self, memory: Memory, u: Inputs) -> Memory:  # noqa: ARG002
+        """Values of the states that the wrapper adds, one sample later."""
         return memory
 
     def output(self, x: States) -> Outputs:
-        return self.plant.output(self.split(x)[0])
+        return self.plant.output(self.split_states(x)[0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +105,7 @@ class SaturatedInput(Wrapper):
         problem = f"do not enclose rest at {rest}"
         require(is_above and is_below, "lower, upper", limits, problem, "widen them")
 
-    def applied(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
+    def applied_input(self, memory: Memory, u: Inputs) -> Inputs:  # noqa: ARG002
         return np.clip(u, self.lower, self.upper)
 
 
@@ -130,11 +130,11 @@ class DelayedInput(Wrapper):
                 channels.append(Channel(name=f"{channel.name}_due_in_{age}", unit=channel.unit))
         return tuple(channels)
 
-    def fresh_memory(self) -> Float[np.ndarray, "r"]:
+    def initial_memory(self) -> Float[np.ndarray, "r"]:
         return np.tile(self.plant.equilibrium().u, self.samples)
 
-    def applied(self, memory: Memory, u: Inputs) -> Inputs:
+    def applied_input(self, memory: Memory, u: Inputs) -> Inputs:
         return memory[:, : u.shape[1]]
 
-    def renewed(self, memory: Memory, u: Inputs) -> Memory:
+    def next_memory(self, memory: Memory, u: Inputs) -> Memory:
         return np.concatenate([memory[:, u.shape[1] :], u], axis=1)

@@ -21,7 +21,7 @@ from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
-from ssm_study.evidence.metrics import evidence_facts
+from ssm_study.evidence.metrics import evidence_columns
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.metrics import behaviour, certificate_columns
 from ssm_study.loop.regulation import LoopRuns
@@ -192,7 +192,7 @@ def data(run: RunFiles) -> Claims:
 def data_read(run: RunFiles, records: DataSet) -> Claims:
     """Columns and recordings that follow from the records."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
-        yield Derived(data_metrics.data_facts(records))
+        yield Derived(data_metrics.data_columns(records))
     yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
@@ -208,8 +208,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         pairs = record_signal_pairs(run.trials, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
     if run.claims_certificate:
-        judged = evidence_facts(run.judgement)
-        stated = evidence_facts(read_judgement(run.path))
+        judged = evidence_columns(run.judgement)
+        stated = evidence_columns(read_judgement(run.path))
         found = f"records and model give {judged['evidence']}"
         yield Checked(claim="evidence.json", holds=stated == judged, found=found)
         yield Derived(judged)

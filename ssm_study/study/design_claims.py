@@ -21,7 +21,7 @@ from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
 from ssm_study.columns import EIGENVALUE, ITERATED, ONE_FORMULA
 from ssm_study.data.simulated import SimulatedData
-from ssm_study.evidence.metrics import withheld
+from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
@@ -69,7 +69,7 @@ def certificate(run: RunFiles) -> Claims:
         records = run.simulated.validation.records, run.trials
         facts |= response_facts(design, run.model, mismatch, *records)
     facts |= sines_again(run, balls, mismatch)
-    yield Derived(withheld(facts, run.record.get("evidence")))
+    yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 
 
 def verdict_on_part(

@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
 from ssm_study.engine.settings import read_stored_yaml
-from ssm_study.evidence.metrics import Judgement, judge
+from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
@@ -123,7 +123,7 @@ class RunFiles:
         mismatch = measure_mismatch(
             self.model, data.validation, data.start_up_samples, data.mismatch_records
         )
-        return judge(data, self.model, runs.validation, runs.test, mismatch)
+        return collect_findings(data, self.model, runs.validation, runs.test, mismatch)
 
     def stored(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Refuses one that repeats a key."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.data.clock import AGREEMENT
-from ssm_study.data.recording import Columns, listed
+from ssm_study.data.recording import Columns, as_name_list
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
@@ -90,13 +90,13 @@ def read_logs(paths: Sequence[str], data: "RecordedSource", step_s: float) -> Tr
     """
     source: Any = data
     columns: Columns = source if isinstance(source, Columns) else source.training[0]
-    in_both = set(listed(columns.input)) & set(listed(columns.output))
+    in_both = set(as_name_list(columns.input)) & set(as_name_list(columns.output))
     problem = "names an input and an output, in files of their own"
     remedy = "give the two columns different names"
     require(not in_both, "data.output", sorted(in_both), problem, remedy)
     trials: list[Trajectory] = []
     for path in paths:
-        record = columns.read_from(Path(path))
+        record = columns.read_record(Path(path))
         _check_trial(record, path, step_s)
         trials.append(replace(record, step_s=step_s, closed_loop=True))
     return tuple(trials)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ssm_study.data.splits import without_fold
+from ssm_study.data.splits import cut_out_fold
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 
 FOLDS = 4
@@ -81,7 +81,7 @@ def without_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Traj
         if len(record) < FOLDS * SHORTEST_FOLD:
             training.append(record)
             continue
-        pieces, out = without_fold(record, fold, FOLDS)
+        pieces, out = cut_out_fold(record, fold, FOLDS)
         training += [piece for piece in pieces if len(piece) >= SHORTEST_PIECE]
         held_out.append(out)
     return tuple(training), tuple(held_out)

@@ -11,7 +11,7 @@ from plants_cases import choices, from_yaml
 
 from ssm_study.cli.from_python import composed
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
-from ssm_study.data.simulated import TrainingAlone, mismatch_records
+from ssm_study.data.simulated import TrainingAlone, simulate_mismatch_records
 from ssm_study.signals import DataSet
 from ssm_study.study.line import STUDY
 
@@ -69,7 +69,7 @@ def test_scales_are_pure_gains_about_the_equilibrium() -> None:
     mean = np.mean(scaled**2)
     assert mean == pytest.approx(1.0)
     input_equilibrium = data.scale.input_equilibrium
-    difference = input_equilibrium - data.scale.input_equilibrium
+    difference = input_equilibrium - input_equilibrium
     input_scale = data.scale.input_scale
     assert (difference / input_scale == 0).all()
 
@@ -87,16 +87,14 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
     ):
         np.testing.assert_array_equal(one.u, other.u)
     asked = composed(["experiment=smoke", "excitation.amplitude=1.0"])
-    study = STUDY.settings(asked)
     with pytest.warns(
         TrainingAlone, match="validation, test and trials are at the plant's own amplitude"
     ):
-        STUDY.check(study)
+        STUDY.check(STUDY.settings(asked))
     with warnings.catch_warnings():
         warnings.simplefilter("error", TrainingAlone)
         dict_config = composed(["experiment=smoke"])
-        study = STUDY.settings(dict_config)
-        STUDY.check(study)
+        STUDY.check(STUDY.settings(dict_config))
 
 
 @pytest.mark.parametrize("plant", choices("plant"))
@@ -115,17 +113,18 @@ def test_the_trials_reach_as_far_as_the_plant_is_driven() -> None:
     """Named by their shares of the plant's own amplitude, of which each has just so much."""
     plant = from_yaml("plant", "cascaded_tanks")
     rng = np.random.default_rng(0)
+    deviation = np.zeros(1)
+    mismatch_records = simulate_mismatch_records(plant, rng, deviation)
     driven = {
         t.name: np.abs(t.u - plant.equilibrium().u).max()
-        for t in mismatch_records(plant, rng, np.zeros(1))
+        for t in mismatch_records
         if "_at_" in t.name
     }
     shares = np.array([float(name.rpartition("_")[2]) for name in driven])
     assert shares.max() == 1
     whole = driven["trial_at_1"]
     assert 0.9 * plant.input_amplitude[0] < whole <= plant.input_amplitude[0]
-    signals = driven.values()
-    assert np.array([*signals]) == pytest.approx(shares * whole)
+    assert np.array([*driven.values()]) == pytest.approx(shares * whole)
 
 
 def test_fresh_data_sets_are_like_the_first_and_none_of_them() -> None:

@@ -6,7 +6,8 @@ from typing import Any
 import pandas as pd
 import pytest
 import report_tables
-from report_browser import count_shown_runs, groups_shown, wait_for
+from report_browser import complaints, count_shown_runs, groups_shown, wait_for
+from report_runs import random_run, write_recordings
 
 from ssm_study.report.page.data import provenance
 from ssm_study.report.page.writing import write_page
@@ -229,3 +230,57 @@ def test_the_provenance_says_in_words_whether_the_code_was_as_committed(tmp_path
         folder = report_tables.write_study(tmp_path / str(len(told)), table)
         study = StudyFolder(folder=folder)
         assert dict(provenance(study, study.table))["working tree"].startswith(told)
+
+
+def write_sweep_page(folder: Path) -> Path:
+    """A page of three runs that differ in their rate; the third left no recording."""
+    table = report_tables.table(60)
+    table = table[table["status"] == "ok"].head(3).reset_index(drop=True)
+    table = pd.concat([table.head(1)] * 3, ignore_index=True)
+    run = ["a", "b", "c"]
+    rate_controller = [0.1, 0.3, 0.2]
+    table = table.assign(run=run, rate_controller=rate_controller, rates_chosen=None)
+    study = report_tables.write_study(folder / "study", table)
+    for seed, name in enumerate(("a", "b"), start=1):
+        run = random_run(study / name, kind="mlp", channels=1, seed=seed)
+        write_recordings(run)
+    return write_page(study)
+
+
+def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
+    browser: Any, tmp_path: Path
+) -> None:
+    browser.get("about:blank")
+    browser.get_log("browser")
+    browser.get(write_sweep_page(tmp_path).as_uri())
+    wait_for(browser, "document.body.dataset.ready === 'yes'")
+    expected = [0.1, 0.2, 0.3]
+    assert browser.execute_script("return DATA.slider.values") == expected
+    chart = "document.querySelector('#responses .chart').view"
+    wait_for(browser, chart)
+    move = (
+        "const slide = document.querySelector('.slider input'); slide.value = arguments[0];"
+        "slide.dispatchEvent(new Event('input')); const words = slide.ariaValueText;"
+        f"return [words.split(':')[0], {chart}.data('rows').length]"
+    )
+    rate = browser.execute_script("return DATA.slider.title")
+    counts = []
+    for place, value in enumerate((0.1, 0.2, 0.3)):
+        words, count = browser.execute_script(move, place)
+        assert words == f"{rate} {value}"
+        counts.append(count)
+    assert counts[1] == 0 < min(counts[0], counts[2])
+    player = "document.querySelectorAll('#responses .chart')[3]"
+    wait_for(browser, f"{player}.view")
+    assert browser.execute_script(f"return {player}.view.signal('moment') === {player}.end")
+    browser.execute_script("document.querySelector('[aria-pressed]').click()")
+    wait_for(browser, f"{player}.view.signal('moment') < {player}.end")
+    browser.execute_script("document.querySelector('[aria-pressed]').click()")
+    assert browser.execute_script("return document.querySelector('[aria-pressed]').innerText") == (
+        "Play"
+    )
+    browser.execute_script(move, 1)  # no recording: empty charts, and no complaint about them
+    browser.execute_async_script(
+        f"const done = arguments[0]; {chart}.runAsync().then(() => done())"
+    )
+    assert complaints(browser) == []

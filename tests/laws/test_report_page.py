@@ -4,10 +4,16 @@ is accessible."""
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
 import report_tables
-from report_browser import axe_script, chromium, count_shown_runs, groups_shown, wait_for
+from report_browser import (
+    axe_script,
+    chromium,
+    complaints,
+    count_shown_runs,
+    groups_shown,
+    wait_for,
+)
 from report_runs import random_run, write_recordings
 
 from ssm_study.report.page.writing import write_page
@@ -41,6 +47,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def opened(browser: Any, page: Path) -> Any:
+    browser.get("about:blank")
+    browser.get_log("browser")  # what earlier pages logged
     browser.get(page.as_uri())
     wait_for(browser, "document.body.dataset.ready === 'yes'")
     return browser
@@ -57,8 +65,7 @@ def column(driver: Any, name: str) -> list[Any]:
 def test_it_loads_from_disk_without_error_or_request_and_runs_nothing_from_a_record(
     opened: Any,
 ) -> None:
-    entries = opened.get_log("browser")
-    assert [entry for entry in entries if entry["level"] in ("SEVERE", "WARNING")] == []
+    assert complaints(opened) == []
     assert opened.execute_script("return performance.getEntriesByType('resource').length") == 0
     assert opened.execute_script("return window.hacked ?? null") is None
     assert count_shown_runs(opened) == RUNS
@@ -349,45 +356,3 @@ def test_a_prediction_in_the_table_never_stands_without_its_doubt(opened: Any) -
     )
     expected = ["yes, doubt", "cannot judge", "yes"]
     assert opened.execute_script(script) == expected
-
-
-def test_a_slider_moves_the_responses_through_a_sweep_and_one_start_plays(
-    browser: Any, tmp_path: Path
-) -> None:
-    table = report_tables.table(60)
-    table = table[table["status"] == "ok"].head(3).reset_index(drop=True)
-    table = pd.concat([table.head(1)] * 3, ignore_index=True)
-    run = ["a", "b", "c"]
-    rate_controller = [0.1, 0.3, 0.2]
-    table = table.assign(run=run, rate_controller=rate_controller, rates_chosen=None)
-    folder = report_tables.write_study(tmp_path / "study", table)
-    for seed, name in enumerate(("a", "b"), start=1):  # the third left no recording
-        run = random_run(folder / name, kind="mlp", channels=1, seed=seed)
-        write_recordings(run)
-    browser.get(write_page(folder).as_uri())
-    wait_for(browser, "document.body.dataset.ready === 'yes'")
-    expected = [0.1, 0.2, 0.3]
-    assert browser.execute_script("return DATA.slider.values") == expected
-    chart = "document.querySelector('#responses .chart').view"
-    wait_for(browser, chart)
-    move = (
-        "const slide = document.querySelector('.slider input'); slide.value = arguments[0];"
-        "slide.dispatchEvent(new Event('input')); const words = slide.ariaValueText;"
-        f"return [words.split(':')[0], {chart}.data('rows').length]"
-    )
-    rate = browser.execute_script("return DATA.slider.title")
-    counts = []
-    for place, value in enumerate((0.1, 0.2, 0.3)):
-        words, count = browser.execute_script(move, place)
-        assert words == f"{rate} {value}"
-        counts.append(count)
-    assert counts[1] == 0 < min(counts[0], counts[2])
-    player = "document.querySelectorAll('#responses .chart')[3]"
-    wait_for(browser, f"{player}.view")
-    assert browser.execute_script(f"return {player}.view.signal('moment') === {player}.end")
-    browser.execute_script("document.querySelector('[aria-pressed]').click()")
-    wait_for(browser, f"{player}.view.signal('moment') < {player}.end")
-    browser.execute_script("document.querySelector('[aria-pressed]').click()")
-    assert browser.execute_script("return document.querySelector('[aria-pressed]').innerText") == (
-        "Play"
-    )

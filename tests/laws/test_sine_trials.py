@@ -13,7 +13,7 @@ from loop_cases import motor
 from test_coverage import BALLS, MODEL, design, records, scaled_model
 
 from ssm_study.bounds.frequency import frequency_response
-from ssm_study.data.simulated import PERIOD, SINE_SHARES, sine_records
+from ssm_study.data.simulated import PERIOD, SINE_SHARES, simulate_sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -127,7 +127,7 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
     rng = np.random.default_rng(0)
     deviation = np.zeros(1)
     lines = [43, 128]
-    trials = sine_records(plant, rng, deviation, lines)
+    trials = simulate_sine_records(plant, rng, deviation, lines)
     expected = 2 * len(SINE_SHARES)
     assert len(trials) == expected
     assert min(SINE_SHARES) == 0.01
@@ -141,4 +141,5 @@ def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:
     assert largest == pytest.approx(expected, rel=1e-3)
     rng = np.random.default_rng(0)
     deviation = np.zeros(1)
-    assert sine_records(plant, rng, deviation, []) == ()
+    sine_records = simulate_sine_records(plant, rng, deviation, [])
+    assert sine_records == ()

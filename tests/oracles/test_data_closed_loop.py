@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scipy
 
-from ssm_study.data.closed_loop import from_set_points, set_point_of_pi
+from ssm_study.data.closed_loop import project_inputs_on_set_points, reconstruct_pi_set_point
 from ssm_study.data.recorded import RecordedData
-from ssm_study.evidence.feedback import EARLIER, PRESENT, fed_back_share
+from ssm_study.evidence.feedback import EARLIER, PRESENT, feedback_share
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
 
@@ -68,13 +68,13 @@ def written(folder: Path, *columns: np.ndarray) -> str:
 
 def test_the_set_point_of_a_pi_is_found_again() -> None:
     r, u, y = loop(0)
-    rows = set_point_of_pi(log(u, y), GAIN, INTEGRAL_S)
+    rows = reconstruct_pi_set_point(log(u, y), GAIN, INTEGRAL_S)
     found = rows[:, 0]
     late = SAMPLES // 10  # what the integral held at the start is forgotten by then
     difference = np.abs((found - r)[late:] - (found - r)[-1])
     largest_difference = difference.max()
     assert largest_difference < 1e-9
-    rows = set_point_of_pi(log(u, y), 2 * GAIN, INTEGRAL_S)
+    rows = reconstruct_pi_set_point(log(u, y), 2 * GAIN, INTEGRAL_S)
     wrong = rows[:, 0]
     largest = np.abs((wrong - r)[late:]).max()
     assert largest > 0.1
@@ -89,7 +89,7 @@ def test_the_bias_of_a_slow_drift_is_gone() -> None:
         r, u, y = loop(seed, integral_s=1e9)
         logs = [log(u, y)]
         references = [r[:, None]]
-        by_set_point, share = from_set_points(logs, references)
+        by_set_point, share = project_inputs_on_set_points(logs, references)
         direct.append(fitted(u, y)[0])
         by_set_point_u = by_set_point[0].u
         staged.append(fitted(by_set_point_u[:, 0], y)[0])
@@ -125,7 +125,7 @@ def test_set_point_and_pi_give_the_same_input_and_no_doubt_of_feedback(tmp_path:
     upper_limit = 0.05 * np.ptp(a)
     assert largest_difference < upper_limit
     found = {
-        name: fed_back_share(data, 0)
+        name: feedback_share(data, 0)
         for name, data in (("plain", plain), ("named", named), ("wrong", wrong))
     }
     assert found["plain"] > PRESENT
@@ -150,14 +150,14 @@ def test_refusals(tmp_path: Path) -> None:
         with pytest.raises(BadRequest, match="is no PI; give"):
             RecordedData(**asked, controller=controller)
     with pytest.raises(BadRequest, match="are at a limit of the input"):
-        set_point_of_pi(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
+        reconstruct_pi_set_point(log(np.clip(u, -1, 1), y), GAIN, INTEGRAL_S)
     trajectory = Trajectory(u=np.stack([u, u], axis=1), y=y[:, None], step_s=STEP_S)
     with pytest.raises(BadRequest, match="a PI has one each"):
-        set_point_of_pi(trajectory, GAIN, INTEGRAL_S)
+        reconstruct_pi_set_point(trajectory, GAIN, INTEGRAL_S)
     logs = [log(u[:300], y[:300])]
     references = [r[:300, None]]
     with pytest.raises(BadRequest, match="log longer"):
-        from_set_points(logs, references)
+        project_inputs_on_set_points(logs, references)
     recorded_data = RecordedData(**asked, reference="set_point")
     with pytest.raises(BadRequest):
         recorded_data.build(0)

@@ -11,11 +11,11 @@ import scipy.io
 from ssm_study.cli.main import main
 from ssm_study.data.log_dynamics import (
     FED_BACK,
-    answer_sentence,
-    describe_dynamics,
+    describe_log_dynamics,
+    feedback_share,
     first_response_lag,
     input_shares,
-    share_from_earlier_outputs,
+    response_delay_sentence,
 )
 from ssm_study.data.look import look
 from ssm_study.refusal import BadRequest
@@ -79,7 +79,7 @@ def test_a_sweep_of_sines_is_no_closed_loop() -> None:
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal(1000)
     y = y + 0.02 * white_noise
-    assert share_from_earlier_outputs(u, y) < FED_BACK
+    assert feedback_share(u, y) < FED_BACK
 
 
 def test_the_command_draws_and_prints(
@@ -90,8 +90,7 @@ def test_the_command_draws_and_prints(
     assert main(["look", "my log.csv"]) == 0
     printed = capsys.readouterr().out
     assert "data.path=\"'my log.csv'\" data.input=u data.output=y" in printed
-    st_size = (tmp_path / "my log_look.png").stat().st_size
-    assert st_size > 10_000
+    assert (tmp_path / "my log_look.png").stat().st_size > 10_000
     text = Path("my log.csv").read_text().replace(",", ";").replace(".", ",")
     Path("german.txt").write_text(text)
     layout = ["--separator", "semicolons", "--decimal", ",", "--header", "true"]
@@ -158,7 +157,7 @@ def test_a_slow_answer_is_seen_in_coarser_steps() -> None:
     y += 0.01 * white_noise
     assert first_response_lag(u, y) is None
     shares = input_shares(u, y)
-    assert "slow" in answer_sentence(u, y, shares)
+    assert "slow" in response_delay_sentence(u, y, shares)
 
 
 def test_a_column_that_counts_is_no_signal(tmp_path: Path) -> None:
@@ -245,7 +244,7 @@ def test_a_loop_that_answers_within_the_sample_is_not_called_feedthrough(
         u[k] = 0.5 * difference - gain_d * (y[k] - y[k - 1])
     trajectory = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
     records = [trajectory]
-    text = "\n".join(describe_dynamics(records))
+    text = "\n".join(describe_log_dynamics(records))
     assert "which of them answers is not to be seen" in text
     assert "feedthrough" not in text
     assert ("a closed loop?" in text) is is_loop  # a gain alone is hardly to be told from the plant

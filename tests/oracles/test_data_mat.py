@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.io import loadmat, savemat
 
-from ssm_study.data.readers.mat import MatReader, parse
+from ssm_study.data.readers.mat import MatReader, parse_mat_file
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
@@ -35,7 +35,7 @@ def test_version_5(
     path = tmp_path_factory.mktemp("mat") / "a.mat"
     b = np.arange(3.0)
     savemat(path, {"matrix_1": matrix, "b": b}, do_compression=compressed)
-    mine = parse(path)
+    mine = parse_mat_file(path)
     theirs = loadmat(path)
     expected = ["matrix_1", "b"]
     assert list(mine) == expected
@@ -54,7 +54,7 @@ def test_version_4(
     others = {"c": c, "s": "text", "e": e}
     y = np.arange(4.0)
     savemat(path, {"x": matrix, **others, "y": y}, format="4")
-    mine = parse(path)
+    mine = parse_mat_file(path)
     np.testing.assert_array_equal(mine["x"], matrix)
     expected = [np.arange(4.0)]
     np.testing.assert_array_equal(mine["y"], expected)
@@ -81,7 +81,7 @@ def test_what_is_no_matrix_is_named(tmp_path: Path) -> None:
     s = {"f": 1.0}
     c = np.array(["ab", 1.0], dtype=object)
     savemat(tmp_path / "a.mat", {"s": s, "c": c, "t": "text", "z": 1j})
-    values = parse(tmp_path / "a.mat")
+    values = parse_mat_file(tmp_path / "a.mat")
     expected = {"c{1}": "text", "t": "text", "z": "complex"}
     assert {name: value for name, value in values.items() if isinstance(value, str)} == expected
     assert values["s.f"] == 1.0
@@ -121,7 +121,7 @@ def test_an_object_that_cannot_be_read_is_skipped_by_name(tmp_path: Path) -> Non
 @pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
 def test_the_servo_files(benchmark_data: Path, name: str) -> None:
     path = benchmark_data / "emps" / f"{name}.mat"
-    mine = parse(path)
+    mine = parse_mat_file(path)
     theirs = loadmat(path)
     for variable in ("t", "vir", "qm", "kp"):
         np.testing.assert_array_equal(mine[variable], theirs[variable])

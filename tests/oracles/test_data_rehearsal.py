@@ -88,8 +88,8 @@ def test_the_servo_of_the_record_is_the_published_one(rehearsed) -> None:  # typ
     """Janot, Gautier & Brunot (2019): 95.1 kg, 203.5 N s/m, 20.4 N, -3.16 N; and it asks for the
     recorded voltage."""
     source = rehearsed()
-    fine = source._record()
-    reference = source._record(output="qg").y[:, 0]
+    fine = source._build_record()
+    reference = source._build_record(output="qg").y[:, 0]
     servo = fitted(fine.u[:, 0], fine.y[:, 0], fine.step_s, source.force_per_volt)
     actual = (servo.mass, servo.viscous, servo.coulomb)
     expected = (95.1, 203.5, 20.4)

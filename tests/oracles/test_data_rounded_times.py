@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
-from ssm_study.data.rounded_times import possible_periods_s, rounded_period_s, written_resolution
+from ssm_study.data.rounded_times import period_bounds_s, rounded_period_s, written_resolution
 from ssm_study.refusal import BadRequest
 
 
@@ -31,7 +31,7 @@ def test_the_period_is_found_or_none(
     """The true period lies among the possible ones, and the one taken is within what is stated."""
     times = in_digits(start_s * period_s + period_s * np.arange(samples), digits)
     error_s = 0.6 * written_resolution(times)
-    possible_s = possible_periods_s(times, error_s)
+    possible_s = period_bounds_s(times, error_s)
     assert possible_s is not None
     upper_limit = period_s * (1 + 1e-9)
     assert possible_s[0] <= upper_limit

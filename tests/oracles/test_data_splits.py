@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 
 from ssm_study.data.recorded import RecordedData
 from ssm_study.data.splits import (
-    by_fold,
-    by_intervals,
-    by_time,
-    end_is_unlike,
-    in_blocks,
+    cut_out_fold,
+    is_test_output_different,
     periodic_segments,
-    without_fold,
+    split_at_intervals,
+    split_by_fold,
+    split_by_time,
+    split_into_blocks,
 )
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Trajectory
@@ -31,9 +31,9 @@ def record(samples: int) -> Trajectory:
 def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
     log = record(samples)
     for parts in (
-        by_time(log, validation, test),
-        in_blocks(log),
-        *(by_fold(log, fold, 5) for fold in range(5)),
+        split_by_time(log, validation, test),
+        split_into_blocks(log),
+        *(split_by_fold(log, fold, 5) for fold in range(5)),
     ):
         pieces = [piece for part in parts for piece in part]
         actual = np.sort(np.concatenate([piece.u[:, 0] for piece in pieces]))
@@ -46,7 +46,7 @@ def test_every_sample_stands_in_exactly_one_part(samples, validation, test):
 
 def test_named_intervals_are_cut_out_and_the_rest_trains():
     named = {"validation": [[2.0, 3.0]], "test": [[0.0, 1.0], [9.0, 10.0]]}
-    training, validation, test = by_intervals(record(100), named)
+    training, validation, test = split_at_intervals(record(100), named)
     expected = [(10, 19), (30, 89)]
     assert [(int(p.u[0, 0]), int(p.u[-1, 0])) for p in training] == expected
     expected = [(20, 29)]
@@ -57,7 +57,7 @@ def test_named_intervals_are_cut_out_and_the_rest_trains():
 
 @given(st.integers(40, 400), st.integers(2, 8))
 def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
-    cuts = [by_fold(record(samples), fold, folds) for fold in range(folds)]
+    cuts = [split_by_fold(record(samples), fold, folds) for fold in range(folds)]
     tested = np.concatenate([piece.u[:, 0] for _, _, test in cuts for piece in test])
     expected = np.arange(samples)
     np.testing.assert_array_equal(tested, expected)
@@ -68,7 +68,7 @@ def test_every_sample_is_tested_in_exactly_one_fold(samples, folds):
 @given(st.integers(40, 400), st.integers(2, 8))
 def test_what_a_fold_leaves_and_holds_out_is_the_record(samples, folds):
     for fold in range(folds):
-        kept, out = without_fold(record(samples), fold, folds)
+        kept, out = cut_out_fold(record(samples), fold, folds)
         pieces = np.sort(np.concatenate([piece.u[:, 0] for piece in (*kept, out)]))
         expected = np.arange(samples)
         np.testing.assert_array_equal(pieces, expected)
@@ -96,8 +96,8 @@ def test_stretches_between_rests_count_where_each_repeats_itself():
 
 
 def test_the_last_of_five_folds_is_the_cut_in_time():
-    pieces = by_fold(record(100), 4, 5)
-    for fold, time in zip(pieces, by_time(record(100), 0.2, 0.2), strict=True):
+    pieces = split_by_fold(record(100), 4, 5)
+    for fold, time in zip(pieces, split_by_time(record(100), 0.2, 0.2), strict=True):
         actual = fold[0].u
         expected = time[0].u
         np.testing.assert_array_equal(actual, expected)
@@ -120,7 +120,7 @@ def test_intervals_that_cannot_be_are_refused(wrong):
     validation = [[5.0, 6.0]]
     named = {"validation": validation, "test": wrong}
     with pytest.raises(BadRequest, match=r"data\.test"):
-        by_intervals(record(100), named)
+        split_at_intervals(record(100), named)
 
 
 def log(path, y: np.ndarray) -> RecordedData:
@@ -154,16 +154,16 @@ def test_the_default_says_which_it_took(tmp_path):
 
 def test_an_end_unlike_the_beginning_is_seen_in_validation_and_test():
     rng = np.random.default_rng(0)
-    parts = by_time(record(500), 0.2, 0.2)
-    assert end_is_unlike(parts)
+    parts = split_by_time(record(500), 0.2, 0.2)
+    assert is_test_output_different(parts)
     first, odd = (
         Trajectory(u=y, y=y, step_s=0.1)
         for y in (rng.standard_normal((200, 1)), 9 + np.zeros((200, 1)))
     )
     parts = ([first], [odd], [first])
-    assert not end_is_unlike(parts)
+    assert not is_test_output_different(parts)
     parts = ([odd], [first], [first])
-    assert end_is_unlike(parts)
+    assert is_test_output_different(parts)
 
 
 def test_a_split_that_leaves_nothing_is_refused(tmp_path):

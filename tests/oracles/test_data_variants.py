@@ -59,7 +59,7 @@ def test_a_clock_in_the_wrong_unit_is_counted_as_wrong(
 ) -> None:
     """The check itself is checked: milliseconds taken for seconds are noticed."""
     assert outcome(MILLISECONDS, tmp_path)[0] == "read"
-    monkeypatch.setattr(clock_column, "clock_unit", lambda *_: 1.0)
+    monkeypatch.setattr(clock_column, "clock_unit_s", lambda *_: 1.0)
     expected = ("wrong", "step 10")
     assert outcome(MILLISECONDS, tmp_path) == expected
 

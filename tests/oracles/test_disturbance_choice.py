@@ -11,8 +11,8 @@ from disturbance_cases import STEP_S, motor_log
 from structured_cases import drawn
 
 import ssm_study as st
-from ssm_study.data.assembly import assemble
-from ssm_study.data.splits import by_time
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.data.splits import split_by_time
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
@@ -61,12 +61,12 @@ def log_of_slow_model() -> Trajectory:
 
 def dataset() -> DataSet:
     """That log, cut in order of time."""
-    training, validation, test = by_time(log_of_slow_model(), 0.2, 0.2)
+    training, validation, test = split_by_time(log_of_slow_model(), 0.2, 0.2)
     rest = (np.zeros(1), np.zeros(1), np.full(1, 3.0))
     names = ("u", "y", "d")
     channels = tuple((Channel(name=name, unit=""),) for name in names)
     parts = (training, validation, test)
-    return assemble(parts, rest, channels, 20)
+    return assemble_dataset(parts, rest, channels, 20)
 
 
 def test_the_past_of_a_piece_is_driven_by_its_disturbance() -> None:

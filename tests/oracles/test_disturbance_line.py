@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from disturbance_cases import differences_of_loops, far_disturbance, random_model
+from disturbance_cases import STEP_S, differences_of_loops, far_disturbance, motor_log, random_model
 from export_cases import compiled
 
 import ssm_study as st

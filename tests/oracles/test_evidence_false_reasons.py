@@ -11,7 +11,7 @@ import pytest
 import scipy.signal
 from test_evidence_response import LEVELS, WHITE, answer, case
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.look import look
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence import feedback, fit, records
@@ -40,7 +40,7 @@ def blocks(u: np.ndarray, y: np.ndarray, cuts: list[int]) -> DataSet:
     parts = (pieces[0::3], pieces[1::3], pieces[2::3])
     changed_channel = replace(channel, name="b")
     channels = ((channel,), (changed_channel,))
-    return assemble(parts, (rest, rest), channels, 0)
+    return assemble_dataset(parts, (rest, rest), channels, 0)
 
 
 def with_runs(data: DataSet, model, error: float) -> Case:
@@ -56,8 +56,8 @@ def with_runs(data: DataSet, model, error: float) -> Case:
 def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints():
     """Five levels, each block within one: about its own mean every block is fitted by -900 %."""
     y = np.repeat([0.0, 1.0, -1.0, 0.5, -0.5, 0.2, 0.9, -0.7, 0.3], 100)
-    rng = RNG.standard_normal(900)
-    y = y + 0.002 * rng
+    white_noise = RNG.standard_normal(900)
+    y = y + 0.002 * white_noise
     data = blocks(y, y, list(range(100, 900, 100)))
     model = case(LEVELS, answer(LEVELS)).model
     judged = with_runs(data, model, 0.02)
@@ -65,37 +65,39 @@ def test_blocks_that_stand_still_are_judged_by_the_fit_that_the_outcome_prints()
     assert headline > 90
     fit_percent = judged.validation.fit_percent
     smallest = min(headline, fit_percent)
-    assert smallest <= fit.pooled_fit(judged) <= max(headline, judged.validation.fit_percent)
-    assert fit.poor_fit(judged) == []
-    assert fit.owed_to_input(judged) < fit.OWED
+    assert (
+        smallest <= fit.pooled_fit_percent(judged) <= max(headline, judged.validation.fit_percent)
+    )
+    assert fit.judge_poor_fit(judged) == []
+    assert fit.unmodelled_input_share(judged) < fit.OWED
 
 
 def test_a_small_error_on_records_that_hardly_move_is_a_doubt_with_both_numbers():
     moving = scipy.signal.lfilter([0.1], [1, -0.9], LEVELS[:900])
-    rng = RNG.standard_normal(600)
-    moving[300:] = 0.5 + 0.001 * rng
+    white_noise = RNG.standard_normal(600)
+    moving[300:] = 0.5 + 0.001 * white_noise
     judged = with_runs(blocks(LEVELS[:900], moving, [300, 600]), case(WHITE, WHITE).model, 0.005)
-    (found,) = fit.poor_fit(judged)
+    (found,) = fit.judge_poor_fit(judged)
     assert found.level == "doubt"
     assert "of the output's range" in found.sentence
     assert f"the test record by {judged.test.fit_percent:.1f} %" in found.sentence
     hopeless = with_runs(blocks(LEVELS[:900], moving, [300, 600]), judged.model, 1.0)
-    findings = fit.poor_fit(hopeless)
+    findings = fit.judge_poor_fit(hopeless)
     levels = [finding.level for finding in findings]
     assert levels == ["cannot judge"]
 
 
 def test_a_coarse_sensor_repeats_itself_by_chance_and_a_copied_record_does_not():
     coarse = np.round(answer(LEVELS, noise=0.1) / 0.25) * 0.25
-    assert records.shared_with_training(case(LEVELS, coarse).data) < records.PART
+    assert records.repeated_test_share(case(LEVELS, coarse).data) < records.PART
     copied = case(np.tile(LEVELS[:1000], 6), np.tile(coarse[:1000], 6)).data
-    assert records.shared_with_training(copied) > 0.9
+    assert records.repeated_test_share(copied) > 0.9
 
 
 def test_a_coarse_sensor_behind_an_input_that_stands_still_repeats_itself_by_chance():
     u = np.repeat([0.0, 0.5, -0.4, 0.8, 0.1, -0.6], 1000)
     coarse = np.round((answer(u, noise=0.02)) / 0.1) * 0.1
-    assert records.shared_with_training(case(u, coarse).data) < records.PART
+    assert records.repeated_test_share(case(u, coarse).data) < records.PART
 
 
 def rectified(u: np.ndarray) -> np.ndarray:
@@ -106,9 +108,9 @@ def rectified(u: np.ndarray) -> np.ndarray:
 
 def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
     slow = LEVELS[:600].repeat(10)
-    assert not list(records._limits(case(slow, rectified(slow))))
+    assert not list(records._judge_saturation(case(slow, rectified(slow))))
     clipped = np.clip(answer(LEVELS), -0.3, 0.3)
-    findings = list(records._limits(case(LEVELS, clipped)))
+    findings = list(records._judge_saturation(case(LEVELS, clipped)))
     assert sentences(findings).count("it saturates") == 2
     levels = {finding.level for finding in findings}
     assert levels == {"doubt"}
@@ -117,10 +119,10 @@ def test_a_machine_at_rest_does_not_saturate_and_a_clipped_output_does():
 def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_elsewhere_saturates():
     """Below its dead zone the machine stops within a sample, while the input goes on moving."""
     stopping = np.maximum(answer(LEVELS), 0.0)
-    (finding,) = records._limits(case(LEVELS, stopping))
+    (finding,) = records._judge_saturation(case(LEVELS, stopping))
     assert finding.level == "note"
     assert "stands at 0 in" in finding.sentence
-    (shifted,) = records._limits(case(LEVELS, stopping + 3.0))
+    (shifted,) = records._judge_saturation(case(LEVELS, stopping + 3.0))
     assert shifted.level == "doubt"
     assert "it saturates" in shifted.sentence
 
@@ -128,19 +130,19 @@ def test_a_machine_that_stops_at_once_stands_at_zero_and_a_sensor_that_ends_else
 def test_a_position_at_its_farthest_does_not_saturate():
     sine = np.sin(2 * np.pi * np.arange(6000) / 800)
     u = 255 * sine
-    assert not list(records._limits(case(u, motor_position(u, 60))))
+    assert not list(records._judge_saturation(case(u, motor_position(u, 60))))
 
 
 def test_changes_count_across_the_cuts_of_a_log():
     """Steps every 100 samples, cut at the steps: each piece alone holds its input still."""
-    rng = RNG.uniform(-1, 1, 36)
-    u = np.repeat(rng, 100)
+    u = np.repeat(RNG.uniform(-1, 1, 36), 100)
     data = blocks(u, u, list(range(100, 3600, 100)))
-    assert records.input_changes(data) == 11
+    assert records.count_input_changes(data) == 11
     once = np.repeat(
         [0.0, 1.0, 0.0], [50, 100, 3450]
     )  # up where it trains, down where it validates
-    assert records.input_changes(blocks(once, once + u, list(range(100, 3600, 100)))) == 1
+    input_changes = records.count_input_changes(blocks(once, once + u, list(range(100, 3600, 100))))
+    assert input_changes == 1
 
 
 def motor_position(u: np.ndarray, dead: float) -> np.ndarray:
@@ -158,16 +160,16 @@ SWEEP = 255 * scipy.signal.sawtooth(np.arange(6000) / 100, 0.5)
 @pytest.mark.parametrize("dead", [0, 60])
 @pytest.mark.parametrize("u", [SWEEP, 255 * LEVELS], ids=["sweep", "levels"])
 def test_a_motor_position_integrates_and_does_not_run_away(u, dead):
-    findings = feedback.findings(case(u, motor_position(u, dead)))
+    findings = feedback.judge_feedback(case(u, motor_position(u, dead)))
     told = sentences(findings)
     assert "runs away" not in told
 
 
 def test_where_a_mode_seems_to_grow_the_integrator_is_recommended():
     log = case(SWEEP, motor_position(SWEEP, 60))
-    smallest = min(feedback.own_mode(log.data, lags) for lags in feedback.LAGS)
+    smallest = min(feedback.dominant_mode_modulus(log.data, lags) for lags in feedback.LAGS)
     assert smallest > 1
-    assert feedback.growth(log.data)[1] < feedback.GROWS
+    assert feedback.growth_statistics(log.data)[1] < feedback.GROWS
 
 
 @pytest.mark.parametrize("pole", [1.002, 1.004, 1.01])
@@ -175,17 +177,19 @@ def test_what_runs_away_still_grows_with_itself(pole):
     u = LEVELS[:1000]
     y = scipy.signal.lfilter([0, 0.1], [1, -pole], u)
     log = Trajectory(u=u[:, None], y=y[:, None], step_s=0.1)
-    assert feedback.growth(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
+    assert (
+        feedback.growth_statistics(blocks(log.u[:, 0], log.y[:, 0], [600, 800]))[1] > feedback.GROWS
+    )
 
 
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
 def test_an_answer_within_the_sample_is_feedthrough_and_no_closed_loop(u):
     filtered_signal = scipy.signal.lfilter([0.3], [1, -0.7], u)
-    rng = RNG.standard_normal(len(u))
-    y = filtered_signal + 0.02 * rng
+    white_noise = RNG.standard_normal(len(u))
+    y = filtered_signal + 0.02 * white_noise
     log = case(u, y)
-    assert feedback.fed_back_share(log.data, 0) > feedback.PRESENT
-    (found,) = feedback.findings(log)
+    assert feedback.feedback_share(log.data, 0) > feedback.PRESENT
+    (found,) = feedback.judge_feedback(log)
     assert "use model.feedthrough=true" in found.sentence
     assert "closed-loop" not in found.sentence
 
@@ -196,7 +200,7 @@ def test_small_logs_that_answer_within_the_sample(path):
     table = pd.read_csv(path)
     data = blocks(table["u"].to_numpy(), table["y"].to_numpy(), [2000, 2500])
     model = case(WHITE, WHITE).model
-    findings = feedback.findings(with_runs(data, model, 0.1))
+    findings = feedback.judge_feedback(with_runs(data, model, 0.1))
     told = sentences(findings)
     assert "closed-loop" not in told
     expected = "same_sample" in path.name
@@ -211,7 +215,7 @@ def test_small_logs_of_a_position_do_not_run_away(path):
     length = len(u)
     difference = y - y[0]
     data = blocks(u, difference, [length * 6 // 10, length * 8 // 10])
-    findings = feedback.runs_away(data, closed=False, integrated=False)
+    findings = feedback.judge_instability(data, closed=False, integrated=False)
     told = sentences(findings)
     assert "runs away" not in told
     if "sweep" in path.name:
@@ -232,10 +236,10 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     data = blocks(u, table["rpm"].to_numpy(float) - 35.0, [864, 1152])
     model = case(WHITE, WHITE).model
     log = with_runs(data, model, 0.1)
-    assert not list(feedback.findings(log))
-    searches = (records._range, records._levels, records._same)
+    assert not list(feedback.judge_feedback(log))
+    searches = (records._judge_range, records._judge_levels, records._judge_repetition)
     assert not [sentence for search in searches for sentence in search(log)]
-    assert not list(records._limits(log))
+    assert not list(records._judge_saturation(log))
     log_look = look(path, step_s=1.0)
     seen = str(log_look)
     assert "its level explains 91% of the output" in seen
@@ -247,7 +251,7 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
 def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
     """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""
     data_set = kind_of_log(tmp_path, "position_dead_zone", seed)
-    sums = list(feedback.runs_away(data_set, closed=False))
+    sums = list(feedback.judge_instability(data_set, closed=False))
     levels = [finding.level for finding in sums]
     assert levels == ["doubt"]
     assert "integrates its input" in sums[0].sentence
@@ -257,7 +261,7 @@ def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Pa
 @pytest.mark.parametrize("name", ["slow_coarse", "bilinear", "dead_time", "saturating", "drifting"])
 def test_what_settles_does_not_integrate(tmp_path: Path, name: str):
     data_set = kind_of_log(tmp_path, name, 0)
-    assert not list(feedback.runs_away(data_set, closed=False))
+    assert not list(feedback.judge_instability(data_set, closed=False))
 
 
 def kind_of_log(folder: Path, name: str, seed: int) -> DataSet:

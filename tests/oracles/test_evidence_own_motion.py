@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from test_loop_prediction import linear_model
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback
 from ssm_study.evidence.finding import Case
@@ -39,13 +39,15 @@ def integrating(pole: float) -> StateSpace:
     return StateSpace(a=pole * one, b=0.1 * one, c=one, d=0 * one)
 
 
-def case(y: np.ndarray, system: StateSpace, cut=by_time, log: int = 1) -> Case:
+def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> Case:
     u = U[:, None]
     record = Trajectory(u=u, y=y[:, None], step_s=0.1, log=log)
-    parts = in_blocks(record) if cut is in_blocks else by_time(record, 0.2, 0.2)
+    parts = (
+        split_into_blocks(record) if cut is split_into_blocks else split_by_time(record, 0.2, 0.2)
+    )
     channels = tuple((Channel(name=name, unit=""),) for name in "uy")
     rest = (np.zeros(1), np.zeros(1))
-    data = assemble(parts, rest, channels, SKIP)
+    data = assemble_dataset(parts, rest, channels, SKIP)
     model = replace(linear_model(0), linear=system)
     names = ("validation", "test")
     free = {name: Simulation.of(model, getattr(data, name), SKIP) for name in names}
@@ -56,44 +58,46 @@ def measured(system: StateSpace, noise: float, start: np.ndarray) -> np.ndarray:
     response = system.simulate(U[:, None], start)
     y = response[0][:, 0]
     standard_deviation = np.std(y)
-    rng = RNG.standard_normal(SAMPLES)
-    return y + noise * standard_deviation * rng
+    white_noise = RNG.standard_normal(SAMPLES)
+    return y + noise * standard_deviation * white_noise
 
 
 def drifting_phase(noise: float) -> np.ndarray:
     """A swing of constant size whose phase walks: no input says where it is."""
-    rng = RNG.standard_normal(SAMPLES)
-    running_sum = np.cumsum(0.08 * rng)
+    white_noise = RNG.standard_normal(SAMPLES)
+    running_sum = np.cumsum(0.08 * white_noise)
     phase = ANGLE * np.arange(SAMPLES) + running_sum
     cosine = np.cos(phase)
-    rng = RNG.standard_normal(SAMPLES)
-    return cosine + noise * rng
+    white_noise = RNG.standard_normal(SAMPLES)
+    return cosine + noise * white_noise
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1])
 def test_a_swing_that_goes_on_by_itself_cannot_be_judged(cut, noise):
-    (found,) = own_motion.findings(case(drifting_phase(noise), swinging(0.9995), cut))
+    (found,) = own_motion.judge_autonomous_motion(
+        case(drifting_phase(noise), swinging(0.9995), cut)
+    )
     assert found.level == "cannot judge"
     assert "it moves by itself" in found.sentence
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("noise", [0.0, 0.1, 1.5])
 @pytest.mark.parametrize("radius", [0.9, 0.99, 0.9995])
 def test_a_resonance_that_the_input_moves_is_judged_however_noisy(radius, noise, cut):
     system = swinging(radius)
     judged = case(measured(system, noise, np.array([3.0, 0.0])), system, cut)
-    assert own_motion.findings(judged) == []
-    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+    assert own_motion.judge_autonomous_motion(judged) == []
+    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
 
-@pytest.mark.parametrize("cut", [by_time, in_blocks])
+@pytest.mark.parametrize("cut", [split_by_time, split_into_blocks])
 @pytest.mark.parametrize("pole", [0.999, 1.0])
 def test_what_integrates_keeps_an_offset_and_is_judged(pole, cut):
     judged = case(measured(integrating(pole), 0.02, np.array([10.0])), integrating(0.9995), cut)
-    assert own_motion.findings(judged) == []
-    assert not [found for found in feedback.findings(judged) if found.level == "cannot judge"]
+    assert own_motion.judge_autonomous_motion(judged) == []
+    assert not [found for found in feedback.judge_feedback(judged) if found.level == "cannot judge"]
 
 
 def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
@@ -102,7 +106,7 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
         rng = np.random.default_rng(seed)
         white_noise = rng.standard_normal(SAMPLES)
         walk = np.cumsum(0.1 * U + white_noise)
-        found = feedback.runs_away(case(walk, integrating(0.999)).data, closed=False)
+        found = feedback.judge_instability(case(walk, integrating(0.999)).data, closed=False)
         refused += len([finding for finding in found if finding.level == "cannot judge"])
     assert refused <= 3
 
@@ -110,19 +114,22 @@ def test_the_walk_of_an_integrator_is_taken_for_growth_once_in_a_hundred():
 @pytest.mark.parametrize(("pole", "refused"), [(1.002, True), (1.004, True), (1.0005, False)])
 def test_what_grows_is_refused_once_the_log_is_long_enough_to_show_it(pole, refused):
     y = measured(integrating(pole), 0.01, np.zeros(1))
-    found = [one.sentence for one in feedback.findings(case(y, integrating(0.999), in_blocks))]
+    found = [
+        one.sentence
+        for one in feedback.judge_feedback(case(y, integrating(0.999), split_into_blocks))
+    ]
     assert any("runs away by itself (a mode at 1.00" in one for one in found) == refused
 
 
 @pytest.mark.parametrize(("noise", "share"), [(0.0, 1.0), (0.5, 0.8)])
 def test_of_a_plant_that_the_input_moves_both_runs_predict_all_but_the_noise(noise, share):
     system = swinging(0.9)
-    found = own_motion.shares_predicted(case(measured(system, noise, np.zeros(2)), system))
+    found = own_motion.predicted_power_shares(case(measured(system, noise, np.zeros(2)), system))
     expected = (share, share)
     assert found == pytest.approx(expected, abs=0.1 if noise else 1e-4)
 
 
 def test_pieces_of_no_common_log_say_nothing():
     judged = case(drifting_phase(0.0), swinging(0.9995), log=0)
-    assert own_motion.shares_predicted(judged) is None
-    assert own_motion.findings(judged) == []
+    assert own_motion.predicted_power_shares(judged) is None
+    assert own_motion.judge_autonomous_motion(judged) == []

@@ -9,13 +9,13 @@ import scipy.signal
 from structured_cases import model
 from test_loop_prediction import linear_model
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.evidence import feedback, records
 from ssm_study.evidence.finding import CANNOT_JUDGE, Case
-from ssm_study.evidence.fit import LAGS, owed_to_input, whiteness
-from ssm_study.evidence.metrics import judge
-from ssm_study.evidence.records import _range
-from ssm_study.evidence.response import coherence, dead_time, findings
+from ssm_study.evidence.fit import LAGS, judge_whiteness, unmodelled_input_share
+from ssm_study.evidence.metrics import collect_findings
+from ssm_study.evidence.records import _judge_range
+from ssm_study.evidence.response import dead_time_samples, judge_response, multiple_coherence
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Channel, Trajectory
@@ -34,7 +34,7 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     changed_channel = replace(channel, name="b")
     channels = ((channel,), (changed_channel,))
     metadata = {"source": source}
-    data = assemble(
+    data = assemble_dataset(
         ([log[:4000]], [log[4000:5000]], [log[5000:]]), (rest, rest),
         channels, 0, metadata=metadata,
     )  # fmt: skip
@@ -59,15 +59,15 @@ def answer(u: np.ndarray, late: int = 0, noise: float = 0.01) -> np.ndarray:
 @pytest.mark.parametrize("late", [0, 1, 3, 7, 12])
 @pytest.mark.parametrize("u", [WHITE, LEVELS], ids=["white", "levels"])
 def test_the_dead_time_is_counted_in_samples(u, late):
-    assert dead_time(case(u, answer(u, late))) == late
+    assert dead_time_samples(case(u, answer(u, late))) == late
 
 
 def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
-    (found,) = findings(case(LEVELS, answer(LEVELS, 5)))
+    (found,) = judge_response(case(LEVELS, answer(LEVELS, 5)))
     assert found.level == "doubt"
     assert "answers 5 samples late" in found.sentence
     assert "use model=delayed model.dead_time=5" in found.sentence
-    assert findings(case(LEVELS, answer(LEVELS, 1))) == []
+    assert judge_response(case(LEVELS, answer(LEVELS, 1))) == []
 
 
 @pytest.mark.parametrize(
@@ -81,28 +81,33 @@ def test_a_dead_time_beyond_the_order_is_a_doubt_with_its_remedy():
 def test_a_log_sampled_too_slowly_or_too_fast_is_told_what_to_do(slow, said):
     """A lag has lost nine tenths of its response after ln(0.1) / ln(slow) samples, and one more."""
     y = scipy.signal.lfilter([0, 0.1], [1, -slow], LEVELS)
-    notes = [found for found in findings(case(LEVELS, y, slow)) if "bulk" in found.sentence]
+    notes = [found for found in judge_response(case(LEVELS, y, slow)) if "bulk" in found.sentence]
     assert len(notes) == (said is not None)
     assert all(found.level == "note" and said in found.sentence for found in notes)
     assert not [
-        found for found in findings(case(LEVELS, y, slow, "simulated")) if "bulk" in found.sentence
+        found
+        for found in judge_response(case(LEVELS, y, slow, "simulated"))
+        if "bulk" in found.sentence
     ]
 
 
 @pytest.mark.parametrize("noise", [3.0, 100.0])
 def test_where_noise_hides_the_answer_no_dead_time_is_claimed(noise):
-    assert dead_time(case(LEVELS[:1500].repeat(4), answer(LEVELS[:1500].repeat(4), 6, noise))) == 0
+    assert (
+        dead_time_samples(case(LEVELS[:1500].repeat(4), answer(LEVELS[:1500].repeat(4), 6, noise)))
+        == 0
+    )
 
 
 def test_an_input_too_smooth_to_tell_its_samples_apart_claims_no_dead_time():
     smooth = np.sin(np.arange(6000) / 300)
-    assert dead_time(case(smooth, answer(smooth, 5))) == 0
+    assert dead_time_samples(case(smooth, answer(smooth, 5))) == 0
 
 
 def test_a_record_that_noise_hides_is_a_doubt_and_a_good_one_is_none():
-    told = [found.sentence for found in findings(case(WHITE, answer(WHITE, noise=1.0)))]
+    told = [found.sentence for found in judge_response(case(WHITE, answer(WHITE, noise=1.0)))]
     assert any("of the band up to" in sentence for sentence in told)
-    assert findings(case(WHITE, answer(WHITE))) == []
+    assert judge_response(case(WHITE, answer(WHITE))) == []
 
 
 def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain():
@@ -115,7 +120,7 @@ def test_the_band_ends_where_the_model_answers_with_a_tenth_of_its_largest_gain(
     ends_hz = largest / (2 * np.pi) / 0.1
     (said,) = (
         found.sentence
-        for found in findings(case(WHITE, answer(WHITE, noise=3.0)))
+        for found in judge_response(case(WHITE, answer(WHITE, noise=3.0)))
         if "band" in found.sentence
     )
     assert f"of the band up to {ends_hz:.3g} Hz that" in said
@@ -130,7 +135,7 @@ def test_the_band_is_that_of_the_whole_answer_not_of_each_state_by_itself():
     d = np.zeros((1, 1))
     two = StateSpace(a=a, b=b, c=c, d=d)
     changed_noisy = replace(noisy, model=replace(noisy.model, linear=two))
-    told = findings(changed_noisy)
+    told = judge_response(changed_noisy)
     angles, gain = scipy.signal.freqz(
         [0, 0, 0.04], np.poly([0.9, 0.5]), np.linspace(0, np.pi, 126)[1:]
     )
@@ -150,15 +155,15 @@ def test_pieces_shorter_than_the_model_s_response_say_nothing():
     linear = replace(hidden.model.linear, a=a)
     slow = replace(hidden.model, linear=linear)
     changed_hidden = replace(hidden, model=slow)
-    assert findings(changed_hidden) == []
+    assert judge_response(changed_hidden) == []
 
 
 def test_a_band_that_is_not_excited_is_a_doubt():
-    rng = RNG.standard_normal(6000)
-    slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), rng)
+    white_noise = RNG.standard_normal(6000)
+    slow = scipy.signal.lfilter(*scipy.signal.butter(4, 0.01), white_noise)
     assert any(
         "excite it there" in found.sentence
-        for found in findings(case(slow, answer(slow, noise=0.02)))
+        for found in judge_response(case(slow, answer(slow, noise=0.02)))
     )
 
 
@@ -169,18 +174,16 @@ def test_a_test_input_where_training_has_no_power_is_a_doubt():
     slow = scipy.signal.lfilter(b, a, WHITE)
     for scale in (0.1, 1.0):  # a share knows no unit
         u = scale * np.where(np.arange(6000) < 4500, slow, WHITE)
-        validation = made.data.validation
-        told = records.findings(
-            made := case(u, answer(u)), measure_mismatch(made.model, validation)
-        )
+        made = case(u, answer(u))
+        mismatch = measure_mismatch(made.model, made.data.validation)
+        told = records.judge_records(made, mismatch)
         (said,) = (
             found.sentence for found in told if "lies where training has none" in found.sentence
         )
         assert 60 < float(said.split(" %")[0]) < 80
-    validation = made.data.validation
-    told = records.findings(
-        made := case(WHITE, answer(WHITE)), measure_mismatch(made.model, validation)
-    )
+    made = case(WHITE, answer(WHITE))
+    mismatch = measure_mismatch(made.model, made.data.validation)
+    told = records.judge_records(made, mismatch)
     assert not any("lies where training has none" in found.sentence for found in told)
 
 
@@ -191,18 +194,18 @@ def test_coherence_is_the_share_of_power_that_the_inputs_explain():
     n = RNG.standard_normal((100_000, 1))
     y = np.hstack([u.sum(axis=1, keepdims=True) + n, 100 * u[:, :1]])
     parts = [(u, y)]
-    actual = coherence(parts, 64)
+    actual = multiple_coherence(parts, 64)
     np.testing.assert_allclose(actual, 2 / 3, atol=0.05)
 
 
 def test_where_the_input_rests_in_one_record_the_others_tell():
     u = RNG.standard_normal((20_000, 1))
-    rng = RNG.standard_normal((2000, 1))
-    resting = (np.zeros((2000, 1)), 1e-3 * rng)
+    white_noise = RNG.standard_normal((2000, 1))
+    resting = (np.zeros((2000, 1)), 1e-3 * white_noise)
     parts = [(u, u), resting]
-    actual = coherence(parts, 64)
+    actual = multiple_coherence(parts, 64)
     np.testing.assert_allclose(actual, 1, atol=1e-3)
-    actual = coherence([resting], 64)
+    actual = multiple_coherence([resting], 64)
     np.testing.assert_allclose(actual, 0, atol=1e-9)
 
 
@@ -232,7 +235,7 @@ def test_what_the_error_owes_to_the_input_is_its_share_of_the_output_s_power():
     parts = [part - part.mean() for part in (y[4000:5000], y[5000:])]
     mean = float((np.concatenate(parts) ** 2).mean())
     varied = sum(map(len, scored)) * mean
-    owed = owed_to_input(case(WHITE, y, slow=0.3))
+    owed = unmodelled_input_share(case(WHITE, y, slow=0.3))
     expected = power / 4 / varied
     assert owed == pytest.approx(expected, rel=1e-4)
 
@@ -250,17 +253,16 @@ def test_a_log_made_in_a_closed_loop_is_a_doubt_and_the_same_input_in_open_loop_
     reference, delay
 ):
     u, y = in_loop(REFERENCES[reference], 0.03, delay)
-    (found,) = feedback.findings(case(u, y))
+    (found,) = feedback.judge_feedback(case(u, y))
     assert found.level == "doubt"
     assert "as in a closed-loop log: name its set point" in found.sentence
-    assert not list(feedback.findings(case(u, answer(u, noise=0.03))))
+    assert not list(feedback.judge_feedback(case(u, answer(u, noise=0.03))))
 
 
 @pytest.mark.parametrize("pole", [1.02, 1.05, 1.2])
 @pytest.mark.parametrize("noise", [0.005, 0.02])
 def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(pole, noise):
-    levels = LEVELS.repeat(10)
-    asked = levels[:6000]
+    asked = LEVELS.repeat(10)[:6000]
     rng = np.random.default_rng(1)
     x = 0.0
     log = np.zeros((6000, 2))
@@ -269,7 +271,7 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
         difference = asked[k] - y
         log[k] = difference, y
         x = pole * x + 0.3 * log[k, 0]
-    doubted, refused = feedback.findings(case(*log.T))
+    doubted, refused = feedback.judge_feedback(case(*log.T))
     assert doubted.level == "doubt"
     assert refused.level == "cannot judge"
     assert float(refused.sentence.split("a mode at ")[1].split()[0]) == pytest.approx(
@@ -278,7 +280,7 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
     assert "log its loop with the set point as the input" in refused.sentence
     assert not [
         found
-        for found in feedback.findings(case(asked, log[:, 1]))
+        for found in feedback.judge_feedback(case(asked, log[:, 1]))
         if found.level == "cannot judge"
     ]
 
@@ -288,10 +290,10 @@ def test_a_plant_that_a_loop_keeps_from_running_away_is_refused_with_the_reason(
 )
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_a_log_in_open_loop_is_not_taken_for_a_closed_one(u, noise):
-    assert feedback.fed_back_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
+    assert feedback.feedback_share(case(u, answer(u, noise=noise)).data, 0) < feedback.EARLIER
     upper_limit = feedback.EARLIER / 2
     assert (
-        feedback.fed_back_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < upper_limit
+        feedback.feedback_share(case(u, answer(np.tanh(3 * u), noise=noise)).data, 1) < upper_limit
     )
 
 
@@ -302,7 +304,8 @@ def test_a_model_with_neurons_is_judged():
     parts = (data.validation, data.test)
     validation, test = (Simulation.of(other, part, 0) for part in parts)
     mismatch = measure_mismatch(other, data.validation)
-    level = judge(data, other, validation, test, mismatch).level
+    judgement = collect_findings(data, other, validation, test, mismatch)
+    level = judgement.level
     assert level == CANNOT_JUDGE
 
 
@@ -323,7 +326,7 @@ def test_a_short_record_is_said_to_have_the_lags_it_has():
     drifted = record.y + np.linspace(-1, 1, 60)[:, None]
     part = replace(late.validation, records=(record,), simulated=(drifted,))
     changed_late = replace(late, validation=part)
-    (found,) = whiteness(changed_late)
+    (found,) = judge_whiteness(changed_late)
     assert "of 14 lags" in found.sentence
 
 
@@ -336,22 +339,22 @@ def test_a_test_record_beyond_the_training_records_is_told_of_the_signal_that_is
         u[5000:] *= 2.0
     else:
         y[5000:] += 3.0 * np.ptp(y[:4000])
-    (told,) = _range(case(u, y))
+    (told,) = _judge_range(case(u, y))
     assert f"test record's {moved} is beyond the training records" in told
-    assert not [*_range(case(LEVELS, answer(LEVELS)))]
+    assert not [*_judge_range(case(LEVELS, answer(LEVELS)))]
 
 
 @pytest.mark.parametrize("kept", [records.WINDOW, records.WINDOW + 1])
 def test_a_test_record_that_is_the_end_of_a_training_record_is_found_to_its_last_sample(kept):
     found = case(WHITE, answer(WHITE))
     end = found.data.training[0]
-    assert list(records._same(found)) == []
+    assert list(records._judge_repetition(found)) == []
     u = end.u[-kept:]
     y = end.y[-kept:]
     changed_end = replace(end, u=u, y=y)
     test = (changed_end,)
     taken = replace(found, data=replace(found.data, test=test))
-    (said,) = records._same(taken)
+    (said,) = records._judge_repetition(taken)
     assert said.startswith("100 % of the test record is part of the training records")
 
 
@@ -360,7 +363,7 @@ def test_a_controller_that_acts_a_sample_late_is_found_by_the_outputs_before():
     samples ago."""
     u, y = in_loop(REFERENCES["steps"], 0.007, 1)
     firsts = (0, 1, 2)
-    present, before, two_ago = (feedback.fed_back_share(case(u, y).data, first) for first in firsts)
+    present, before, two_ago = (feedback.feedback_share(case(u, y).data, first) for first in firsts)
     assert two_ago < feedback.EARLIER < before < feedback.PRESENT > present
-    (found,) = feedback.findings(case(u, y))
+    (found,) = feedback.judge_feedback(case(u, y))
     assert "as in a closed-loop log" in found.sentence

@@ -12,7 +12,7 @@ from test_evidence_response import LEVELS, answer, case
 from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 from ssm_study.data.recorded import RecordedData
 from ssm_study.evidence.finding import Case
-from ssm_study.evidence.records import findings
+from ssm_study.evidence.records import judge_records
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.return_to_rest import (
@@ -33,7 +33,7 @@ def said(u: np.ndarray, y: np.ndarray) -> list[str]:
     shown: Mismatch = measure_mismatch(log.model, validation)
     return [
         found.sentence
-        for found in findings(log, shown)
+        for found in judge_records(log, shown)
         if "scales off at rest input" in found.sentence
     ]
 
@@ -92,7 +92,7 @@ def fitted_log(
     parts = {name: Simulation.of(model, getattr(data, name), 20) for name in names}
     log = Case(data=data, model=model, **parts)
     shown = measure_mismatch(model, data.validation, 20, data.mismatch_records)
-    told = [found.sentence for found in findings(log, shown)]
+    told = [found.sentence for found in judge_records(log, shown)]
     text = " ".join(one for one in told if "rest input" in one)
     return log, shown, text
 
@@ -160,7 +160,7 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     shown = measure_mismatch(log.model, validation, 0, (trajectory,))
     assert shown.rests
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
-    told = " ".join(found.sentence for found in findings(log, shown))
+    told = " ".join(found.sentence for found in judge_records(log, shown))
     assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)
 
 
@@ -262,7 +262,7 @@ def test_a_loop_that_starts_beyond_what_training_reached_is_told_how_far(times):
     begun = replace(log, data=replace(log.data, mismatch_records=(trial,)))
     validation = log.data.validation
     mismatch = measure_mismatch(log.model, validation)
-    told = [found.sentence for found in findings(begun, mismatch)]
+    told = [found.sentence for found in judge_records(begun, mismatch)]
     assert any(f"starts {times} times as far out" in sentence for sentence in told) == (times > 1.2)
     assert any("times as far out" in sentence for sentence in told) == (times > 1.2)
 

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from loop_cases import BALLS, motor, motor_design, motor_model
 from test_loop_prediction import ONES, linear_model
 
-from ssm_study.data.simulated import DECAYS, LEAD_IN, PERIOD, RETURNS, SHARES, mismatch_records
+from ssm_study.data.simulated import (
+    DECAYS,
+    LEAD_IN,
+    PERIOD,
+    RETURNS,
+    SHARES,
+    simulate_mismatch_records,
+)
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -227,14 +234,10 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
     scale = model.scale.output_scale[0]
     angles = (0.2, 2.6)
     slow, fast = (0.2 * scale * np.cos(angle * k) for angle in angles)
-    for left, rests in (
-        (0 * k, True),
-        (0.5 * AT_REST * scale * k**0, True),
-        (slow, False),
-        (fast, False),
-        (0.1 * scale * k**0, False),
-        (3 * scale * np.exp(-k / 30), True),
-    ):
+    for left, rests in ((0 * k, True), (0.5 * AT_REST * scale * k**0, True), (slow, False), (fast,
+                                                                                             False),
+                        (0.1 * scale * k**0, False), (3 * scale * np.exp(-k / 30),
+                                                      True)):  # fmt: skip
         trajectory = Trajectory(u=still, y=left + noise, step_s=0.01)
         shown = measure_mismatch(model, (record,), 0, (trajectory,))
         assert shown.rests == rests
@@ -246,7 +249,8 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
 
 def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and_slow_returns():
     rng = np.random.default_rng(3)
-    records = mismatch_records(motor(), rng, np.array([0.1]))
+    deviation = np.array([0.1])
+    records = simulate_mismatch_records(motor(), rng, deviation)
     expected = len(SHARES) + len(DECAYS) + len(RETURNS)
     assert len(records) == expected
     largest = max(np.abs(record.u).max() for record in records)
@@ -272,7 +276,8 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
         assert not record.u.any()
         assert record.y[0, 0] == pytest.approx(4.0 * share, abs=0.5)
     rng = np.random.default_rng(3)
-    again = mismatch_records(motor(), rng, np.array([0.1]))
+    deviation = np.array([0.1])
+    again = simulate_mismatch_records(motor(), rng, deviation)
     assert all((a.y == b.y).all() for a, b in zip(records, again, strict=True))
 
 

@@ -4,7 +4,7 @@ model."""
 import numpy as np
 import pytest
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.solved import N4SID, input_matrix
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
@@ -22,9 +22,8 @@ def test_the_input_matrix_is_recovered_from_records_with_unknown_starts() -> Non
     records = []
     for length in (60, 90):
         u = RNG.normal(size=(length, 2))
-        rng = RNG.normal(size=2)
-        true = TRUE.simulate(u, rng)
-        records.append((u, true[0]))
+        response = TRUE.simulate(u, RNG.normal(size=2))
+        records.append((u, response[0]))
     actual = input_matrix(TRUE.a, TRUE.c, records)
     np.testing.assert_allclose(actual, TRUE.b, atol=1e-10)
 
@@ -38,20 +37,19 @@ def test_a_system_without_feedthrough_is_identified_without_it() -> None:
     for name in ("training", "validation", "test"):
         u = RNG.normal(size=(400, 1))
         y = system.simulate(u)[0]
-        rng = RNG.normal(size=y.shape)
-        trajectory = Trajectory(u=u, y=y + 0.02 * rng, step_s=0.1, name=name)
+        trajectory = Trajectory(u=u, y=y + 0.02 * RNG.normal(size=y.shape), step_s=0.1, name=name)
         records.append((trajectory,))
     channel = Channel(name="u", unit="V")
     channels = (channel,), (Channel(name="y", unit="m"),)
     parts = (records[0], records[1], records[2])
     rest = (np.zeros(1), np.zeros(1))
-    data = assemble(parts, rest, channels, 0)
+    data = assemble_dataset(parts, rest, channels, 0)
     n4_sid = N4SID(order=2, block_rows=10)
     model = n4_sid.solve(data)
     linear_d = model.linear.d
     assert not linear_d.any()
     test_u = data.test[0].u
-    response = system.simulate(data.test[0].u)
+    response = system.simulate(test_u)
     u, y = test_u, response[0]
     difference = model.simulate(u) - y
     mean = np.mean(difference**2)

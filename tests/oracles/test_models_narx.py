@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssm_study.data.assembly import assemble
+from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.regression import (
     best_baseline,
     forward_selection,
@@ -36,7 +36,7 @@ def records(start_up: int = 0, **how: float) -> DataSet:
     parts = (record(600, 0, **how), short), (record(200, 2, **how),)
     zero = np.zeros(1)
     rest = (zero, zero)
-    return assemble((*parts, (record(200, 3, **how),)), rest, CHANNELS, start_up)
+    return assemble_dataset((*parts, (record(200, 3, **how),)), rest, CHANNELS, start_up)
 
 
 def test_no_row_reaches_across_two_records() -> None:

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.adversarial.plants.titration import Titration
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
-from ssm_study.data.simulated import PERIOD, mismatch_records, sine_records
+from ssm_study.data.simulated import PERIOD, simulate_mismatch_records, simulate_sine_records
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.sine_trials import measure_sine_mismatch, peak_lines
@@ -93,7 +93,7 @@ def judged(
     assert design.certified
     lines = peak_lines(model, design.pair, balls, PERIOD)
     rng = np.random.default_rng([0, 13])
-    records = sine_records(plant, rng, NOISE, lines)
+    records = simulate_sine_records(plant, rng, NOISE, lines)
     sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
     facts = sine_facts(design, model, balls, mismatch, sines)
     return facts["predicted_stable"], swing_of(plant, model, design)
@@ -104,7 +104,7 @@ def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
     plant = request.param
     model = least_squares_model(plant)
     rng = np.random.default_rng(0)
-    trials = mismatch_records(plant, rng, NOISE)
+    trials = simulate_mismatch_records(plant, rng, NOISE)
     full = tuple(trial for trial in trials if trial.name == "trial_at_1")
     mismatch = measure_mismatch(model, full, 0, trials)
     assert mismatch.rests

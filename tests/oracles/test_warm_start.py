@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from ssm_study.data.assembly import assemble
-from ssm_study.data.splits import by_time, in_blocks
+from ssm_study.data.assembly import assemble_dataset
+from ssm_study.data.splits import split_by_time, split_into_blocks
 from ssm_study.evidence import fit
 from ssm_study.evidence.finding import Case
 from ssm_study.models.identified import SSM
@@ -54,11 +54,11 @@ def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Traje
 
 
 def cut(record: Trajectory, splitter=None) -> DataSet:
-    parts = by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
+    parts = split_by_time(record, 0.2, 0.2) if splitter is None else splitter(record)
     rest = (np.zeros(1), np.zeros(1))
     channel = Channel(name="u", unit="")
     channels = ((channel,), (Channel(name="y", unit=""),))
-    data = assemble(parts, rest, channels, START_UP)
+    data = assemble_dataset(parts, rest, channels, START_UP)
     scale = model().scale
     return replace(data, scale=scale)
 
@@ -86,7 +86,7 @@ def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_
     assert choice == SAMPLES
 
 
-@pytest.mark.parametrize("splitter", [None, in_blocks])
+@pytest.mark.parametrize("splitter", [None, split_into_blocks])
 def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitter) -> None:
     data = cut(log(noise=0.1), splitter)
     validation, test = simulate_parts(model(), data)
@@ -108,9 +108,9 @@ def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> No
     difference = fit_test_other_start_percent - test.fit_percent
     apart = abs(difference)
     expected = int(apart > fit.STARTS_APART)
-    assert len(fit.starts_apart(case)) == expected
+    assert len(fit.judge_initial_state(case)) == expected
     changed_case = replace(case, test=from_samples)
-    (finding,) = fit.starts_apart(changed_case)
+    (finding,) = fit.judge_initial_state(changed_case)
     assert finding.level == "doubt"
     assert f"{from_samples.fit_percent:.1f} % from the log before it" in finding.sentence
     assert "from its first samples" in finding.sentence

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 import ssm_study as st
-from ssm_study.data.arrays import check_index, signal, write_log_files
+from ssm_study.data.arrays import check_time_index, signal_columns, write_log_files
 from ssm_study.refusal import BadRequest
 
 T = 2000
@@ -54,12 +54,15 @@ def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untype
 
 def test_frames_are_matched_by_the_names_of_their_columns() -> None:
     frame = pd.DataFrame({"b": Y, "a (V)": U})
-    table = signal(frame, "u", 2, ["a_V", "b"])[1]
+    columns = ["a_V", "b"]
+    table = signal_columns(frame, "u", 2, columns)[1]
     assert np.array_equal(table, np.stack([U, Y], axis=1))
-    by_place = signal(pd.DataFrame(np.stack([Y, U], axis=1)), "u", 2, ["a", "b"])[1]
+    columns = ["a", "b"]
+    by_place = signal_columns(pd.DataFrame(np.stack([Y, U], axis=1)), "u", 2, columns)[1]
     assert np.array_equal(by_place, np.stack([Y, U], axis=1))
+    columns = ["a", "b"]
     with pytest.raises(BadRequest, match=r"u \(columns\) = b, c: the model's channels are a, b"):
-        signal(frame.set_axis(["b", "c"], axis=1), "u", 2, ["a", "b"])
+        signal_columns(frame.set_axis(["b", "c"], axis=1), "u", 2, columns)
 
 
 @pytest.mark.parametrize(
@@ -88,13 +91,12 @@ def test_an_index_that_agrees_or_counts_rows_is_taken() -> None:
             warnings.simplefilter("error")
             u = pd.Series(U, index=index)
             y = pd.Series(Y, index=index)
-            check_index(u, y, 0.01)
+            check_time_index(u, y, 0.01)
 
 
 def two_inputs() -> tuple[pd.DataFrame, pd.DataFrame]:
     """Two inputs of unlike effect on two outputs."""
-    rng = RNG.uniform(-1, 1, (60, 2))
-    u = np.repeat(rng, 10, axis=0)
+    u = np.repeat(RNG.uniform(-1, 1, (60, 2)), 10, axis=0)
     y = np.zeros((601, 2))
     for k in range(600):
         y[k + 1] = 0.9 * y[k] + u[k] @ np.array([[0.1, -0.2], [0.3, 0.05]])

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, stated
+from ssm_study.plants.plant import Equilibrium, Plant, field_property
 from ssm_study.signals import Channel
 
 
@@ -47,10 +47,10 @@ class Adversary(Plant):
     def states(self) -> tuple[Channel, ...]:
         return tuple(Channel(name=f"x{i}", unit="1") for i in range(self.order))
 
-    initial_range = stated("reach", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude", (1,))
-    noise_variance = stated("noise", (1,))
+    initial_range = field_property("reach", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude", (1,))
+    noise_variance = field_property("noise", (1,))
 
     def equilibrium(self) -> Equilibrium:
         return Equilibrium(u=np.zeros(1), x=np.zeros(self.order), y=np.zeros(1))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.optimize import brentq
 
 from ssm_study.plants.integration import runge_kutta
-from ssm_study.plants.plant import Equilibrium, Plant, check_signs, stated
+from ssm_study.plants.plant import Equilibrium, Plant, field_property, refuse_wrong_signs
 from ssm_study.refusal import require
 from ssm_study.signals import Channel
 from tclab_study import board
@@ -62,7 +62,7 @@ class TemperatureLab(Plant):
 
     def __post_init__(self) -> None:
         may_be_zero = ("hardware", "air_c", "emissivity", "temperature_noise_variance")
-        check_signs(
+        refuse_wrong_signs(
             self, tuple(name for name in vars(self) if name not in may_be_zero), may_be_zero[2:]
         )
         require(
@@ -81,9 +81,9 @@ class TemperatureLab(Plant):
         if self.hardware:
             board.release()
 
-    initial_range = stated("initial_offset_k", (-1, 1))
-    input_clock_s = stated("clock_s")
-    input_amplitude = stated("amplitude_percent", (1,))
+    initial_range = field_property("initial_offset_k", (-1, 1))
+    input_clock_s = field_property("clock_s")
+    input_amplitude = field_property("amplitude_percent", (1,))
 
     @property
     def noise_variance(self) -> tuple[float, ...]:
@@ -141,9 +141,9 @@ class TemperatureLab(Plant):
             )
             return np.full((1, 2), board.attached().hold(float(u[0, 0]), self.step_s))
         heat = self.heater_w_per_percent * np.clip(u[:, 0], 0.0, 100.0) + d[:, 0]
-        return runge_kutta(lambda z: self._rate(z, heat), x, self.step_s, substeps=4)
+        return runge_kutta(lambda z: self._level_rates(z, heat), x, self.step_s, substeps=4)
 
-    def _rate(
+    def _level_rates(
         self, x: Float[np.ndarray, "N 2"], heat: Float[np.ndarray, "N"]
     ) -> Float[np.ndarray, "N 2"]:
         transistor, sensor = x.T

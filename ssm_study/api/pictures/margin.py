@@ -71,4 +71,4 @@ def _name(curve: MarginCurve) -> str:
     """Legend of one curve."""
     if curve.amplitude is None:
         return "trials in closed loop"
-    return f"input rms {curve.amplitude:.2g} scales"
+    return f"input of rms {curve.amplitude:.2g}"

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_band
+from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
 from ssm_study.refusal import at_least, require
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chirp(Excitation):
-    """Sine whose frequency rises linearly. `u = A sin(phi + 2 pi (f0 t + (f1 - f0) t^2 / 2T))`:
-    frequency rises linearly from f0 to f1 over the record.
+    """Excitation signal: a sine whose frequency rises linearly. `u = A sin(phi + 2 pi (f0 t + (f1 -
+    f0) t^2 / 2T))`: frequency rises linearly from f0 to f1 over the record.
 
     Random initial phase; every second channel sweeps downwards. `low_hz` None is one period per
     record, `high_hz` None is `0.5 / clock_s`.
@@ -26,7 +26,7 @@ class Chirp(Excitation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_band(self.low_hz, self.high_hz)
+        check_frequency_band(self.low_hz, self.high_hz)
 
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
@@ -53,8 +53,8 @@ class Chirp(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class Staircase(Excitation):
-    """Ascending and descending steps over the input range. `levels` values spaced uniformly over
-    `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
+    """Excitation signal: ascending and descending steps over the input range. `levels` values
+    spaced uniformly over `[-A, A]`, climbed and descended, each held for `hold_clocks` clocks.
 
     Shows the static map: long holds let each level settle. Every channel starts at a random point
     of the climb.

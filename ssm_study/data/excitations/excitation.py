@@ -15,8 +15,8 @@ Amplitude = float | tuple[float, ...] | list[float] | None
 
 @dataclass(frozen=True, kw_only=True)
 class SignalRequest:
-    """Length, sampling time and amplitude of a signal to be generated. `samples` every `step_s`,
-    offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
+    """Length, sampling time and amplitude of an excitation signal to be generated. `samples` every
+    `step_s`, offsets up to `amplitude (m,)` from equilibrium, levels held at least `clock_s`."""
 
     samples: int
     step_s: float
@@ -25,11 +25,12 @@ class SignalRequest:
 
     @property
     def inputs(self) -> int:
+        """Number of input channels of the signal."""
         return len(self.amplitude)
 
     @property
     def clock_samples(self) -> int:
-        """Whole samples in a clock period. Refuses less than one."""
+        """Clock period of the excitation in whole sampling periods. Refuses less than one."""
         samples = round(self.clock_s / self.step_s)
         problem = f"shorter than half the sampling time of {self.step_s:g} s"
         require(
@@ -66,17 +67,17 @@ class Excitation(ABC):
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator
     ) -> Float[np.ndarray, "T m"]:
-        """Generate the signal with amplitude one. The signal for amplitude one: values in [-1,
-        1]."""
+        """Generate the excitation signal with amplitude one. The signal for amplitude one: values
+        in [-1, 1]."""
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
-        """Generate the input signal in physical units."""
-        asked = self._asked(request)
+        """Generate the excitation signal in physical units."""
+        asked = self._with_own_settings(request)
         return self.unit_signal(asked, rng) * np.array(asked.amplitude)
 
-    def _asked(self, request: SignalRequest) -> SignalRequest:
-        """The request with this excitation's own amplitude and clock, where it has them, in place
-        of the plant's."""
+    def _with_own_settings(self, request: SignalRequest) -> SignalRequest:
+        """Replace the plant's amplitude and clock period in a signal request by the excitation's
+        own, where it has them."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
         given = (
             (float(amplitude),) * request.inputs
@@ -94,9 +95,8 @@ class Excitation(ABC):
         )
 
 
-def check_band(low_hz: float | None, high_hz: float | None, name: str = "") -> None:
-    """Refuse ends of a frequency band, called `<name>low_hz` and `<name>high_hz`, that are not
-    positive and ordered."""
+def check_frequency_band(low_hz: float | None, high_hz: float | None, name: str = "") -> None:
+    """Refuse a frequency band whose ends are not positive and in increasing order."""
     positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
     positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
     ordered = low_hz is None or high_hz is None or low_hz < high_hz
@@ -111,8 +111,8 @@ def check_band(low_hz: float | None, high_hz: float | None, name: str = "") -> N
 
 @dataclass(frozen=True, kw_only=True)
 class PRBS(Excitation):
-    """Pseudo-random binary sequence. `u in {-A, +A}`: a maximum-length shift register of
-    `register_bits` bits, clocked every `clock_s`.
+    """Pseudo-random binary excitation sequence of two levels. `u in {-A, +A}`: a maximum-length
+    shift register of `register_bits` bits, clocked every `clock_s`.
 
     Period `2^bits - 1` clocks with a flat spectrum up to about `0.44 / clock_s`. Each channel
     starts the register elsewhere. Two levels show a static input nonlinearity at two points only:
@@ -151,8 +151,8 @@ class PRBS(Excitation):
 
 @dataclass(frozen=True, kw_only=True)
 class APRBS(Excitation):
-    """Amplitude-modulated pseudo-random sequence. Levels uniform in `[-A, A]`, each held for a
-    whole number of clocks uniform in `1 .. longest_hold_clocks`.
+    """Amplitude-modulated pseudo-random excitation sequence of many levels. Levels uniform in `[-A,
+    A]`, each held for a whole number of clocks uniform in `1 .. longest_hold_clocks`.
 
     A multilevel signal visits the whole input range, so the slopes of a static input nonlinearity
     can be identified.

@@ -8,14 +8,14 @@ from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.data.readers.reader import read_table
-from ssm_study.data.recording import Names, listed
+from ssm_study.data.recording import Names, as_name_list
 from ssm_study.refusal import require
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSignal(Excitation):
-    """Excitation read from the columns of a file. Columns of a file, one per input: offsets from
-    the equilibrium in the input's unit, one row per sampling period.
+    """Excitation signal that is read from the columns of a file. Columns of a file, one per input:
+    offsets from the equilibrium in the input's unit, one row per sampling period.
 
     Records shorter than the file start at a random row of it. `amplitude` None takes the values as
     they are; a number scales each column to that peak.
@@ -27,9 +27,13 @@ class OwnSignal(Excitation):
     column: Names
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
-        values = self._values(request)
+        values = self._read_columns(request)
         if self.amplitude is not None:
-            values = values / np.abs(values).max(axis=0) * np.array(self._asked(request).amplitude)
+            values = (
+                values
+                / np.abs(values).max(axis=0)
+                * np.array(self._with_own_settings(request).amplitude)
+            )
         start = int(rng.integers(len(values) - request.samples + 1))
         return values[start : start + request.samples]
 
@@ -39,8 +43,9 @@ class OwnSignal(Excitation):
         u = self.signal(request, rng)
         return u / np.abs(u).max(axis=0)
 
-    def _values(self, request: SignalRequest) -> Float[np.ndarray, "T2 m"]:
-        names = listed(self.column)
+    def _read_columns(self, request: SignalRequest) -> Float[np.ndarray, "T2 m"]:
+        """Read the excitation signal of every input from the file, and check its length."""
+        names = as_name_list(self.column)
         problem = f"the plant has {request.inputs} inputs"
         require(
             len(names) == request.inputs,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_band
+from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
 from ssm_study.refusal import at_least, require
 
 FEWEST_LINES = 2
@@ -17,8 +17,9 @@ CLIP_AT = 0.85
 
 @dataclass(frozen=True, kw_only=True)
 class Multisine(Excitation):
-    """Random-phase multisine with equal power in all lines of a band. `u(t) = A sum_k cos(2 pi k t
-    / T + phi_k) / peak`, all lines k of the band with equal power, T the record.
+    """Random-phase multisine excitation with equal power at all frequency lines of a band. `u(t) =
+    A sum_k cos(2 pi k t / T + phi_k) / peak`, all lines k of the band with equal power, T the
+    record.
 
     Random phases, then `crest_iterations` rounds of clipping in time and restoring the flat
     spectrum, which lowers the crest factor peak/rms (random phases: about 3; afterwards about 1.6).
@@ -34,7 +35,7 @@ class Multisine(Excitation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_band(self.band_low_hz, self.band_high_hz, "band_")
+        check_frequency_band(self.band_low_hz, self.band_high_hz, "band_")
         at_least(0, "excitation.crest_iterations", self.crest_iterations, "use 0 for random phases")
 
     def unit_signal(
@@ -56,12 +57,14 @@ class Multisine(Excitation):
         )
         remedy = "widen the band or lengthen the record"
         require(lines >= FEWEST_LINES, field, (low, high), problem, remedy)
-        channels = [self._channel(band, request.samples, rng) for _ in range(request.inputs)]
+        channels = [self._channel_signal(band, request.samples, rng) for _ in range(request.inputs)]
         return np.stack(channels, axis=1)
 
-    def _channel(
+    def _channel_signal(
         self, band: np.ndarray, samples: int, rng: np.random.Generator
     ) -> Float[np.ndarray, "T"]:
+        """Generate the multisine of one input channel, of the lowest crest factor among several
+        random phases."""
         phases = np.exp(2j * np.pi * rng.random(len(band)))
         best = np.fft.irfft(np.where(band, phases, 0.0), samples)
         for _ in range(self.crest_iterations):

@@ -23,8 +23,9 @@ PERIOD_IN_SETTLINGS = 20  # some seventy levels a period: S_u is seen all over t
 
 @dataclass(frozen=True, kw_only=True)
 class OwnPlantRecord:
-    """Experiment for a user's own plant. Rest, then for each amplitude two equal periods of random
-    levels, then rest; all within `lower, upper`.
+    """Identification experiment for a user's own plant: the input signal that the user applies and
+    records. Rest, then for each amplitude two equal periods of random levels, then rest; all within
+    `lower, upper`.
 
     `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first
     log. `rest` must lie strictly inside the limits. Raises `BadRequest` for a settling time below
@@ -51,7 +52,7 @@ class OwnPlantRecord:
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")
 
     def signal(self) -> Float[np.ndarray, "T"]:
-        """Generate the input signal, one value per sample, to be held until the next."""
+        """Generate the input signal of the experiment, one value per sampling period."""
         settling = round(self.settle_s / self.step_s)
         rng = np.random.default_rng(self.seed)
         samples = PERIOD_IN_SETTLINGS * settling
@@ -69,7 +70,7 @@ class OwnPlantRecord:
         return np.concatenate(parts)
 
     def write(self, path: Path) -> str:
-        """Write the input signal as a CSV file and return a sentence on what it holds."""
+        """Write the input signal to a CSV file, and return a sentence that describes it."""
         u = self.signal()
         pd.DataFrame({"time_s": np.arange(len(u)) * self.step_s, "input": u}).to_csv(
             path, index=False

@@ -12,16 +12,17 @@ from ssm_study.refusal import BadRequest
 
 
 class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
-    """Reader of the first sheet of a spreadsheet. The first sheet, taken apart as a text with
+    """Reader of the first sheet of a spreadsheet file. The first sheet, taken apart as a text with
     tabs is: names, units, dates, missing values."""
 
     def read(self, path: Path, names: list[str]) -> Table:
-        return self._as_text(path).read(path, names)
+        return self._text_reader(path).read(path, names)
 
     def contents(self, path: Path) -> Table:
-        return self._as_text(path).contents(path)
+        return self._text_reader(path).contents(path)
 
-    def _as_text(self, path: Path) -> TextReader:
+    def _text_reader(self, path: Path) -> TextReader:
+        """Convert the first sheet to CSV text, and return a reader of that text."""
         try:
             sheet = pd.read_excel(path, sheet_name=0, header=None, dtype=object)
         except ImportError as error:
@@ -31,4 +32,4 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
             problem = f"not a complete spreadsheet ({error})"
             raise BadRequest("data.path", path, problem, "save the sheet as CSV") from error
         text = sheet.to_csv(sep="\t", index=False, header=False)
-        return TextReader.of_text(path, text, replace(self.settings, separator="tabs"))
+        return TextReader.from_text(path, text, replace(self.settings, separator="tabs"))

@@ -17,7 +17,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.data.readers.mat_hdf5 import parse_hdf5
-from ssm_study.data.readers.reader import Reader, Table, check_named
+from ssm_study.data.readers.reader import Reader, Table, check_column_names
 from ssm_study.refusal import BadRequest
 
 COMPRESSED = 15
@@ -55,13 +55,14 @@ Value = np.ndarray | str  # a string says what it is instead of a real matrix
 
 
 class Text(str):
-    """Text in a MATLAB file, which is shown but not read as a signal. `content` is what it says."""
+    """Text in a MATLAB file, which messages show and no signal is read from. `content` is what it
+    says."""
 
     content: str = ""
 
 
-def _require_bytes(condition: bool, otherwise: str) -> None:
-    """Raise `ValueError` unless the condition on the file's bytes holds."""
+def _require_intact(condition: bool, otherwise: str) -> None:
+    """Raise `ValueError` unless a condition that intact MATLAB files meet holds."""
     if not condition:
         raise ValueError(otherwise)
 
@@ -76,13 +77,13 @@ class MatReader(Reader, names=(".mat",)):
     """
 
     def read(self, path: Path, names: list[str]) -> Table:
-        columns, skipped, texts = numbers_of(path)
+        columns, skipped, texts = read_numeric_variables(path)
         owners: list[str] = []
         where = f"{path.name} (variable)"
         places = list(columns)
         chosen = {}
         for name in names:
-            counted = name.isdigit() and name not in columns and one_matrix(columns)
+            counted = name.isdigit() and name not in columns and belong_to_one_matrix(columns)
             title = places[int(name)] if counted and int(name) < len(places) else name
             if title in skipped:
                 remedy = "save it as a vector"
@@ -91,7 +92,7 @@ class MatReader(Reader, names=(".mat",)):
             if title not in columns and own:
                 problem = f"is a matrix of {len(own)} columns"
                 raise BadRequest(where, name, problem, f"name one as {own[0]} or {own[-1]}")
-            check_named(where, [title], sorted(places))
+            check_column_names(where, [title], sorted(places))
             chosen[name] = columns[title]
             owners.append(title.rpartition(".")[0])
         step_s = stated_step_s(columns, texts, owners)
@@ -99,7 +100,7 @@ class MatReader(Reader, names=(".mat",)):
         return Table(columns=chosen, step_s=step_s, remark=remark)
 
     def contents(self, path: Path) -> Table:
-        columns, skipped, _ = numbers_of(path)
+        columns, skipped, _ = read_numeric_variables(path)
         length = max(map(len, columns.values()), default=0)
         for name in [name for name, values in columns.items() if len(values) != length]:
             skipped[name] = f"has {len(columns.pop(name))} samples, others {length}"
@@ -109,8 +110,8 @@ class MatReader(Reader, names=(".mat",)):
 def stated_step_s(
     columns: dict[str, Float[np.ndarray, "_"]], texts: dict[str, str], owners: list[str]
 ) -> float | None:
-    """Sampling time in seconds that the objects of these columns state (`Ts` of `iddata`). None
-    where none does, or they differ."""
+    """Sampling time in seconds that MATLAB objects state in their field `Ts`, as `iddata` does.
+    None where none does, or they differ."""
     steps = set()
     for owner in owners:
         ts = columns.get(f"{owner}.Ts", np.empty(0))
@@ -123,18 +124,18 @@ def stated_step_s(
     return steps.pop() if len(steps) == 1 else None
 
 
-def one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
-    """Whether all columns belong to one matrix."""
+def belong_to_one_matrix(columns: dict[str, Float[np.ndarray, "_"]]) -> bool:
+    """Whether all columns belong to one matrix of the MATLAB file."""
     return len({name.split(":")[0] for name in columns}) == 1 and len(columns) > 1
 
 
-def numbers_of(
+def read_numeric_variables(
     path: Path,
 ) -> tuple[dict[str, Float[np.ndarray, "_"]], dict[str, str], dict[str, str]]:
     """Read all numeric variables of a MATLAB file. Vectors by name, matrices by columns, why other
     objects were skipped, and texts; raises `BadRequest` where the file is not whole."""
     try:
-        contents = parse(path)
+        contents = parse_mat_file(path)
     except BadRequest:
         raise  # no reader of HDF5 is installed
     except Exception as error:  # whatever scipy, NumPy and zlib raise on damaged files (2026-11)
@@ -159,40 +160,41 @@ def numbers_of(
     return columns, skipped, texts
 
 
-def parse(path: Path) -> dict[str, Value]:
-    """Parse the bytes of a MATLAB file. The variables of a file; raises, of whatever type, what
-    is wrong with its bytes."""
+def parse_mat_file(path: Path) -> dict[str, Value]:
+    """Parse the bytes of a MATLAB file to its variables. The variables of a file; raises, of
+    whatever type, what is wrong with its bytes."""
     content = path.read_bytes()
     if content.startswith((b"MATLAB 7.3", b"\x89HDF")):
         return parse_hdf5(path, MOST_BYTES)
-    _require_bytes(len(content) >= 20, "it is too short")
-    return dict(_version_4(path) if 0 in content[:4] else _version_5(content))
+    _require_intact(len(content) >= 20, "it is too short")
+    return dict(_parse_version_4(path) if 0 in content[:4] else _parse_version_5(content))
 
 
-def _version_5(content: bytes) -> Iterator[tuple[str, Value]]:
+def _parse_version_5(content: bytes) -> Iterator[tuple[str, Value]]:
+    """Iterate over the names and values of a MATLAB 5 file's variables."""
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128], "")
-    _require_bytes(order != "", "its header names no byte order")
+    _require_intact(order != "", "its header names no byte order")
     left = MOST_BYTES
-    for kind, data in _elements(content[128:], order):
+    for kind, data in _iterate_elements(content[128:], order):
         parts: Iterable[tuple[int, bytes]] = [(kind, data)]
         if kind == COMPRESSED:
             stream = zlib.decompressobj()
             unpacked = stream.decompress(data, max(left, 1))  # 0 would be no limit
             left -= len(unpacked)
-            _require_bytes(
+            _require_intact(
                 not stream.unconsumed_tail,
                 f"it unpacks to more than {MOST_BYTES >> 20} MiB; split it",
             )
-            parts = _elements(unpacked, order)
-            _require_bytes(stream.eof, "a compressed variable is cut short")
+            parts = _iterate_elements(unpacked, order)
+            _require_intact(stream.eof, "a compressed variable is cut short")
         for inner, matrix in parts:
             if inner == MATRIX:
-                yield from _named_values(matrix, order)
+                yield from _parse_variable(matrix, order)
 
 
-def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Iterate over the tagged elements of a MATLAB 5 file. Tagged elements: `(type, length)` and
-    the data, padded to 8 bytes; or both in 8 bytes when they fit."""
+def _iterate_elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Iterate over the tagged data elements of a MATLAB 5 file. Tagged elements: `(type, length)`
+    and the data, padded to 8 bytes; or both in 8 bytes when they fit."""
     at = 0
     while at < len(content):
         first, length = struct.unpack_from(order + "II", content, at)
@@ -201,23 +203,24 @@ def _elements(content: bytes, order: str) -> Iterator[tuple[int, bytes]]:
             length = first >> 16
             start = at + 4
             step = 8
-            _require_bytes(length <= 4, "a small element is too long")
+            _require_intact(length <= 4, "a small element is too long")
         else:
             kind = first
             start = at + 8
             step = 8 + (length if kind == COMPRESSED else -(-length // 8) * 8)
-        _require_bytes(start + length <= len(content), "it is cut short")
+        _require_intact(start + length <= len(content), "it is cut short")
         yield kind, content[start : start + length]
         at += step
 
 
-def _named_values(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
-    """Variable by its name. Fields of structs and cells of cell arrays have names of their own.
+def _parse_variable(data: bytes, order: str, owner: str = "") -> Iterator[tuple[str, Value]]:
+    """Iterate over the named values in one variable of a MATLAB 5 file, fields of structs included.
+    Fields of structs and cells of cell arrays have names of their own.
 
     What kind of object it is is looked at before its shape: objects of new classes have neither
     shape nor name where matrices have them.
     """
-    parts = list(_elements(data, order))
+    parts = list(_iterate_elements(data, order))
     if not parts:
         return  # an empty field
     kind = struct.unpack_from(order + "I", parts[0][1])[0] & 0xFF
@@ -225,42 +228,43 @@ def _named_values(data: bytes, order: str, owner: str = "") -> Iterator[tuple[st
         name = parts[1][1].decode("ascii", errors="replace") if len(parts) > 1 else ""
         yield owner or name, CLASSES[OPAQUE]
         return
-    _require_bytes(len(parts) >= 3, "a variable has no name")
+    _require_intact(len(parts) >= 3, "a variable has no name")
     name = owner or parts[2][1].decode("ascii")
     if kind in (STRUCT, OBJECT):
-        yield from _fields(parts, kind, name, order)
+        yield from _parse_struct(parts, kind, name, order)
     elif kind == CELL:
         matrices = [matrix for inner, matrix in parts[3:] if inner == MATRIX]
         for k, matrix in enumerate(matrices, start=1):
             own = name if len(matrices) == 1 else f"{name}{{{k}}}"
-            yield from _named_values(matrix, order, own)
+            yield from _parse_variable(matrix, order, own)
         if not matrices:
             yield name, CLASSES[CELL]
     else:
-        yield name, _matrix(parts, order, name)
+        yield name, _parse_matrix(parts, order, name)
 
 
-def _fields(
+def _parse_struct(
     parts: list[tuple[int, bytes]], kind: int, owner: str, order: str
 ) -> Iterator[tuple[str, Value]]:
-    """The fields of a struct, or of an object of an old class, as `owner.field`."""
+    """Iterate over the fields of a MATLAB struct, or old-style object, as `owner.field`."""
     shape = np.frombuffer(parts[1][1], order + "i4")
     at = 4 if kind == OBJECT else 3  # an object says its class before its fields
     if shape.prod() != 1 or len(parts) < at + 2:
         yield owner, CLASSES[kind]
         return
     length = int(struct.unpack_from(order + "i", parts[at][1])[0])
-    _require_bytes(0 < length <= 4096, "a struct has no names of fields")
+    _require_intact(0 < length <= 4096, "a struct has no names of fields")
     names = parts[at + 1][1]
     fields = [names[k : k + length].split(b"\0")[0] for k in range(0, len(names), length)]
     matrices = [matrix for inner, matrix in parts[at + 2 :] if inner == MATRIX]
-    _require_bytes(len(fields) == len(matrices), "a struct has other fields than names")
+    _require_intact(len(fields) == len(matrices), "a struct has other fields than names")
     for field, matrix in zip(fields, matrices, strict=True):
         label = field.decode("ascii")
-        yield from _named_values(matrix, order, f"{owner}.{label}" if owner else label)
+        yield from _parse_variable(matrix, order, f"{owner}.{label}" if owner else label)
 
 
-def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
+def _parse_matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
+    """Parse a MATLAB 5 matrix of real numbers; words describe any other kind of value."""
     flags = struct.unpack_from(order + "I", parts[0][1])[0]
     shape = tuple(int(n) for n in np.frombuffer(parts[1][1], order + "i4"))
     kind = flags & 0xFF
@@ -271,15 +275,15 @@ def _matrix(parts: list[tuple[int, bytes]], order: str, name: str) -> Value:
         return word
     if flags & COMPLEX:
         return "complex"
-    _require_bytes(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
+    _require_intact(len(parts) >= 4 and parts[3][0] in STORAGE, f"variable {name} has no numbers")
     numbers = np.frombuffer(parts[3][1], order + STORAGE[parts[3][0]])
     fills = min(shape, default=-1) >= 0 and math.prod(shape) == len(numbers)
-    _require_bytes(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
+    _require_intact(fills, f"{len(numbers)} numbers do not fill a matrix of shape {shape}")
     return numbers.reshape(shape, order="F")
 
 
-def _version_4(path: Path) -> Iterator[tuple[str, Value]]:
-    """Read a MATLAB version 4 file with scipy, whose reader of this format is plain Python."""
+def _parse_version_4(path: Path) -> Iterator[tuple[str, Value]]:
+    """Iterate over the names and values of a MATLAB 4 file's variables, read by scipy."""
     with warnings.catch_warnings():
         warnings.simplefilter(
             "ignore", RuntimeWarning

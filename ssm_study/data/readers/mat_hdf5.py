@@ -21,8 +21,8 @@ OWN = "#"  # first letter of MATLAB's own groups
 
 
 def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "..."] | str]:
-    """Read the variables of a MATLAB 7.3 file. Variables by name, fields of structs as `log.u`;
-    what is no real matrix, as a word.
+    """Read the variables of a MATLAB 7.3 file, which is an HDF5 file. Variables by name, fields of
+    structs as `log.u`; what is no real matrix, as a word.
 
     Raises `BadRequest` where h5py is not installed, and whatever h5py raises of a damaged file.
     """
@@ -33,23 +33,25 @@ def parse_hdf5(path: Path, most_bytes: int) -> dict[str, Shaped[np.ndarray, "...
         remedy = "save it with -v7, or pip install h5py"
         raise BadRequest("data.path", path, problem, remedy) from error
     with h5py.File(path, "r") as file:
-        pairs = [pair for name in file for pair in named_values(name, file[name])]
+        pairs = [pair for name in file for pair in iterate_datasets(name, file[name])]
         total = sum(value.nbytes for _, value in pairs if not isinstance(value, str))
         if total > most_bytes:
             raise ValueError(f"it holds more than {most_bytes >> 20} MiB; split it")
-        return {name: value if isinstance(value, str) else real(value) for name, value in pairs}
+        return {
+            name: value if isinstance(value, str) else read_matrix(value) for name, value in pairs
+        }
 
 
-def named_values(name: str, node: Any) -> Iterator[tuple[str, Any]]:
-    """Numeric data sets of a variable by name, not read yet. Words stand for what holds no real
-    numbers."""
+def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
+    """Iterate over the numeric HDF5 data sets of one MATLAB variable, by name, without reading
+    them. Words stand for what holds no real numbers."""
     if name.startswith(OWN):
         return
-    kind = class_of(node)
+    kind = matlab_class(node)
     is_group = hasattr(node, "keys")
     if is_group and kind in ("struct", ""):
         for field in node:
-            yield from named_values(f"{name}.{field}", node[field])
+            yield from iterate_datasets(f"{name}.{field}", node[field])
     elif is_group:
         yield name, WORDS.get(kind, "a sparse matrix" if "MATLAB_sparse" in node.attrs else kind)
     elif "MATLAB_object_decode" in node.attrs or kind not in (*NUMERIC, ""):
@@ -62,13 +64,14 @@ def named_values(name: str, node: Any) -> Iterator[tuple[str, Any]]:
         yield name, node
 
 
-def class_of(node: Any) -> str:
-    """Class of a variable as MATLAB states it. Empty in a file of another program."""
+def matlab_class(node: Any) -> str:
+    """MATLAB class that the attributes of an HDF5 node state. Empty in a file of another
+    program."""
     stated = node.attrs.get("MATLAB_class", b"")
     return stated.decode("ascii", errors="replace") if isinstance(stated, bytes) else str(stated)
 
 
-def real(node: Any) -> Shaped[np.ndarray, "..."]:
-    """The numbers of a data set as MATLAB shows the matrix."""
+def read_matrix(node: Any) -> Shaped[np.ndarray, "..."]:
+    """Read an HDF5 data set as the matrix that MATLAB shows."""
     values = np.asarray(node[()])
     return np.atleast_2d(values).T

@@ -54,7 +54,7 @@ class McapReader(Reader, names=(".mcap",)):
         return Table(columns=columns, units=units, time_s=time_s, row_word="message")
 
     def contents(self, path: Path) -> Table:
-        """The fields of every topic that is logged at the times of the first."""
+        """Read every number field of each topic that has the times of the first."""
         groups, _ = read_mcap(path)
         first = groups[0].time_s
         columns = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet
 
-from ssm_study.data.readers.reader import Reader, Table, arrow_numbers, check_named
+from ssm_study.data.readers.reader import Reader, Table, arrow_numbers, check_column_names
 from ssm_study.refusal import BadRequest, require
 
 MOST_BYTES = 1 << 28  # of the named columns, unpacked
@@ -21,9 +21,9 @@ class ParquetReader(Reader, names=(".parquet",)):
         where = f"{path.name} (column)"
         try:
             schema = parquet.read_schema(path)
-            check_named(where, names, schema.names)
+            check_column_names(where, names, schema.names)
             for kind, name in ((schema.field(name).type, name) for name in names):
-                numeric = is_numeric(kind)
+                numeric = is_numeric_type(kind)
                 require(numeric, where, name, f"holds {kind}, not numbers", "convert it")
             rows = parquet.read_metadata(path).num_rows
             most = MOST_BYTES // 8 // len(names)
@@ -50,13 +50,13 @@ class ParquetReader(Reader, names=(".parquet",)):
         return Table(columns=columns, units=units, row_word="row", dated=frozenset(dated))
 
     def contents(self, path: Path) -> Table:
-        """Every column of numbers or times; the others are skipped by name."""
+        """Read every column of numbers or times, and name the others as skipped."""
         try:
             schema = parquet.read_schema(path)
         except (pa.ArrowException, OSError, ValueError) as error:
             problem = f"not a complete Parquet file ({error})"
             raise BadRequest("data.path", path, problem, "write it again") from error
-        numeric = [name for name in schema.names if is_numeric(schema.field(name).type)]
+        numeric = [name for name in schema.names if is_numeric_type(schema.field(name).type)]
         skipped = {
             name: f"holds {schema.field(name).type}" for name in schema.names if name not in numeric
         }
@@ -64,7 +64,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         return replace(table, skipped=skipped)
 
 
-def is_numeric(kind: pa.DataType) -> bool:
-    """Whether a column's values are numbers or times."""
+def is_numeric_type(kind: pa.DataType) -> bool:
+    """Whether a Parquet column's type is that of numbers or times."""
     tests = (pa.types.is_floating, pa.types.is_integer, pa.types.is_timestamp)
     return any(test(kind) for test in tests)

@@ -31,8 +31,8 @@ FOREIGN = {
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Columns that a reader read from a file. Columns of one length; row k is `row_word` number
-    `first_row + k`, or `row_numbers[k]`.
+    """Columns that a reader took from a log file, with their units and the clock that the file
+    states. Columns of one length; row k is `row_word` number `first_row + k`, or `row_numbers[k]`.
 
     `columns[name] (T,)`, NaN where a value is missing; `units[name]` where the file states one.
     `time_s` are the times the file itself gives its samples (MCAP), `step_s` the sampling time that
@@ -53,7 +53,7 @@ class Table:
     nameless: bool = False
 
     def row_name(self, row: int) -> str:
-        """Name that the file gives to row `row`, counted from 0."""
+        """Name that the file gives to a row, for use in messages."""
         number = row + self.first_row if self.row_numbers is None else self.row_numbers[row]
         return f"{self.row_word} {number}"
 
@@ -65,18 +65,18 @@ class Reader(Family):
 
     @abstractmethod
     def read(self, path: Path, names: list[str]) -> Table:
-        """Read the named columns. Raises `BadRequest` for a file that is not whole, a missing or
-        ambiguous column."""
+        """Read the named columns of a log file. Raises `BadRequest` for a file that is not whole, a
+        missing or ambiguous column."""
 
     def contents(self, path: Path) -> Table:
-        """Every column that can be read, in the order of the file. Refuses a file that is not
-        whole."""
+        """Read every readable column of a log file, in the order of the file. Refuses a file that
+        is not whole."""
         problem = f"the reader of {path.suffix} files lists no columns"
         raise BadRequest("data.path", path, problem, "name the columns")
 
 
-def reader_for(path: Path, settings: TextSettings | None = None) -> Reader:
-    """Reader of a file, chosen by its suffix. A suffix that no format has is tried as text.
+def choose_reader(path: Path, settings: TextSettings | None = None) -> Reader:
+    """Choose the reader of a log file by its suffix. A suffix that no format has is tried as text.
 
     Raises `BadRequest` for a missing file and for formats that are known and not read.
     """
@@ -98,20 +98,20 @@ def read_table(
     missing: bool = False,
     reader: "Reader | None" = None,
 ) -> Table:
-    """Read the requested columns of a file. The wanted columns, of one length; each with the unit
-    it is declared in, or "".
+    """Read the requested columns of a log file, and check their lengths, values and units. The
+    wanted columns, of one length; each with the unit it is declared in, or "".
 
     `missing` allows NaN, where the file has no value. Raises `BadRequest` for a missing or
     malformed file, a missing column, values that are no finite numbers, unequal lengths, or a unit
     that the file contradicts.
     """
-    chosen = reader_for(path, settings) if reader is None else reader
+    chosen = choose_reader(path, settings) if reader is None else reader
     table = chosen.read(path, list(wanted))
     lengths = {name: len(table.columns[name]) for name in wanted}
     same = len(set(lengths.values())) <= 1
     require(same, f"{path.name} (lengths)", lengths, "columns differ in length", "cut them alike")
     for name, unit in wanted.items():
-        refuse_values(path, name, table, missing)
+        refuse_unusable_values(path, name, table, missing)
         stated = table.units.get(name, "")
         problem = f"{path.name} states {stated}"
         agrees = unit in ("", stated) or not stated
@@ -119,8 +119,9 @@ def read_table(
     return table
 
 
-def refuse_values(path: Path, name: str, table: Table, missing: bool) -> None:
-    """Refuse what is not finite, or so large or so close together that squares are lost."""
+def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -> None:
+    """Refuse a column whose values are not finite, or so large or so close together that squares
+    overflow or vanish."""
     values = table.columns[name]
     is_bad = np.isinf(values) if missing else ~np.isfinite(values)
     bad = np.flatnonzero(is_bad)
@@ -136,15 +137,26 @@ def refuse_values(path: Path, name: str, table: Table, missing: bool) -> None:
     require(fits, where, largest, problem, "convert it to another unit")
 
 
+def refuse_equal_columns(table: Table, signals: list[str], file: Path) -> None:
+    """Refuse two signals that are the same column of a file, or hold the same numbers."""
+    for k, name in enumerate(signals):
+        for other in signals[:k]:
+            equal = np.array_equal(table.columns[name], table.columns[other], equal_nan=True)
+            problem = f"holds the numbers of column {other}"
+            remedy = "name another column for one of them"
+            moves = float(np.nanstd(table.columns[name])) > 0
+            require(not (equal and moves), f"{file.name}, column {name}", name, problem, remedy)
+
+
 def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None = None) -> bool:
-    """Whether the file can be read and has these columns."""
+    """Whether a log file can be read and has all the named columns."""
     try:
         return bool(read_table(path, dict.fromkeys(names, ""), settings, missing=True))
     except BadRequest:
         return False
 
 
-def check_named(
+def check_column_names(
     where: str,
     names: list[str],
     known: Sequence[str],
@@ -166,28 +178,29 @@ def title_without_unit(title: str) -> str:
     return re.sub(r"\s*(\[[^\]]*\]|\([^()]*\))\s*$", "", title).strip()
 
 
-def folded(title: str) -> str:
-    """Letters and digits of a title in lower case. Both micro signs are `μ`."""
+def fold_title(title: str) -> str:
+    """Reduce a column's title to its letters and digits in lower case, for comparison. Both micro
+    signs are `μ`."""
     return re.sub(r"[\W_]+", "", unicodedata.normalize("NFKC", title)).lower()
 
 
-def place_of(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
-    """Find the column that a name means. Which column a name means: as written, without its unit,
-    by letters alone, or by number.
+def find_column(path: Path, name: str, titles: list[str], header: bool | None = None) -> int:
+    """Find the index of the column that a name, or a number, means. Which column a name means: as
+    written, without its unit, by letters alone, or by number.
 
     A number counts the columns from 0. Where it is a title too, and of another column, the request
     is refused with both readings; `header` true says that it is the title.
     """
     where = f"{path.name} (column)"
     plain = [title_without_unit(title) for title in titles]
-    ways = (list(titles), plain, [folded(t) for t in titles], [folded(t) for t in plain])
-    wanted = (name, name, folded(name), folded(name))
+    ways = (list(titles), plain, [fold_title(t) for t in titles], [fold_title(t) for t in plain])
+    wanted = (name, name, fold_title(name), fold_title(name))
     number = int(name) if name.isascii() and name.isdigit() else None
     numbered = number is not None and number < len(titles)
     for word, known in zip(wanted, ways, strict=True):
         if not word or word not in known:
             continue
-        check_named(where, [word], known, "header")
+        check_column_names(where, [word], known, "header")
         place = known.index(word)
         counted = numbered and place != number and header is None
         if counted:
@@ -202,15 +215,15 @@ def place_of(path: Path, name: str, titles: list[str], header: bool | None = Non
         return number
     if all(title == str(j) for j, title in enumerate(titles)):
         remedy = "count the columns from 0, or write names into the first line"
-        check_named(where, [name], titles, "file without names", remedy)
-    check_named(where, [name], titles, "header")
+        check_column_names(where, [name], titles, "file without names", remedy)
+    check_column_names(where, [name], titles, "header")
     raise AssertionError  # check_named has refused it
 
 
 def arrow_numbers(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
-    """Columns of an Arrow table as float64, by name. `names` has what the file calls them.
+    """Columns of an Arrow table as float64 arrays, by name. `names` has what the file calls them.
 
     Dates and times become seconds since the first; a missing value is NaN.
     """

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ssm_study.engine.stages import Stage
-from ssm_study.evidence.metrics import Judgement, evidence_facts, judge
+from ssm_study.evidence.metrics import Judgement, collect_findings, evidence_columns
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
@@ -13,7 +13,7 @@ from ssm_study.study.stages.free_run import ModelRun
 def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
     """Judge which statements about the plant the data and the model support, and write
     `evidence.json`."""
-    judged = judge(data, bounded.model, bounded.validation, bounded.test, shown)
+    judged = collect_findings(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 
 
@@ -26,7 +26,7 @@ EVIDENCE = Stage(
     "evidence",
     compute_evidence,
     read_judgement,
-    evidence_facts,
+    evidence_columns,
     ("evidence.json",),
     known_by_content=True,
 )

@@ -7,7 +7,7 @@ from typing import Any
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.evidence.metrics import Judgement, withheld
+from ssm_study.evidence.metrics import Judgement, withhold_predictions
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.sine_trials import SineMismatch
 from ssm_study.study.stages.files import read_json, write_json
@@ -54,7 +54,7 @@ def measure_sine_trials(
     """Columns of the margin with the sines, and of the prediction, which the sines may refute."""
     model = bounded.model
     facts = sine_facts(design, model, certified_balls(model), mismatch, sines)
-    return withheld(facts, judged.level)
+    return withhold_predictions(facts, judged.level)
 
 
 SINE_TRIALS = Stage("sine_trials", compute_sine_trials, read_sine_trials, measure_sine_trials)

@@ -7,7 +7,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.evidence.finding import CANNOT_JUDGE
-from ssm_study.evidence.metrics import Judgement, withheld
+from ssm_study.evidence.metrics import Judgement, withhold_predictions
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study.stages.free_run import ModelRun
@@ -100,7 +100,7 @@ def measure_synthesis(
     facts = design_facts(design, model, balls, mismatch)
     facts |= coverage_facts(design, model, premise, fresh)
     facts |= response_facts(design, model, mismatch, data.validation, data.mismatch_records)
-    return withheld(facts, judged.level) | opinion_facts(design, model, balls)
+    return withhold_predictions(facts, judged.level) | opinion_facts(design, model, balls)
 
 
 SYNTHESIS = Stage(

@@ -45,14 +45,17 @@ function placePictures(content, pictures) {
   }
 }
 
-/** Lines over time after a template; `range` fixes the axis of values, so that pictures compare. */
+/** Lines over time after a template; `range` fixes the axis of values, so that pictures compare. The axis of time does
+ * not follow the rows: the chart keeps it when a slider takes them away. */
 function linesOf(template, title, label, datasets, range) {
   const spec = structuredClone(DATA.templates[template]);
+  const end_s = datasets.rows.reduce((latest, { t }) => Math.max(latest, t), 0);
   spec.description = `${title}: ${label} against time`;
   spec.datasets = datasets;
   if (!datasets.band) spec.layer.shift();
   for (const { data, encoding } of spec.layer) {
     if (data.name === "band") continue;
+    encoding.x.scale = { domain: [0, end_s], nice: false };
     encoding.y.title = label;
     if (template === "signals") colourSignals(encoding.color, datasets.rows);
     if (range) encoding.y.scale = { domain: range, nice: false };
