@@ -12,7 +12,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.api.controlling import read_ball
-from ssm_study.api.model import html_table
+from ssm_study.api.summaries import html_table
 from ssm_study.api.systems import read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import frontier
@@ -130,7 +130,8 @@ def certify(
         require(B is not None, "B", None, "a state feedback needs it", "give the input matrix")
         b = read_matrix("B", B, (n, None))
         k = read_matrix("K", K, (b.shape[1], n))
-        controller = certify_gain(a, b, k, read_ball("slopes", slopes), StateFeedbackOfBall)
+        jacobian_ball = read_ball("slopes", slopes)
+        controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
     if L is not None:
         require(C is not None, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
@@ -151,24 +152,24 @@ def certify_gain(
 
     For an observer the matrices are transposed: `a = A^T, b = C^T, k = L^T`.
     """
-    a, b, k = (np.ascontiguousarray(matrix) for matrix in (a, b, k))
+    matrices = (a, b, k)
+    a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
     limit = frontier(a, b, ball).rate_limit
     supremum = largest_rate(a, b, k, ball)
     if supremum <= 0:
-        slowest = float(np.abs(np.linalg.eigvals(a + ball.alpha * b @ k)).max())
+        eigenvalues = np.linalg.eigvals(a + ball.alpha * b @ k)
+        spectral_radius = np.abs(eigenvalues).max()
+        slowest = float(spectral_radius)
         reason = f"no rate exists for this gain: its supremum is {supremum:.4g}"
         if slowest >= 1:
             reason = f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
         return GainCertificate(
             rate=None, certificate=None, rate_of_gain=supremum, rate_limit=limit, reason=reason
         )
+    problem_rate = max(SMALLEST_RATE, 0.5 * supremum)
+    state_weight = np.eye(len(a))
     problem = Problem(
-        a=a,
-        b=b,
-        ball=ball,
-        rate=max(SMALLEST_RATE, 0.5 * supremum),
-        state_weight=np.eye(len(a)),
-        input_weight=1.0,
+        a=a, b=b, ball=ball, rate=problem_rate, state_weight=state_weight, input_weight=1.0
     )
     for inside, slack in product(INSIDE, SLACKS):
         rate = supremum * (1 - inside)
@@ -219,7 +220,8 @@ def _coordinates(
 ) -> Float[np.ndarray, "n n"]:
     """State coordinates in which the certification is numerically well conditioned. Cholesky factor
     of the loop's own Gramian at the mean slope: well-scaled coordinates."""
-    closed = (problem.a + problem.ball.alpha * problem.b @ k) / factor
+    alpha = problem.ball.alpha
+    closed = (problem.a + alpha * problem.b @ k) / factor
     drive = problem.b @ problem.b.T / factor**2
     size = max(float(np.trace(drive)) / len(drive), np.finfo(float).tiny)
     gramian = scipy.linalg.solve_discrete_lyapunov(closed, drive + 1e-6 * size * np.eye(len(drive)))

@@ -45,11 +45,10 @@ class ModelComparison:
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.free_run import free_run_picture
 
-        return draw_picture(
-            free_run_picture(
-                self.time_s, self.measured, self.simulated, self.output_names, self.start_up_samples
-            )
+        picture = free_run_picture(
+            self.time_s, self.measured, self.simulated, self.output_names, self.start_up_samples
         )
+        return draw_picture(picture)
 
 
 def compare(
@@ -79,7 +78,8 @@ def compare(
     measured = signal_columns(y, "y", columns=first.output_names)[1]
     simulated = {}
     for name, model in named.items():
-        check_time_index(u, y, model.data.step_s)
+        step_s = model.data.step_s
+        check_time_index(u, y, step_s)
         takes_disturbance = bool(model.disturbance_names)
         predicted = model.predict(u, disturbance if takes_disturbance else None)
         output = signal_columns(predicted, "y", columns=first.output_names)[1]
@@ -87,12 +87,13 @@ def compare(
         remedy = "give the outputs of this input"
         require(output.shape == measured.shape, "y", measured.shape, problem, remedy)
         simulated[name] = [output]
+    states = {name: getattr(model.simulator, "order", None) for name, model in named.items()}
     return compare_simulations(
         [measured],
         simulated,
         output_names=first.output_names,
         step_s=first.data.step_s,
-        states={name: getattr(model.simulator, "order", None) for name, model in named.items()},
+        states=states,
     )
 
 
@@ -118,11 +119,12 @@ def compare_simulations(
     table = pd.DataFrame.from_dict(rows, orient="index").sort_values("fit_percent", ascending=False)
     table.index.name = "model"
     longest = int(np.argmax([len(record) for record in measured]))
+    time_s = np.arange(len(measured[longest])) * step_s
     return ModelComparison(
         table=table,
         measured=measured[longest],
         simulated={str(name): simulated[str(name)][longest] for name in table.index},
-        time_s=np.arange(len(measured[longest])) * step_s,
+        time_s=time_s,
         output_names=output_names,
         start_up_samples=start_up_samples,
     )

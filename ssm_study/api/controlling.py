@@ -59,7 +59,8 @@ def control(
     refuse_settings_of_the_model(overrides)
     earlier = model.later_words if isinstance(model, Model) else ()
     words = (*earlier, *((f"synthesis={method}",) if method else ()), *overrides)
-    parts = Parts(LOOP | {"synthesis": chosen}, words)
+    choices = LOOP | {"synthesis": chosen}
+    parts = Parts(choices, words)
     if not identified:
         rate, observer_rate = _rates_of_a_bare_system(parts, rate, observer_rate)
     parts.set_given("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
@@ -112,13 +113,14 @@ def _design_for_identified(model: Model, parts: Parts, limits: tuple[Any, Any]) 
         (loop.input_lower, loop.input_upper),
     )
     words = (*model.overrides, *parts.words_for_command())
+    loop_seed = parts.numbers["loop_seed"]
     return Design(
         certificate=certificate,
         model=model.ssm,
         origin=model,
         overrides=words,
         loop=loop,
-        loop_seed=parts.numbers["loop_seed"],
+        loop_seed=loop_seed,
     )
 
 
@@ -134,9 +136,11 @@ def _design_for_system(
     model = SSM.of(linear, step_s)
     balls = certified_balls(model)
     if slopes is not None:
-        balls = replace(balls, input=read_ball("slopes", slopes))
+        jacobian_ball = read_ball("slopes", slopes)
+        balls = replace(balls, input=jacobian_ball)
     if output_slopes is not None:
-        balls = replace(balls, output=read_ball("output_slopes", output_slopes))
+        output = read_ball("output_slopes", output_slopes)
+        balls = replace(balls, output=output)
     certificate = parts.build("synthesis").design(model, balls)
     return Design(certificate=certificate, model=model, overrides=overrides)
 
@@ -149,4 +153,6 @@ def read_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
     require(usable, name, slopes, "are no two numbers", remedy)
     require(bool(0 < pair[0] <= pair[1]), name, slopes, "are not positive and ascending", remedy)
-    return JacobianBall.from_slopes(float(pair[0]), float(pair[1]))
+    lower = float(pair[0])
+    upper = float(pair[1])
+    return JacobianBall.from_slopes(lower, upper)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,11 +12,12 @@ import pandas as pd
 from jaxtyping import Complex, Float
 
 from ssm_study import save_as_run
-from ssm_study.api.model import Model, Values, draw_or_refuse, html_table
+from ssm_study.api.design_files import write_records
+from ssm_study.api.model import Model, Values, draw_or_refuse
 from ssm_study.api.scratch import new_folder
+from ssm_study.api.summaries import html_table, summarise_design, text_table
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
-from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
@@ -25,7 +25,6 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.signals import Channel
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
 from ssm_study.synthesis.expected_response import response_facts
 from ssm_study.synthesis.measured_discs_run import coverage_facts
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from ssm_study.plants.plant import Plant
 
 STARTS = (-1.0, 1.0)  # from where a loop is drawn unless it is told, in output scales
-PROVED = {True: "certified in exact arithmetic", False: "not certified"}
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -86,29 +84,8 @@ class Design:
         (folder / "model.json").write_text(content + "\n", encoding="utf-8")
         self.certificate.save(folder / "certificate.json")
         if self.origin is not None:
-            self._write_records(folder)
+            write_records(self.origin.data, folder)
         return folder
-
-    def _write_records(self, folder: Path) -> None:
-        """Write training inputs and validation outputs, for ranges and names in the export."""
-        assert self.origin is not None
-        data = self.origin.data
-        inputs = [
-            _signal_group(f"/record_{i}/input", record.time_s, data.inputs, record.u)
-            for i, record in enumerate(data.training)
-        ]
-        inputs += [
-            _signal_group(f"/record_{i}/disturbance", record.time_s, data.disturbances, record.d)
-            for i, record in enumerate(data.training)
-            if record.d is not None
-        ]
-        outputs = [
-            _signal_group(f"/record_{i}/measured", record.time_s, data.outputs, record.y)
-            for i, record in enumerate(data.validation)
-        ]
-        metadata = {"step_s": repr(data.step_s)}
-        write_mcap(folder / "excitation.mcap", tuple(inputs), metadata)
-        write_mcap(folder / "validation.mcap", tuple(outputs), metadata)
 
     @property
     def certified(self) -> bool:
@@ -121,7 +98,8 @@ class Design:
         if self.origin is None:
             return dict(self.stored_record)
         balls = certified_balls(self.model)
-        facts = design_facts(self.certificate, self.model, balls, self.origin.mismatch)
+        mismatch = self.origin.mismatch
+        facts = design_facts(self.certificate, self.model, balls, mismatch)
         facts |= self._coverage_facts()
         data = self.origin.data
         facts |= response_facts(
@@ -153,7 +131,8 @@ class Design:
         """Columns of the record on data, model, design and loop. A loaded design has its run's."""
         if self.origin is None:
             return dict(self.stored_record)
-        return self.origin.facts | self.facts | self._loop_facts()
+        facts = self.origin.facts
+        return facts | self.facts | self._loop_facts()
 
     def _loop_facts(self) -> dict[str, Any]:
         """Columns of the loop, closed on the identified model."""
@@ -179,7 +158,8 @@ class Design:
         """
         from ssm_study.api.pictures.poles import pole_groups
 
-        return pole_groups(self.model, self.certificate.pair)
+        gains = self.certificate.pair
+        return pole_groups(self.model, gains)
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
         """Guarantee of the design under input limits, in physical units.
@@ -189,7 +169,8 @@ class Design:
         if not isinstance(self.model, SSM):
             problem = "nothing is proved within limits: the theorems on them know no neurons"
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
-        ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in (lower, upper)]
+        limits = (lower, upper)
+        ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in limits]
         return within_limits(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
@@ -224,47 +205,10 @@ class Design:
 
     def summary(self) -> pd.Series:
         """Table of what is proved and what is predicted of the design, with units."""
-        lines: dict[str, Any] = {}
-        if not self.certificate.feasible:
-            lines["infeasible"] = self.facts.get("infeasible_reason", "no controller was found")
-            return pd.Series(lines, name="design", dtype=object)
-        feedback, observer = self.certificate.parts()
-        for name, part, side in (
-            ("controller", feedback, "state_feedback"),
-            ("observer", observer, "observer"),
-        ):
-            rate = self.certificate.certified_rate(side)
-            value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
-            lines[f"{name}"] = f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"
-            lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
-        slowest = {name: np.abs(poles).max() for name, poles in self.eigenvalues().items()}
-        lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
-        lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
-        if self.origin is not None:
-            lines |= self._prediction_lines()
-        return pd.Series(lines, name="design", dtype=object)
-
-    def _prediction_lines(self) -> dict[str, str]:
-        """Lines of the summary that predict how the plant behaves in closed loop."""
-        facts = self.facts
-        words = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
-        margin = facts.get("resolved_margin")
-        suffix = "" if margin is None else f" (stability margin {margin:.3g})"
-        coverage = facts.get("coverage")
-        covered = "not covered"
-        if coverage is not None and coverage >= 1:
-            covered = f"a model error {coverage:.3g} times as large as the records show"
-        return {
-            "covered by the proof": covered,
-            "predicted for the plant": words[facts.get("predicted_stable")] + suffix,
-            "evidence": str(facts["evidence"]),
-        }
+        return summarise_design(self)
 
     def __repr__(self) -> str:
-        summary = self.summary()
-        width = max(map(len, summary.index))
-        rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
-        return "\n".join(["Design", *rows])
+        return text_table("Design", self.summary())
 
     def _repr_html_(self) -> str:
         return html_table("Design", self.summary())
@@ -283,14 +227,15 @@ class Design:
         on = plant or identified_plant(self)
         scale = self.model.scale
         if y0 is None:
-            y0 = scale.output_equilibrium + np.outer(STARTS, scale.output_scale)
+            outer_product = np.outer(STARTS, scale.output_scale)
+            y0 = scale.output_equilibrium + outer_product
         controlled = close_loop(self, y0, on)
-        uncontrolled = close_loop(self, y0, on, controller=Uncontrolled.of(on))
-        return draw_picture(
-            initial_response_picture(
-                controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
-            )
+        controller = Uncontrolled.of(on)
+        uncontrolled = close_loop(self, y0, on, controller=controller)
+        picture = initial_response_picture(
+            controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
         )
+        return draw_picture(picture)
 
     def step(self, size: float | None = None, *, plant: "Plant | None" = None) -> Any:
         """Draw a step of the set point by `size`, and the input with the range of the records.
@@ -306,7 +251,8 @@ class Design:
         loop = Loop().fitted(self.model)
         recorded = self._recorded_inputs
         if recorded:
-            loop = loop.within(self.model.scale.with_rest(recorded))
+            scale = self.model.scale
+            loop = loop.within(scale.with_rest(recorded))
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(
@@ -325,7 +271,8 @@ class Design:
 
         origin = self._origin_with_records()
         balls = certified_balls(self.model)
-        curves = margin_curves(self.model, self.certificate.pair, balls, origin.mismatch)
+        pair = self.certificate.pair
+        curves = margin_curves(self.model, pair, balls, origin.mismatch)
         margin = self.facts.get("resolved_margin")
         return draw_or_refuse(
             "margin_plot", lambda: margin_picture(curves, self.model.step_s, margin)
@@ -368,7 +315,8 @@ class Design:
         from ssm_study.api.pictures.poles import poles_picture
 
         rate = self.certificate.certified_rate("state_feedback")
-        return draw_picture(poles_picture(self.eigenvalues(), rate))
+        picture = poles_picture(self.eigenvalues(), rate)
+        return draw_picture(picture)
 
     @property
     def _recorded_inputs(self) -> list[Float[np.ndarray, "T m"]]:
@@ -388,13 +336,3 @@ class Design:
 def _place(plant: "Plant | None") -> str:
     """Words for where the loop was closed, on a plant or on the model."""
     return "the simulated plant" if plant else "the identified model"
-
-
-def _signal_group(
-    topic: str,
-    time_s: Float[np.ndarray, "T"],
-    channels: Sequence[Channel],
-    values: Float[np.ndarray, "T c"],
-) -> SignalGroup:
-    """Signals of one record under a topic."""
-    return SignalGroup(topic=topic, time_s=time_s, channels=tuple(channels), values=values)

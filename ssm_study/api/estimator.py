@@ -82,7 +82,8 @@ class Estimator:
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
         """Simulate from rest at the equilibrium. Raises `BadRequest` before `fit`."""
-        return self._fitted().predict(u, disturbance)
+        model = self._fitted()
+        return model.predict(u, disturbance)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
         """Fit in percent of a free run whose initial state the first samples estimate.
@@ -92,7 +93,8 @@ class Estimator:
         """
         model = self._fitted()
         at_least(0, "start_up_samples", self.start_up_samples, "use 20")
-        inputs = signal_columns(u, "u", len(model.data.inputs), model.input_names)[1]
+        channels = len(model.data.inputs)
+        inputs = signal_columns(u, "u", channels, model.input_names)[1]
         outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]
         scored = len(outputs) - self.start_up_samples
         remedy = "give a longer record, or fewer start_up_samples"
@@ -101,7 +103,8 @@ class Estimator:
         problem = "is constant, and the score compares the error with its deviation from the mean"
         require(moves, "y", "one value", problem, "score a record in which it moves")
         measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
-        record = Trajectory(u=inputs, y=outputs, d=measured, step_s=model.data.step_s)
+        step_s = model.data.step_s
+        record = Trajectory(u=inputs, y=outputs, d=measured, step_s=step_s)
         simulation = Simulation.of(model.simulator, (record,), self.start_up_samples)
         return simulation.fit_percent
 
@@ -115,9 +118,10 @@ class Estimator:
         """Tags that scikit-learn asks an estimator for. It is imported only then."""
         from sklearn.utils import InputTags, RegressorTags, Tags, TargetTags
 
+        target_tags = TargetTags(required=True, multi_output=True)
         return Tags(
             estimator_type="regressor",
-            target_tags=TargetTags(required=True, multi_output=True),
+            target_tags=target_tags,
             regressor_tags=RegressorTags(),
             input_tags=InputTags(),
         )

@@ -16,6 +16,14 @@ from ssm_study.data.arrays import write_log_files
 from ssm_study.refusal import BadRequest, positive
 
 Signals = Values | Sequence[Values]
+CHOICES = {
+    "data": "recorded",
+    "model": "log",
+    "training": "default",
+    "reduction": "balanced",
+    "synthesis": "auto",
+    "loop": "regulation",
+}
 
 
 def fit(
@@ -65,18 +73,12 @@ def fit(
     True
     """
     step_s = sampling_time_in_seconds(step_s)
-    choices = {
-        "data": "recorded",
-        "model": model,
-        "training": "default",
-        "reduction": "balanced",
-        "synthesis": "auto",
-        "loop": "regulation",
-    }
-    parts = Parts(choices, overrides)
+    parts = Parts(CHOICES | {"model": model}, overrides)
     parts.set_given("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
-        parts.set_given("model", slope_lower=float(slopes[0]), slope_upper=float(slopes[1]))
+        slope_lower = float(slopes[0])
+        slope_upper = float(slopes[1])
+        parts.set_given("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed
     spec = parts.build("model")

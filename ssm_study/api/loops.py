@@ -43,11 +43,13 @@ def close_loop(
     """
     names = [channel.name for channel in plant.outputs]
     starts = signal_columns(y0, "y0", len(names), names)[1]
-    loop: Loop = Parts(LOOP, overrides).build("loop").fitted(design.model)
+    parts = Parts(LOOP, overrides)
+    loop: Loop = parts.build("loop").fitted(design.model)
     controller = controller or ObserverFeedback.of(design.model, design.certificate)
     measured = disturbance_values(disturbance, _disturbance_names(design))
     if measured is not None:
-        loop = replace(loop, horizon_s=len(measured) * plant.step_s)
+        horizon_s = len(measured) * plant.step_s
+        loop = replace(loop, horizon_s=horizon_s)
     noise = np.zeros((len(starts), loop.samples(plant.step_s), starts.shape[1]))
     return loop.simulate(plant, controller, starts, noise, measured)
 
@@ -56,14 +58,17 @@ def _disturbance_names(design: "Design") -> list[str]:
     """Names of the measured disturbances of a design. They are numbered where its records are not
     known."""
     if design.origin is None:
-        return [f"d_{k + 1}" for k in range(design.model.scale.disturbances)]
-    return [channel.name for channel in design.origin.data.disturbances]
+        disturbances = design.model.scale.disturbances
+        return [f"d_{k + 1}" for k in range(disturbances)]
+    channels = design.origin.data.disturbances
+    return [channel.name for channel in channels]
 
 
 def rollout_table(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
     """Table of closed loops with one row per case and sample. Its columns are `case, time_s`,
     inputs and outputs by name."""
-    names = [channel.name for channel in (*plant.inputs, *plant.outputs)]
+    channels = (*plant.inputs, *plant.outputs)
+    names = [channel.name for channel in channels]
     tables = []
     for i, (u, y) in enumerate(zip(rollouts.u, rollouts.y, strict=True)):
         table = pd.DataFrame(np.hstack([u, y]), columns=names)

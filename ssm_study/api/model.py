@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Complex, Float
 
+from ssm_study.api.linearisation import linearise, response_table, undo_sampling
 from ssm_study.api.steps import judge_evidence, measure_mismatch
+from ssm_study.api.summaries import html_table, summarise_model, text_table
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
@@ -63,7 +64,8 @@ class Model:
         facts = dict(data_columns(data))
         facts |= training_facts(training.seconds, training.ended)
         facts |= size_facts(self.simulator)
-        facts |= {"fit_train_percent": mean_fit(self.simulator, data.training, data)}
+        fit_train_percent = mean_fit(self.simulator, data.training, data)
+        facts |= {"fit_train_percent": fit_train_percent}
         facts |= fit_facts(validation, test)
         facts |= start_facts(self.simulator, data, test)
         facts |= member_facts(training.members, data)
@@ -93,17 +95,20 @@ class Model:
     @property
     def input_names(self) -> list[str]:
         """Names of the inputs, in order."""
-        return [channel.name for channel in self.data.inputs]
+        channels = self.data.inputs
+        return [channel.name for channel in channels]
 
     @property
     def output_names(self) -> list[str]:
         """Names of the outputs, in order."""
-        return [channel.name for channel in self.data.outputs]
+        channels = self.data.outputs
+        return [channel.name for channel in channels]
 
     @property
     def disturbance_names(self) -> list[str]:
         """Names of the measured disturbances, in order. None where there are none."""
-        return [channel.name for channel in self.data.disturbances]
+        channels = self.data.disturbances
+        return [channel.name for channel in channels]
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
         """Simulate outputs `(T, p)` from the equilibrium for inputs `(T, m)` or `(T,)`.
@@ -113,8 +118,10 @@ class Model:
         length stay at their mean where they are not given. Raises `BadRequest` for a disturbance
         that the model was not fitted with, or of another length.
         """
-        check_time_index(u, None, self.data.step_s)
-        inputs = signal_columns(u, "u", len(self.data.inputs), self.input_names)[1]
+        step_s = self.data.step_s
+        check_time_index(u, None, step_s)
+        channels = len(self.data.inputs)
+        inputs = signal_columns(u, "u", channels, self.input_names)[1]
         measured = disturbance_values(disturbance, self.disturbance_names, len(inputs))
         members = self.identification.members or (self.simulator,)
         y = mean_output(members, inputs, measured)
@@ -145,7 +152,8 @@ class Model:
         self, u: Values, y: Values, disturbance: Values | None
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Measured and simulated outputs of one record."""
-        check_time_index(u, y, self.data.step_s)
+        step_s = self.data.step_s
+        check_time_index(u, y, step_s)
         measured = signal_columns(y, "y", columns=self.output_names)[1]
         predicted = np.asarray(self.predict(u, disturbance), dtype=np.float64)
         problem = f"the model answers with {predicted.shape}"
@@ -155,7 +163,8 @@ class Model:
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
         """Eigenvalues of the model linearised at its equilibrium, per sample."""
-        return np.asarray(np.linalg.eigvals(at_rest(self.ssm).a), dtype=complex)
+        state_space = at_rest(self.ssm)
+        return np.asarray(np.linalg.eigvals(state_space.a), dtype=complex)
 
     def to_control(self) -> "python_control.StateSpace":
         """Linearise at the equilibrium, as python-control's state space of physical deviations.
@@ -163,17 +172,7 @@ class Model:
         `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
         within A, B, C, D. Raises `BadRequest` for a baseline, which has no state space.
         """
-        python_control = import_python_control("to_control")
-        model = self.ssm
-        linear = at_rest(model)
-        input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
-        output_slope = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
-        inward = input_slope / model.scale.input_scale
-        outward = model.scale.output_scale[:, None] * output_slope
-        b = linear.b @ inward
-        c = outward @ linear.c
-        d = outward @ linear.d @ inward
-        return python_control.StateSpace(linear.a, b, c, d, model.step_s)
+        return linearise(self.ssm)
 
     def to_continuous(self) -> "python_control.StateSpace":
         """Linearise, and undo the sampling: the continuous system whose input is held.
@@ -181,21 +180,7 @@ class Model:
         By the matrix logarithm of `[A B; 0 I]`. Raises `BadRequest` where a pole lies on the
         negative real axis or at zero, for then no such system of the same order exists.
         """
-        import scipy
-
-        python_control = import_python_control("to_continuous")
-        discrete = self.to_control()
-        poles = np.linalg.eigvals(discrete.A)
-        on_axis = (poles.real <= 0) & (np.abs(poles.imag) < 1e-12)
-        problem = f"a pole at {poles[on_axis][0].real:.3g}" if on_axis.any() else ""
-        remedy = "use the discrete system, to_control()"
-        require(not on_axis.any(), "model", "linearised", problem, remedy)
-        n, m = discrete.B.shape
-        held = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
-        logarithm = np.real(scipy.linalg.logm(held)) / self.data.step_s
-        a = logarithm[:n, :n]
-        b = logarithm[:n, n:]
-        return python_control.StateSpace(a, b, discrete.C, discrete.D)
+        return undo_sampling(self.to_control())
 
     def frequency_response(self, points: int = 200) -> pd.DataFrame:
         """Frequency response at the equilibrium from each input to each output, physical units.
@@ -204,67 +189,14 @@ class Model:
         sampling rate.
         """
         system = self.to_control()
-        nyquist = np.pi / self.data.step_s
-        omega = np.geomspace(nyquist * 1e-4, nyquist, points)
-        z = np.exp(1j * omega * self.data.step_s)
-        identity = np.eye(len(system.A))
-        resolvent = np.linalg.inv(z[:, None, None] * identity - system.A)
-        response = system.C @ resolvent @ system.B + system.D
-        rows = []
-        for i, output in enumerate(self.output_names):
-            for j, name in enumerate(self.input_names):
-                channel = response[:, i, j]
-                rows.append(
-                    pd.DataFrame(
-                        {
-                            "input": name,
-                            "output": output,
-                            "frequency_rad_s": omega,
-                            "magnitude": np.abs(channel),
-                            "phase_deg": np.rad2deg(np.unwrap(np.angle(channel))),
-                        }
-                    )
-                )
-        return pd.concat(rows, ignore_index=True)
+        return response_table(system, self.input_names, self.output_names, points)
 
     def summary(self) -> pd.Series:
         """Table of the model's properties: class, size, fits, poles, slopes, evidence."""
-        facts = self.facts
-        lines: dict[str, Any] = {
-            "class": type(self.simulator).__name__,
-            "inputs": ", ".join(map(_name_with_unit, self.data.inputs)),
-            "outputs": ", ".join(map(_name_with_unit, self.data.outputs)),
-            "measured disturbances": ", ".join(map(_name_with_unit, self.data.disturbances)),
-            "sampling time": f"{self.data.step_s:g} s",
-            "samples": _samples(self.data),
-            "fit on the training records": f"{facts['fit_train_percent']:.1f} %",
-            "fit on the validation records": f"{facts['fit_validation_percent']:.1f} %",
-            "fit on the test records": f"{facts['fit_test_percent']:.1f} %",
-        }
-        if "members" in facts:
-            fit = facts["fit_test_members_percent"]
-            words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
-            lines["mean that predicts"] = words
-        if self.identification.chosen:
-            lines["chosen by the records"] = self.identification.chosen
-        if not self.data.disturbances:
-            del lines["measured disturbances"]
-        if isinstance(self.simulator, SSM | StructuredSSM):
-            slowest = np.abs(self.eigenvalues()).max()
-            lines["states"] = self.simulator.order
-            lines["neurons"] = facts.get("neurons", 0)
-            lines["slowest pole"] = f"{slowest:.4f} per sample"
-            lower = facts.get("input_slope_lower")
-            upper = facts.get("input_slope_upper")
-            if lower is not None and upper is not None:
-                lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
-            lines["evidence"] = self.evidence.level
-        return pd.Series(lines, name="model", dtype=object)
+        return summarise_model(self)
 
     def __repr__(self) -> str:
-        width = max(map(len, self.summary().index))
-        rows = [f"  {name:<{width}}  {value}" for name, value in self.summary().items()]
-        return "\n".join(["Model", *rows])
+        return text_table("Model", self.summary())
 
     def _repr_html_(self) -> str:
         return html_table("Model", self.summary())
@@ -285,7 +217,8 @@ class Model:
         simulated = {"model": simulation.simulated[longest]}
         labels = [label_of(channel) for channel in data.outputs]
         start_up = data.start_up_samples
-        return draw_picture(free_run_picture(record.time_s, record.y, simulated, labels, start_up))
+        picture = free_run_picture(record.time_s, record.y, simulated, labels, start_up)
+        return draw_picture(picture)
 
     def bode(self) -> Any:
         """Draw gain and phase at the equilibrium, beside what the validation record shows.
@@ -296,10 +229,14 @@ class Model:
         from ssm_study.api.pictures.bode import bode_picture
         from ssm_study.api.pictures.drawing import draw_picture
 
-        record = max(self.data.validation, key=len)
+        validation = self.data.validation
+        record = max(validation, key=len)
         slopes = certified_balls(self.ssm).input
-        units = (self.data.outputs[0].unit, self.data.inputs[0].unit)
-        return draw_picture(bode_picture(self.ssm, record, slopes, units))
+        unit = self.data.outputs[0].unit
+        inputs = self.data.inputs
+        units = (unit, inputs[0].unit)
+        picture = bode_picture(self.ssm, record, slopes, units)
+        return draw_picture(picture)
 
     def residuals(self) -> Any:
         """Draw the correlations of the test records' residuals with themselves and the input.
@@ -315,9 +252,9 @@ class Model:
         pairs = zip(data.test, simulation.simulated, strict=True)
         errors = [record.y[start:] - simulated[start:] for record, simulated in pairs]
         inputs = [record.u[start:] for record in data.test]
-        return draw_picture(
-            residual_correlation_picture(errors, inputs, self.output_names[0], self.input_names)
-        )
+        output_name = self.output_names[0]
+        picture = residual_correlation_picture(errors, inputs, output_name, self.input_names)
+        return draw_picture(picture)
 
     def poles(self) -> Any:
         """Draw the eigenvalues at the equilibrium in the unit circle.
@@ -327,7 +264,9 @@ class Model:
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.poles import poles_picture
 
-        return draw_picture(poles_picture({"model": self.eigenvalues()}))
+        groups = {"model": self.eigenvalues()}
+        picture = poles_picture(groups)
+        return draw_picture(picture)
 
     def input_map(self) -> Any:
         """Draw the learned input map and its slope within the interval that is certified.
@@ -337,7 +276,8 @@ class Model:
         from ssm_study.api.pictures.input_map import input_map_picture
         from ssm_study.api.pictures.loop_response import label_of
 
-        label = label_of(self.data.inputs[0])
+        channel = self.data.inputs[0]
+        label = label_of(channel)
         slopes = certified_balls(self.ssm).input
         return draw_or_refuse("input_map", lambda: input_map_picture(self.ssm, slopes, label))
 
@@ -354,16 +294,6 @@ class Model:
         return folder
 
 
-def import_python_control(function: str) -> Any:
-    """Import python-control. Raises `BadRequest` where it is not installed."""
-    try:
-        import control
-    except ImportError as error:
-        remedy = "pip install 'ssm-study[export]'"
-        raise BadRequest(function, "control", "is not installed", remedy) from error
-    return control
-
-
 def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
     """Draw a picture, or raise `BadRequest` where there is nothing to show. Raises `BadRequest`
     with the reason where there is none."""
@@ -376,25 +306,3 @@ def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
         remedy = "look at the other pictures"
         raise BadRequest(name, "there is no picture", str(reason).rstrip("."), remedy) from reason
     return draw_picture(picture)
-
-
-def _name_with_unit(channel: Any) -> str:
-    """Name of a channel, its unit in parentheses where there is one."""
-    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
-
-
-def _samples(data: DataSet) -> str:
-    """Words on the numbers of samples in training, validation and test."""
-    parts = ("training", "validation", "test")
-    counts = [sum(len(record) for record in getattr(data, part)) for part in parts]
-    return ", ".join(f"{count} {part}" for count, part in zip(counts, parts, strict=True))
-
-
-def html_table(title: str, summary: pd.Series) -> str:
-    """Render a summary as an HTML table for notebooks."""
-    rows = [
-        f"<tr><th style='text-align:left'>{escape(str(name))}</th>"
-        f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
-        for name, value in summary.items()
-    ]
-    return f"<table><caption>{escape(title)}</caption>{''.join(rows)}</table>"

@@ -56,7 +56,8 @@ def load_tree(group: str, choice: str) -> Tree:
         entries = [*entries, SELF]
     tree: Tree = {}
     for entry in entries:
-        merge(tree, own if entry == SELF else _load_default(group, entry))
+        other = own if entry == SELF else _load_default(group, entry)
+        merge(tree, other)
     return tree
 
 
@@ -73,7 +74,8 @@ def _load_default(group: str, entry: Any) -> Tree:
     nested = path.removeprefix("/") if is_absolute else f"{group}/{path}"
     place = place or path.rpartition("/")[2]
     tree: Tree = {}
-    assign_nested(tree, place, Replacement(deepcopy(load_tree(nested, str(choice)))))
+    replacement = Replacement(deepcopy(load_tree(nested, str(choice))))
+    assign_nested(tree, place, replacement)
     return tree
 
 
@@ -183,7 +185,8 @@ class Parts:
         part = place.partition(".")[0]
         require(part in self.trees, key, choice, "is no part of a model or design", REMEDY)
         self.details.append(f"{key}={choice}")
-        assign(self.trees, place, load_tree(group, choice))
+        tree = load_tree(group, choice)
+        assign(self.trees, place, tree)
 
     def _set(self, key: str, text: str) -> None:
         """Set one number or one field of a part."""

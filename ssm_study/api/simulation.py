@@ -29,10 +29,13 @@ def simulate(
     Raises `BadRequest` for other channels, and for what the command refuses of the loop.
     """
     if isinstance(subject, Model):
-        check_time_index(given, None, subject.data.step_s)
+        step_s = subject.data.step_s
+        check_time_index(given, None, step_s)
         inputs = signal_columns(given, "u", columns=subject.input_names)[1]
-        predicted = pd.DataFrame(subject.predict(pd.DataFrame(inputs), disturbance))
-        return predicted.assign(time_s=np.arange(len(predicted)) * subject.data.step_s)
+        table = pd.DataFrame(inputs)
+        predicted = pd.DataFrame(subject.predict(table, disturbance))
+        time_s = np.arange(len(predicted)) * subject.data.step_s
+        return predicted.assign(time_s=time_s)
     on = plant or identified_plant(subject)
     rollouts = close_loop(subject, given, on, overrides, disturbance=disturbance)
     return rollout_table(rollouts, on)

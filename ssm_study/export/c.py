@@ -119,6 +119,7 @@ def _header(device: Device, comments: dict[str, str], name: str) -> str:
         declared = _declarations(defined)
     texts = sizes | comments | neuron_texts(device, name)
     texts["pushed"] = _pushed(device, name)
+    step_s = repr(controller.step_s)
     texts |= {
         "tables": tables,
         "maps": maps,
@@ -126,7 +127,7 @@ def _header(device: Device, comments: dict[str, str], name: str) -> str:
         "defined": defined,
         "within": _within(device, has_set_points).replace("#", name),
         "resting": _resting_line(device),
-        "step_s": repr(controller.step_s),
+        "step_s": step_s,
         "has_set_points": int(has_set_points),
         "bytes": _constants(tables + maps) * np.dtype(REALS[real]).itemsize,
         "multiplications": device.multiplications,
@@ -149,7 +150,8 @@ def _set_point_maps(device: Device, name: str) -> str:
 
 def _declarations(defined: str) -> str:
     """Prototypes of the public functions that a C text defines."""
-    opened = [line for line in defined.splitlines() if "_API void" in line]
+    lines = defined.splitlines()
+    opened = [line for line in lines if "_API void" in line]
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
@@ -185,17 +187,23 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
     controller = device.controller
     states, lifted = controller.b.shape
     disturbances = controller.scale.disturbances
+    taking = f", const {device.real} d[{disturbances}]" if disturbances else ""
+    passing = ", d" if disturbances else ""
+    guard = name.upper()
+    q = len(controller.c)
+    m = controller.scale.inputs
+    p = controller.scale.outputs
     return {
-        "taking": f", const {device.real} d[{disturbances}]" if disturbances else "",
-        "passing": ", d" if disturbances else "",
+        "taking": taking,
+        "passing": passing,
         "name": name,
-        "guard": name.upper(),
+        "guard": guard,
         "real": device.real,
         "n": states,
         "k": lifted,
-        "q": len(controller.c),
-        "m": controller.scale.inputs,
-        "p": controller.scale.outputs,
+        "q": q,
+        "m": m,
+        "p": p,
     }
 
 
@@ -215,13 +223,12 @@ def _pushed(device: Device, name: str) -> str:
         return ""
     states = len(device.controller.a)
     scaled = f"(d[i] - {name}_disturbance_equilibrium[i]) / {name}_disturbance_scale[i]"
-    return joined_lines(
-        [
-            f"    {device.real} load[{disturbances}];",
-            f"    for (int i = 0; i < {disturbances}; ++i) load[i] = {scaled};",
-            f"    {name}_matvec({states}, {disturbances}, {name}_b_d, load, next);",
-        ]
-    )
+    lines = [
+        f"    {device.real} load[{disturbances}];",
+        f"    for (int i = 0; i < {disturbances}; ++i) load[i] = {scaled};",
+        f"    {name}_matvec({states}, {disturbances}, {name}_b_d, load, next);",
+    ]
+    return joined_lines(lines)
 
 
 def _replay(device: Device, name: str) -> str:
@@ -234,7 +241,8 @@ def _replay(device: Device, name: str) -> str:
     rng = np.random.default_rng(REPLAY_SEED)
     steps = rng.uniform(-2, 2, (2, REPLAYED // 20, scale.outputs))
     levels = steps.repeat(20, axis=1)
-    noisy = levels[0] + 0.05 * rng.standard_normal(levels[0].shape)  # scaled
+    white_noise = rng.standard_normal(levels[0].shape)
+    noisy = levels[0] + 0.05 * white_noise  # scaled
     measured = scale.physical_output(noisy)
     wanted = scale.physical_output(np.roll(levels[1], 7, axis=0))
     signals = {"measured": measured}
@@ -335,7 +343,8 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
         body += f"        d{i}[i] = {bent} - #at_zero{i}[i];\n"
         source = f"d{i}"  # what the next layer takes
     if portable.network:
-        tables["w_out"] = portable.network.weights[-1]
+        weights = portable.network.weights
+        tables["w_out"] = weights[-1]
         body += _product(prefix, "w_out", tables["w_out"], source, "out")
     return _function(name, "v", tables, body, real)
 

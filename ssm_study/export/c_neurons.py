@@ -15,10 +15,14 @@ def neuron_texts(device: Device, name: str) -> dict[str, str]:
     """
     if device.controller.neurons is None:
         return dict.fromkeys(("include", "neurons", "read", "driven"), "")
+    read = joined_lines(_neurons_read(device, name))
+    driven = joined_lines(_neurons_driven(device, name))
+    lines = _neurons_function(device, name)
+    neurons = "\n" + joined_lines(lines)
     return {
-        "read": joined_lines(_neurons_read(device, name)),
-        "driven": joined_lines(_neurons_driven(device, name)),
-        "neurons": "\n" + joined_lines(_neurons_function(device, name)),
+        "read": read,
+        "driven": driven,
+        "neurons": neurons,
         "include": "#include <math.h> /* link with -lm */\n\n",
     }
 
@@ -35,11 +39,10 @@ def _neurons_function(device: Device, name: str) -> list[str]:
     assert neurons is not None
     states = len(neurons.into)
     count = len(neurons.kinds)
-    arguments = {
-        "f": ("x", states),
-        "g": ("lifted", neurons.g.shape[1]),
-        "l_z": ("error", neurons.l_z.shape[1]),
-    }
+    f = ("x", states)
+    g = ("lifted", neurons.g.shape[1])
+    l_z = ("error", neurons.l_z.shape[1])
+    arguments = {"f": f, "g": g, "l_z": l_z}
     taken = ", ".join(f"const {real} *{vector}" for vector, _ in arguments.values())
     lines = [f"static inline void {name}_neurons({taken}, {real} *w) {{"]
     lines.append(f"    {real} z;")

@@ -47,7 +47,8 @@ class SetPoints:
     @property
     def maps(self) -> dict[str, Any]:
         """Maps `to_lifted`, `at_rest` and `seen` by name."""
-        return {name: getattr(self, name) for name in ("to_lifted", "at_rest", "seen")}
+        names = ("to_lifted", "at_rest", "seen")
+        return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +81,8 @@ class Device:
 
         def rounded(limit: Vector) -> Vector:
             """Input limit rounded to `real`."""
-            each = np.broadcast_to(limit, controller.scale.inputs)
+            inputs = controller.scale.inputs
+            each = np.broadcast_to(limit, inputs)
             return np.clip(each, -largest, largest).astype(kind)
 
         return cls(
@@ -114,16 +116,16 @@ class Device:
         states, _, gain = model.held()
         if model.integrates:
             return None
-        reached_outputs = np.linalg.matrix_rank(gain, tol=IDLE * np.linalg.norm(gain))
+        tol = IDLE * np.linalg.norm(gain)
+        reached_outputs = np.linalg.matrix_rank(gain, tol=tol)
         if reached_outputs < len(gain):
             return None
-        below = len(self.controller.a) - model.order
+        controller_a = self.controller.a
+        below = len(controller_a) - model.order
+        to_lifted = np.linalg.pinv(gain)
+        at_rest = np.pad(states, ((0, below), (0, 0)))
         exact = SetPoints(
-            to_lifted=np.linalg.pinv(gain),
-            at_rest=np.pad(states, ((0, below), (0, 0))),
-            seen=gain,
-            inward=inward,
-            outward=outward,
+            to_lifted=to_lifted, at_rest=at_rest, seen=gain, inward=inward, outward=outward
         )
         return as_floats(exact, REALS[self.real])
 
@@ -139,7 +141,9 @@ class Device:
         full = equilibrium_curve(controller, low, high)
         if full is None:
             return None
-        stored = Curve(lifted=full.lifted[::2], x=full.x[::2], read=full.read[::2])
+        lifted = full.lifted[::2]
+        curve_read = full.read[::2]
+        stored = Curve(lifted=lifted, x=full.x[::2], read=curve_read)
         below = len(controller.a) - stored.x.shape[1]
         states = np.pad(stored.x, ((0, 0), (0, below)))
         seen = Joined.through(stored.lifted, stored.read[:, None])
@@ -147,9 +151,11 @@ class Device:
         for v, read in zip(full.lifted, full.read, strict=True):
             on_line = float(seen(v[None])[0])
             errors.append(abs(on_line - read))
+        to_lifted = Joined.through(stored.read, stored.lifted[:, None])
+        at_rest = Joined.through(stored.lifted, states)
         joined = SetPoints(
-            to_lifted=Joined.through(stored.read, stored.lifted[:, None]),
-            at_rest=Joined.through(stored.lifted, states),
+            to_lifted=to_lifted,
+            at_rest=at_rest,
             seen=seen,
             inward=inward,
             outward=outward,
@@ -161,7 +167,8 @@ class Device:
     def _lifted_limit(controller: PortableController, limit: Vector) -> float:
         """Value of the input map S_u at an input limit, which is first clipped to `WIDEST` scaled
         inputs."""
-        scaled = controller.scale.scaled_input(limit.astype(float))
+        u = limit.astype(float)
+        scaled = controller.scale.scaled_input(u)
         return float(_evaluate_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
     def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
@@ -179,7 +186,8 @@ class Device:
         points = self.set_points
         inputs = len(controller.k)
         maps = _map_products(controller.s_in) + _map_products(controller.s_out)
-        matrices = sum(table.size for table in self.tables().values() if table.ndim == 2)
+        tables = self.tables().values()
+        matrices = sum(table.size for table in tables if table.ndim == 2)
         products = maps + matrices
         neurons = controller.neurons
         # Computed twice: for the output, then with its error.
@@ -188,7 +196,8 @@ class Device:
         if points is None:  # the input is computed twice, and compared
             return products + controller.k.size + 3 * inputs
         inverses = _inverse_products(points.inward) + _inverse_products(points.outward)
-        reaching = sum(_reaching_products(part) for part in points.maps.values())
+        parts = points.maps.values()
+        reaching = sum(_reaching_products(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 
     def start(self, y0: Vector) -> Vector:
@@ -196,8 +205,10 @@ class Device:
         there are no set points."""
         points = self.set_points
         if points is None:
-            return np.zeros(len(self.controller.a), dtype=REALS[self.real])
-        read = _undone(points.outward, self.controller.scale.scaled_output(y0))
+            controller_a = self.controller.a
+            return np.zeros(len(controller_a), dtype=REALS[self.real])
+        scale = self.controller.scale
+        read = _undone(points.outward, scale.scaled_output(y0))
         return reached(points.at_rest, reached(points.to_lifted, read))
 
     def track(
@@ -309,7 +320,8 @@ def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
         z = times(w, d, b)
         at_zero = np.where(b >= 0, high, low) * b
         d = np.where(z >= 0, high * z, low * z) - at_zero
-    return times(portable.network.weights[-1], d, out)
+    weights = portable.network.weights
+    return times(weights[-1], d, out)
 
 
 def _undone(inverse: Inverse, w: Vector) -> Vector:

@@ -34,7 +34,8 @@ class _Graph:
 
         names = [value if isinstance(value, str) else self.constant(value) for value in inputs]
         output = output or f"t{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, names, [output]))
+        node = helper.make_node(operator, names, [output])
+        self.nodes.append(node)
         return output
 
     def constant(self, value: Float[np.ndarray, "..."]) -> str:
@@ -63,7 +64,8 @@ class _Graph:
             steep = self.apply("Mul", above, high)
             flat = self.apply("Mul", below, low)
             d = self.apply("Sum", steep, flat, -np.where(b >= 0, high, low) * b)
-        terms.append(self.times(d, s.network.weights[-1]))
+        weights = s.network.weights
+        terms.append(self.times(d, weights[-1]))
         return self.apply("Sum", *terms)
 
     def neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
@@ -119,9 +121,11 @@ def onnx_model(controller: PortableController, about: str) -> Any:
         """Declaration of an input or output of the graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
-    inputs = [signal("y", controller.scale.outputs), signal("state", states)]
+    outputs = controller.scale.outputs
+    inputs = [signal("y", outputs), signal("state", states)]
     if controller.scale.disturbances:
-        inputs.append(signal("d", controller.scale.disturbances))
+        disturbances = controller.scale.disturbances
+        inputs.append(signal("d", disturbances))
     made = helper.make_graph(
         graph.nodes,
         "controller",
@@ -130,7 +134,8 @@ def onnx_model(controller: PortableController, about: str) -> Any:
         graph.constants,
         about,
     )
-    model: onnx.ModelProto = helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)])
+    opset_imports = [helper.make_opsetid("", OPSET)]
+    model: onnx.ModelProto = helper.make_model(made, opset_imports=opset_imports)
     model.ir_version = IR_VERSION
     model.producer_name = "ssm-study"
     checker.check_model(model, full_check=True)

@@ -111,25 +111,29 @@ class PortableController:
     def recurrence(self) -> System:
         """Linear system of the model alone, without the internal model, in float64."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
-        linear = StateSpace(
-            a=self.a[:n, :n].astype(float),
-            b=self.b[:n].astype(float),
-            c=self.c[:, :n].astype(float),
-            d=self.d.astype(float),
-        )
+        a = self.a[:n, :n].astype(float)
+        b = self.b[:n].astype(float)
+        c = self.c[:, :n].astype(float)
+        d = self.d.astype(float)
+        linear = StateSpace(a=a, b=b, c=c, d=d)
         if not self.neurons:
             return linear
         neurons = as_floats(self.neurons, np.float64)
+        e = neurons.into[:n]
+        f = neurons.f[:, :n]
         return StructuredSystem(
-            a=linear.a,
-            b=linear.b,
-            c=linear.c,
-            d=linear.d,
-            e=neurons.into[:n],
-            f=neurons.f[:, :n],
-            g=neurons.g,
-            h=neurons.h,
+            a=linear.a, b=linear.b, c=linear.c, d=linear.d, e=e, f=f, g=neurons.g, h=neurons.h
         )
+
+
+def _refuse_what_no_target_computes(design: Design) -> None:
+    """Raise `BadRequest` for a design without both gains, or one that undoes the input map."""
+    for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
+        if isinstance(part, Infeasible):
+            reason = part.reason.rstrip(".")
+            raise BadRequest(f"certificate.{name}", "infeasible", reason, "export another run")
+    problem = "the law undoes the input map, which no target computes"
+    require(not design.inverts, "synthesis.invert_input", True, problem, "export a run without it")
 
 
 def portable_controller(model: Model, design: Design) -> PortableController:
@@ -138,13 +142,7 @@ def portable_controller(model: Model, design: Design) -> PortableController:
     Raises `BadRequest` when the design has no controller or observer, or was made for another
     model.
     """
-    for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
-        if isinstance(part, Infeasible):
-            raise BadRequest(
-                f"certificate.{name}", "infeasible", part.reason.rstrip("."), "export another run"
-            )
-    problem = "the law undoes the input map, which no target computes"
-    require(not design.inverts, "synthesis.invert_input", True, problem, "export a run without it")
+    _refuse_what_no_target_computes(design)
     gains = design.pair
     modes = gains.modes
     linear = model.linear
@@ -158,20 +156,29 @@ def portable_controller(model: Model, design: Design) -> PortableController:
     require(fits, "certificate", gains.k.shape, problem, "export the run as stored")
     below = ((0, added), (0, 0))
     into_modes = error_input_matrix(modes, p)
+    a = scipy.linalg.block_diag(linear.a, modes)
+    b = np.pad(linear.b, below)
+    c = np.pad(linear.c, ((0, 0), (0, added)))
+    e = np.vstack([np.zeros((n, p)), into_modes])
+    s_in = model.scaffold_in.portable()
+    s_out = model.scaffold_out.portable()
+    neurons = _neurons(model, gains.l_z, added)
+    disturbances = model.scale.disturbances
+    b_d = np.pad(model.b_d, below) if disturbances else model.b_d
     return PortableController(
-        a=scipy.linalg.block_diag(linear.a, modes),
-        b=np.pad(linear.b, below),
-        c=np.pad(linear.c, ((0, 0), (0, added))),
+        a=a,
+        b=b,
+        c=c,
         d=linear.d,
         k=gains.k,
         l=np.pad(gains.l, below),
-        e=np.vstack([np.zeros((n, p)), into_modes]),
-        s_in=model.scaffold_in.portable(),
-        s_out=model.scaffold_out.portable(),
+        e=e,
+        s_in=s_in,
+        s_out=s_out,
         scale=model.scale,
         step_s=model.step_s,
-        neurons=_neurons(model, gains.l_z, added),
-        b_d=np.pad(model.b_d, below) if model.scale.disturbances else model.b_d,
+        neurons=neurons,
+        b_d=b_d,
     )
 
 
@@ -181,15 +188,20 @@ def _neurons(
     """Neurons of a model as plain arrays. None for a model without neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
-    none = np.zeros((len(model.neurons), model.scale.outputs))
+    outputs = model.scale.outputs
+    none = np.zeros((len(model.neurons), outputs))
+    into = np.pad(model.e, ((0, added), (0, 0)))
+    f = np.pad(model.f, ((0, 0), (0, added)))
+    portable_neurons_l_z = none if l_z is None else l_z
+    phi_bias = phi(model.neurons, model.bias)
     return PortableNeurons(
-        into=np.pad(model.e, ((0, added), (0, 0))),
-        f=np.pad(model.f, ((0, 0), (0, added))),
+        into=into,
+        f=f,
         g=model.g,
         h=model.h,
-        l_z=none if l_z is None else l_z,
+        l_z=portable_neurons_l_z,
         bias=model.bias,
-        phi_bias=phi(model.neurons, model.bias),
+        phi_bias=phi_bias,
         kinds=model.neurons,
     )
 

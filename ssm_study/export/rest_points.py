@@ -41,7 +41,8 @@ class Joined:
         out = out[order]
         slopes = np.diff(out, axis=0) / np.diff(w)[:, None]
         offsets = out[:-1] - slopes * w[:-1, None]
-        return cls(points=w[1:-1].copy(), slopes=slopes, offsets=offsets)
+        points = w[1:-1].copy()
+        return cls(points=points, slopes=slopes, offsets=offsets)
 
     def __call__(self, w: Vector) -> Vector:
         """Value of the map at `w`."""
@@ -110,7 +111,8 @@ def _equilibrium(
         """Difference between the next state and the state."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = phi(neurons.kinds, z) - neurons.phi_bias
-        tangent = model.at_slopes(phi(neurons.kinds, z, "slope"))
+        slopes = phi(neurons.kinds, z, "slope")
+        tangent = model.at_slopes(slopes)
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
         return following - x, tangent.a - np.eye(len(x))
 

@@ -100,7 +100,9 @@ def limits(run: Path) -> tuple[Range, Range]:
     settings = OmegaConf.create(read_stored_yaml(file)) if file.is_file() else OmegaConf.create()
     lower = OmegaConf.select(settings, "loop.input_lower")
     upper = OmegaConf.select(settings, "loop.input_upper")
-    around_rest = _model(run).scale.with_rest([np.stack(visited[1:])])
+    scale = _model(run).scale
+    inputs = [np.stack(visited[1:])]
+    around_rest = scale.with_rest(inputs)
     return input_limits(resolve_node(lower), resolve_node(upper), around_rest)
 
 
@@ -110,11 +112,13 @@ def _recorded_range(
     """Channels of a topic, each with the least and greatest value in the records."""
     if not (run / name).is_file():
         return None
-    groups = [group for group in read_mcap(run / name)[0] if group.topic.endswith(topic)]
+    mcap = read_mcap(run / name)
+    groups = [group for group in mcap[0] if group.topic.endswith(topic)]
     if not groups:
         return None
     values = np.concatenate([group.values for group in groups])
-    return groups[0].channels, values.min(axis=0), values.max(axis=0)
+    channels = groups[0].channels
+    return channels, values.min(axis=0), values.max(axis=0)
 
 
 def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
@@ -195,9 +199,11 @@ def python_control_system(run: Path) -> Any:
     It is what `controller.py` makes elsewhere.
     """
     with TemporaryDirectory() as folder:
-        (Path(folder) / "controller.json").write_text(json.dumps(load(run).to_json()))
+        controller_path = Path(folder) / "controller.json"
+        controller_path.write_text(json.dumps(load(run).to_json()))
         shutil.copyfile(_SCRIPT, Path(folder) / "controller.py")
-        return runpy.run_path(str(Path(folder) / "controller.py"))["controller"]
+        path = runpy.run_path(str(Path(folder) / "controller.py"))
+        return path["controller"]
 
 
 def load(run: Path) -> PortableController:
@@ -238,7 +244,8 @@ def describe(run: Path) -> str:
 def _is_certified(run: Path, model: Model, design: Design) -> bool:
     """Whether exact arithmetic confirms every claim of the stored certificate."""
     content = json.loads((run / "certificate.json").read_text())
-    controlled = controlled_system(model, design.parts()[0])
+    feedback = design.parts()[0]
+    controlled = controlled_system(model, feedback)
     if not design.certified:
         return False
     return not failed_checks(content, model.system, certified_balls(model), controlled)
@@ -255,7 +262,9 @@ def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
     upper = device.upper.astype(float)
     exact = Device.of(load(run), "double", lower, upper)
     model = _model(run)
-    start = exact.start(model.scale.output_equilibrium + model.scale.output_scale)
+    output_equilibrium = model.scale.output_equilibrium
+    output_scale = model.scale.output_scale
+    start = exact.start(output_equilibrium + output_scale)
     difference = _loop_outputs(model, device, start) - _loop_outputs(model, exact, start)
     apart = float((np.abs(difference) / model.scale.output_scale).max())
     distance = f"by at most {apart:.1e} output scales."
@@ -266,14 +275,17 @@ def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -
     """Outputs `(T, p)` of the model in closed loop with the device, both started at `start`, until
     they settle."""
     kind = device.lower.dtype
-    set_point = np.asarray(model.scale.output_equilibrium, dtype=kind)
-    nothing_applied = np.zeros(model.linear.b.shape[1])
+    output_equilibrium = model.scale.output_equilibrium
+    set_point = np.asarray(output_equilibrium, dtype=kind)
+    linear_b = model.linear.b
+    nothing_applied = np.zeros(linear_b.shape[1])
     x = start[: model.order]
     state = start.astype(kind)
     outputs = []
     for _ in range(LOOP_SAMPLES):
         output = model.read(x, nothing_applied)
-        u, state = device.track(state, np.asarray(output, dtype=kind), set_point)
+        y = np.asarray(output, dtype=kind)
+        u, state = device.track(state, y, set_point)
         x = model.advance(x, model.lift(u.astype(float)))
         outputs.append(output)
     return np.array(outputs)
@@ -292,17 +304,19 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     controlled = system
     if len(controller.a) > system.order:
         modes = controller.a[system.order :, system.order :]
-        controlled = augmented(system, controller.s_out.linear, modes)
-    gains = {"state_feedback": {"k": controller.k}, "observer": {"l": controller.l[: system.order]}}
+        linear = controller.s_out.linear
+        controlled = augmented(system, linear, modes)
+    state_feedback = {"k": controller.k}
+    observer = {"l": controller.l[: system.order]}
+    gains = {"state_feedback": state_feedback, "observer": observer}
     if controller.neurons:
         gains["observer"]["l_z"] = controller.neurons.l_z
     inner = _rounded_ball(controller.s_in)
     outer = _rounded_ball(controller.s_out)
     if inner is None or outer is None:  # no ball, no theorem
         return dict.fromkeys(gains)
-    context = VerificationContext(
-        system=system, controlled=controlled, balls=Balls(input=inner, output=outer), gains={}
-    )
+    balls = Balls(input=inner, output=outer)
+    context = VerificationContext(system=system, controlled=controlled, balls=balls, gains={})
     proved: dict[str, float | None] = {}
     for side, gain in gains.items():
         # The certificate at the requested rate and that at the gain's largest rate.
@@ -338,7 +352,8 @@ def _rounded_ball(portable: PortableMap) -> JacobianBall | None:
     """Ball that contains the slopes of a rounded map. None where no sound one is known."""
     try:
         if portable.network is None:
-            return LinearScaffold(gain=portable.linear).bound().ball
+            linear_scaffold = LinearScaffold(gain=portable.linear)
+            return linear_scaffold.bound().ball
         return network_bound(portable.as_network()).ball
     except BadRequest:
         return None

@@ -47,7 +47,8 @@ class Comparison(ComparisonTable):
     spread_fields: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        self._check_names("controllers", tuple(Peer.members(peers)))
+        names = tuple(Peer.members(peers))
+        self._check_names("controllers", names)
         self._check_names("situations", SITUATIONS)
         rate = self.rate
         share = self.spread_share
@@ -95,18 +96,22 @@ class Comparison(ComparisonTable):
         horizon_s = loop.samples(plant.step_s) * plant.step_s
         match situation:
             case "spread":
-                return [(varied, loop) for varied in self.spread(plant, seed)]
+                varieds = self.spread(plant, seed)
+                return [(varied, loop) for varied in varieds]
             case "saturation":
                 rest = plant.equilibrium().u
                 reach = self.reach_share * np.array(plant.input_amplitude)
                 lower = (rest - reach).tolist()
                 upper = (rest + reach).tolist()
-                return [(SaturatedInput(plant=plant, lower=lower, upper=upper), loop)]
+                saturated_input = SaturatedInput(plant=plant, lower=lower, upper=upper)
+                return [(saturated_input, loop)]
             case "delay":
-                return [(DelayedInput(plant=plant, samples=1), loop)]
+                delayed_input = DelayedInput(plant=plant, samples=1)
+                return [(delayed_input, loop)]
             case "nominal" | "noise_free" | "noise_4x":
                 times = {"noise_free": 0.0, "noise_4x": 4.0}.get(situation, 1.0)
-                return [(plant, replace(loop, noise_factor=times * loop.noise_factor))]
+                noise_factor = times * loop.noise_factor
+                return [(plant, replace(loop, noise_factor=noise_factor))]
             case "load_periodic":
                 sine = PeriodicDisturbance(amplitude=self.load, frequency_hz=self.load_frequency_hz)
                 return [(plant, replace(loop, disturbance=sine))] if plant.disturbances else []

@@ -124,10 +124,12 @@ class EstimateFeedback(Controller):
     @property
     def dimensions(self) -> tuple[int, int]:  # type: ignore[override]  # as step_s
         """Numbers of inputs and outputs of the model."""
-        return self.model.scale.inputs, self.model.scale.outputs
+        inputs = self.model.scale.inputs
+        return inputs, self.model.scale.outputs
 
     def start(self, cases: int) -> Memory:
-        return np.zeros((cases, self.gains.k.shape[-1]))
+        gains_k = self.gains.k
+        return np.zeros((cases, gains_k.shape[-1]))
 
     def targets(self, reference: Reference) -> Plan:
         return set_points(self.model, reference)
@@ -140,7 +142,8 @@ class EstimateFeedback(Controller):
         x_hat = memory[:, : model.order]
         lifted = model.lift(u)
         predicted_output = model.read(x_hat, lifted)
-        innovation = (predicted_output - y) / model.scale.output_scale
+        output_scale = model.scale.output_scale
+        innovation = (predicted_output - y) / output_scale
         correction = times(gains.l, innovation)
         if d is not None:
             correction = correction + model.push(d)
@@ -166,10 +169,13 @@ class ObserverFeedback(EstimateFeedback):
     """
 
     def __post_init__(self) -> None:
-        n, m = self.model.linear.b.shape
+        linear_b = self.model.linear.b
+        n, m = linear_b.shape
         p = self.model.scale.outputs
-        k_shape = self.gains.k.shape[-2:]
-        l_shape = self.gains.l.shape[-2:]
+        gains_k = self.gains.k
+        k_shape = gains_k.shape[-2:]
+        gains_l = self.gains.l
+        l_shape = gains_l.shape[-2:]
         remedy = "use the design made for this model"
         internal = self.gains.internal
         widths = (n, n + p) if internal is None else (n + len(internal),)
@@ -195,14 +201,16 @@ class ObserverFeedback(EstimateFeedback):
         """
         if self.inverse is None:
             return u + feedback
-        return self.inverse(self.model.scaffold_in(u) + feedback)
+        scaffold = self.model.scaffold_in(u) + feedback
+        return self.inverse(scaffold)
 
     def targets(self, reference: Reference) -> Plan:
         model = self.model
         n = model.order
         if isinstance(model, StructuredSSM):
             # At rest all cases have the same targets, whatever their gains.
-            k = self.gains.k if self.gains.k.ndim == 2 else self.gains.k[0]
+            ndim = self.gains.k.ndim
+            k = self.gains.k if ndim == 2 else self.gains.k[0]
             plan = guided_trajectory(model, k[:, :n], reference, self.asked)
         else:
             plan = feasible_trajectory(model, reference)
@@ -213,7 +221,8 @@ class ObserverFeedback(EstimateFeedback):
     def among(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
         if self.gains.k.ndim == 2:
             return self
-        gains = self.gains.at(np.flatnonzero(stayed))
+        indices = np.flatnonzero(stayed)
+        gains = self.gains.at(indices)
         return replace(self, gains=gains)
 
     def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
@@ -228,7 +237,8 @@ class ObserverFeedback(EstimateFeedback):
         internal_states = memory[:, n:]  # the internal model aims at zero
         error = np.concatenate([estimation_error, internal_states], axis=1)
         u = np.broadcast_to(target[n : n + m], (len(error), m))
-        asked = self.asked(u, times(self.gains.k, error))
+        gains_k = self.gains.k
+        asked = self.asked(u, times(gains_k, error))
         return self.model.scale.physical_input(asked)
 
     def advance(
@@ -243,7 +253,8 @@ class ObserverFeedback(EstimateFeedback):
         as_asked = np.isclose(u, asked, rtol=1e-9, atol=1e-12)
         unlimited = as_asked.all(axis=1, keepdims=True)
         p = y.shape[1]
-        error = (y - target[-p:]) / self.model.scale.output_scale
+        output_scale = self.model.scale.output_scale
+        error = (y - target[-p:]) / output_scale
         driven = z @ modes.T + error @ error_input_matrix(modes, p).T
         frozen = z @ frozen_modes(modes).T
         z = np.where(unlimited, driven, frozen)

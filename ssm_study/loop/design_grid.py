@@ -80,7 +80,8 @@ class DesignGrid(ComparisonTable):
         counts = (len(candidates.ks), len(candidates.ls))
         total = counts[0] * counts[1]
         size = min(self.designs, total)
-        flat = np.random.default_rng([seed, 3]).choice(total, size=size, replace=False)
+        rng = np.random.default_rng([seed, 3])
+        flat = rng.choice(total, size=size, replace=False)
         pairs = np.unravel_index(np.sort(flat), counts)
         return np.stack(pairs, axis=1)
 
@@ -101,9 +102,11 @@ def _prediction_columns(known: Identified, gains: Gains) -> list[Row]:
     for i, area in enumerate(relative_areas(known.model, gains, known.validation)):
         pair = gains.at(i)
         predicted = predict(known.model, pair, known.balls, mismatch)
+        gain_norm = float(np.linalg.norm(pair.k, 2))
+        observer_gain_norm = float(np.linalg.norm(pair.l, 2))
         row: Row = {
-            "gain_norm": float(np.linalg.norm(pair.k, 2)),
-            "observer_gain_norm": float(np.linalg.norm(pair.l, 2)),
+            "gain_norm": gain_norm,
+            "observer_gain_norm": observer_gain_norm,
             "mismatch_gain": mismatch.gain,
             **vars(predicted),
             "predicted_stable": predicted.predicts_stability(),
@@ -123,7 +126,8 @@ def _behaviour_columns(
     designs = len(gains.k)
     cases = len(y0)
     each_case = np.repeat(np.arange(designs), cases)
-    controller = ObserverFeedback(model=known.model, gains=gains.at(each_case))
+    observer_feedback_gains = gains.at(each_case)
+    controller = ObserverFeedback(model=known.model, gains=observer_feedback_gains)
     starts = np.tile(y0, (designs, 1))
     noises = np.tile(noise, (designs, 1, 1))
     run = loop.simulate(plant, controller, starts, noises)
@@ -137,14 +141,19 @@ def _behaviour_columns(
         own = slice(first, first + cases)
         unsettled_kinds = sorted(set(kinds[own]) - {"settled"})
         left_bound = ~run.stayed[own]
+        stable_count = cases - times_s[own].count(None)
+        settling_time_mean_s = mean(times_s[own])
+        stable_count_noise_free = kinds[own].count("settled")
+        unsettled_as = ", ".join(unsettled_kinds) or None
+        left_bound_count = int(left_bound.sum())
         row: Row = {
             "initial_conditions": cases,
-            "stable_count": cases - times_s[own].count(None),
-            "settling_time_mean_s": mean(times_s[own]),
+            "stable_count": stable_count,
+            "settling_time_mean_s": settling_time_mean_s,
             "settling_time_open_loop_s": open_loop_s,
-            "stable_count_noise_free": kinds[own].count("settled"),
-            "unsettled_as": ", ".join(unsettled_kinds) or None,
-            "left_bound_count": int(left_bound.sum()),
+            "stable_count_noise_free": stable_count_noise_free,
+            "unsettled_as": unsettled_as,
+            "left_bound_count": left_bound_count,
         }
         rows.append(row)
     return rows

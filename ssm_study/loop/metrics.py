@@ -134,13 +134,19 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
     cases = sum(len(error) for error in errors)
     step_s = loops[0].controlled.step_s
     per_case = step_s / cases
+    columns = settling_columns(loops, cases)
+    overshoot_worst = max(worst_overshoot(loop) for loop in loops)
+    input_peak_v = max(float(np.abs(effort).max()) for effort in efforts)
+    control_energy = sum_of_squares(efforts) * per_case
+    integral_squared_error = sum_of_squares(errors) * per_case
+    final_error_worst = max(final_error(error) for error in errors)
     return {
-        **settling_columns(loops, cases),
-        "overshoot_worst": max(worst_overshoot(loop) for loop in loops),
-        "input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),
-        "control_energy": sum_of_squares(efforts) * per_case,
-        "integral_squared_error": sum_of_squares(errors) * per_case,
-        "final_error_worst": max(final_error(error) for error in errors),
+        **columns,
+        "overshoot_worst": overshoot_worst,
+        "input_peak_v": input_peak_v,
+        "control_energy": control_energy,
+        "integral_squared_error": integral_squared_error,
+        "final_error_worst": final_error_worst,
         **bound_columns(loops, step_s),
     }
 
@@ -157,14 +163,18 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
         motion.update(motions(loop.judged, loop.settling_band))
     settled = [time_s for time_s in times_s if time_s is not None]
     unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
+    stable_fraction = len(settled) / cases
+    unsettled_as = ", ".join(unsettled) or None
+    judged_noise_free = any(loop.noise_free is not None for loop in loops)
+    settling_time_worst_s = max(settled) if len(settled) == cases else None
     return {
         "initial_conditions": cases,
         "stable_count": len(settled),
-        "stable_fraction": len(settled) / cases,
-        "unsettled_as": ", ".join(unsettled) or None,
-        "judged_noise_free": any(loop.noise_free is not None for loop in loops),
+        "stable_fraction": stable_fraction,
+        "unsettled_as": unsettled_as,
+        "judged_noise_free": judged_noise_free,
         "settling_time_mean_s": mean(settled),
-        "settling_time_worst_s": max(settled) if len(settled) == cases else None,
+        "settling_time_worst_s": settling_time_worst_s,
         "settling_time_open_loop_s": mean(alone_s),
         "faster_than_open_loop": is_faster(times_s, alone_s),
         "swings_at_rest": worst_swing_at_rest(loops),
@@ -201,7 +211,8 @@ def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
 
 def worst_overshoot(loop: LoopRuns) -> float:
     """Largest overshoot of the controlled cases, as a share of the initial error."""
-    return float(overshoots(loop.controlled, loop.settling_band).max())
+    per_case = overshoots(loop.controlled, loop.settling_band)
+    return float(per_case.max())
 
 
 def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
@@ -221,10 +232,8 @@ def bound_columns(loops: list[LoopRuns], step_s: float) -> Columns:
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
         left += at_sample[at_sample != STAYED].tolist()
-    return {
-        "left_bound_count": len(left),
-        "left_bound_first_s": min(left) * step_s if left else None,
-    }
+    left_bound_first_s = min(left) * step_s if left else None
+    return {"left_bound_count": len(left), "left_bound_first_s": left_bound_first_s}
 
 
 CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bound_excess_plant")
@@ -244,9 +253,11 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     beyond = None
     if np.allclose(plant.reference, model.reference):
         beyond = excess(plant.estimate, model.states[:, 0], *parts)
+    certified_bound_violations = violations(model.states, model.estimate, *parts)
+    estimate_decay_rate = decay_rate(model.states, model.estimate, *parts)
     return {
-        "certified_bound_violations": violations(model.states, model.estimate, *parts),
-        "estimate_decay_rate": decay_rate(model.states, model.estimate, *parts),
+        "certified_bound_violations": certified_bound_violations,
+        "estimate_decay_rate": estimate_decay_rate,
         "certified_bound_excess_plant": beyond,
     }
 

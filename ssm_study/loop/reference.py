@@ -29,7 +29,9 @@ class StepReference(Reference):
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         is_before = time_s < self.at_s - 1e-12
-        return np.where(is_before, float(self.before), float(self.after))
+        before = float(self.before)
+        after = float(self.after)
+        return np.where(is_before, before, after)
 
 
 @dataclass(frozen=True, kw_only=True)

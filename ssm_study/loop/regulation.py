@@ -49,7 +49,8 @@ class IdentifiedPlant(Plant):
         problem = "the loop samples the output before the input acts"
         require(not answers_at_once(model), "model.feedthrough", value, problem, remedy)
         channels = (len(self.inputs), len(self.outputs))
-        needed = (model.scale.inputs, model.scale.outputs)
+        inputs = model.scale.inputs
+        needed = (inputs, model.scale.outputs)
         problem = f"the model has {needed}"
         require(channels == needed, "channels", channels, problem, "name each of its signals")
 
@@ -61,8 +62,10 @@ class IdentifiedPlant(Plant):
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
         """
-        unit = float(model.scale.output_scale.min())
+        output_scale = model.scale.output_scale
+        unit = float(output_scale.min())
         scaled_inputs = model.linear.b.shape[1]
+        initial_range = (-unit, unit)
         return cls(
             model=model,
             step_s=model.step_s,
@@ -71,12 +74,13 @@ class IdentifiedPlant(Plant):
             outputs=outputs or _numbered_channels("y", model.scale.outputs),
             states=_indexed_channels("x", model.order),
             disturbances=_indexed_channels("scaled_input_", scaled_inputs),
-            initial_range=(-unit, unit),
+            initial_range=initial_range,
         )
 
     @property
     def input_amplitude(self) -> tuple[float, ...]:
-        return tuple(self.model.scale.input_scale.tolist())
+        input_scale = self.model.scale.input_scale
+        return tuple(input_scale.tolist())
 
     def equilibrium(self) -> Equilibrium:
         scale = self.model.scale
@@ -96,13 +100,18 @@ class IdentifiedPlant(Plant):
         try:
             return equilibrium(self.model, y)[0]
         except BadRequest:
-            fewer_inputs = self.model.scale.inputs < self.model.scale.outputs
+            inputs = self.model.scale.inputs
+            fewer_inputs = inputs < self.model.scale.outputs
             if not isinstance(self.model, StructuredSSM) and not fewer_inputs:
                 raise
             scaled_output = self.model.scale.scaled_output(y)
             if not isinstance(self.model, StructuredSSM):
-                scaled_output = inverse(self.model.scaffold_out, scaled_output[None])[0]
-            return np.linalg.pinv(self.model.linear.c) @ scaled_output
+                scaffold = self.model.scaffold_out
+                matrix = inverse(scaffold, scaled_output[None])
+                scaled_output = matrix[0]
+            linear_c = self.model.linear.c
+            pseudo_inverse = np.linalg.pinv(linear_c)
+            return pseudo_inverse @ scaled_output
 
     def advance(
         self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
@@ -113,14 +122,16 @@ class IdentifiedPlant(Plant):
         return self.model.push(measured)
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
-        no_input = np.zeros((len(x), self.model.linear.b.shape[1]))
+        linear_b = self.model.linear.b
+        no_input = np.zeros((len(x), linear_b.shape[1]))
         return self.model.read(x, no_input)
 
 
 def _numbered_channels(name: str, count: int) -> Channels:
     """Channels without a unit, numbered from 1 where there are several."""
     if count == 1:
-        return (Channel(name=name, unit=""),)
+        channel = Channel(name=name, unit="")
+        return (channel,)
     return tuple(Channel(name=f"{name}_{i + 1}", unit="") for i in range(count))
 
 
@@ -227,7 +238,9 @@ class Loop:
         """Copy of the experiment with input limits: those that are set, else the range of these
         recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
-        return replace(self, input_lower=low.tolist(), input_upper=high.tolist())
+        input_lower = low.tolist()
+        input_upper = high.tolist()
+        return replace(self, input_lower=input_lower, input_upper=input_upper)
 
     def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
         """Run a certified design on the plant, and on the noise-free model for comparison."""
@@ -293,7 +306,8 @@ class Loop:
             return self
         response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
         samples = int(np.clip(RESPONSES * response, *SAMPLES))
-        return replace(self, horizon_s=samples * model.step_s)
+        horizon_s = samples * model.step_s
+        return replace(self, horizon_s=horizon_s)
 
     def samples(self, step_s: float) -> int:
         """Number of samples in the horizon."""
@@ -315,7 +329,8 @@ class Loop:
         if self.measurement_noise_variance is not None:
             variances = (self.measurement_noise_variance,) * outputs
         deviation = np.sqrt(self.noise_factor * np.array(variances))
-        noise = deviation * noise_stream.standard_normal((cases, samples, outputs))
+        white_noise = noise_stream.standard_normal((cases, samples, outputs))
+        noise = deviation * white_noise
         return plant.equilibrium().y + offsets, noise
 
     def simulate(
@@ -347,6 +362,7 @@ class Loop:
         reference = plant.equilibrium().y + offsets
         x0 = plant.states_at(y0)
         try:
+            bound = np.full(outputs, reach)
             return close_loop(
                 plant,
                 controller,
@@ -354,7 +370,7 @@ class Loop:
                 reference=reference,
                 noise=noise,
                 disturbance=disturbance,
-                bound=np.full(outputs, reach),
+                bound=bound,
                 limits=self.limits,
                 measured_disturbance=measured_disturbance,
             )

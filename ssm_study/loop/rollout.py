@@ -91,22 +91,22 @@ def close_loop(
         _check_reachable(controller.demanded(reference), limits)
     memory = controller.start(len(noise))
     targets = controller.targets(reference)
-    log = _empty_log(plant, controller.estimate(memory).shape[1], noise.shape, x0.shape[1])
+    estimates = controller.estimate(memory).shape[1]
+    log = _empty_log(plant, estimates, noise.shape, x0.shape[1])
     left_at_sample = np.full(len(noise), STAYED)
     going = np.arange(len(noise))
     x = x0
     for k in range(noise.shape[1]):
         y = plant.output(x)
         measured = y + noise[going, k]
-        u = np.clip(controller.input(memory, measured, targets[k]), *limits)
+        inputs = controller.input(memory, measured, targets[k])
+        u = np.clip(inputs, *limits)
         inside = _inside_bound(plant, y, u, controller.estimate(memory), bound)
         if not inside.all():  # only those that stay go on
-            stopped = going[~inside]
-            left_at_sample[stopped] = k
-            at_rest = np.tile(plant.equilibrium().u, (len(y), 1))
-            last = {"u": at_rest, "y": y, "measured": measured, "states": x}
-            last = {name: value[~inside, None] for name, value in last.items()}
-            _record(log, stopped, slice(k, None), last)
+            leaves = ~inside
+            left_at_sample[going[leaves]] = k
+            last = {"y": y[leaves], "measured": measured[leaves], "states": x[leaves]}
+            _record_stopped(log, plant, going[leaves], k, last)
             x = x[inside]
             y = y[inside]
             measured = measured[inside]
@@ -128,6 +128,15 @@ def close_loop(
     )
 
 
+def _record_stopped(
+    log: Log, plant: Plant, stopped: Int[np.ndarray, "S"], k: int, last: dict[str, np.ndarray]
+) -> None:
+    """Repeat the last values of cases that left the bound from sample `k` on, input at rest."""
+    at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
+    values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
+    _record(log, stopped, slice(k, None), values)
+
+
 def _record(
     log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: dict[str, np.ndarray]
 ) -> None:
@@ -139,13 +148,8 @@ def _record(
 def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
     """Arrays of zeros for each signal of a run. `shape` is cases, samples, outputs."""
     cases, samples, outputs = shape
-    widths = {
-        "u": len(plant.inputs),
-        "y": outputs,
-        "measured": outputs,
-        "states": states,
-        "estimate": estimates,
-    }
+    u = len(plant.inputs)
+    widths = {"u": u, "y": outputs, "measured": outputs, "states": states, "estimate": estimates}
     return {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
 
 
@@ -250,7 +254,8 @@ def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     last_quarter = size[:, -quarter:].max(axis=1)
     worst_output = np.argmax(np.abs(error).max(axis=1), axis=1)
     worst_error = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, :, 0]
-    rise, swing = rise_and_swing(worst_error[:, -2 * quarter :])
+    signals = worst_error[:, -2 * quarter :]
+    rise, swing = rise_and_swing(signals)
     oscillates = swing > np.maximum(np.abs(rise), band)
     moving = np.where(oscillates, "oscillating", "drifting")
     kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
@@ -316,7 +321,9 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
         return None
     resolution = band / 2  # an exact zero is not a rate
     distances = np.maximum(distances[starts_apart], resolution)
-    return float(1.0 - np.median(squared_shrink(distances, band)))
+    per_case = squared_shrink(distances, band)
+    median = np.median(per_case)
+    return float(1.0 - median)
 
 
 def squared_shrink(
@@ -349,7 +356,8 @@ def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMIT
     for k in range(run.u.shape[1]):
         applied = run.u[stayed, k]
         measured = run.measured[stayed, k]
-        again = np.clip(controller.input(memory, measured, targets[k]), *limits)
+        inputs = controller.input(memory, measured, targets[k])
+        again = np.clip(inputs, *limits)
         worst = float(np.abs(again - applied).max(initial=worst))
         memory = controller.advance(memory, applied, measured, targets[k])
     largest = float(np.abs(run.u).max())

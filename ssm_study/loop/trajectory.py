@@ -42,7 +42,8 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
     """
     scaled_output = model.scale.scaled_output(y)
-    y_bar = inverse(model.scaffold_out, scaled_output[None])[0]
+    matrix = inverse(model.scaffold_out, scaled_output[None])
+    y_bar = matrix[0]
     n = model.order
     size = max(1.0, float(np.abs(y_bar).max()))
 
@@ -51,7 +52,9 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
         through_neurons = model.h @ model.inner(x, v) if isinstance(model, StructuredSSM) else 0.0
-        output = model.linear.c @ x + model.linear.d @ v + through_neurons
+        linear_c = model.linear.c
+        linear_d = model.linear.d
+        output = linear_c @ x + linear_d @ v + through_neurons
         return np.concatenate([motion, output - y_bar])
 
     def jacobian(point: Vector) -> Matrix:
@@ -65,7 +68,8 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         point = _solve_newton(residual, jacobian, start, INVERSION_TOLERANCE * size)
     else:
         states, inputs, outputs = model.linear.held()
-        share = np.linalg.lstsq(outputs, y_bar, rcond=None)[0]
+        least_squares = np.linalg.lstsq(outputs, y_bar, rcond=None)
+        share = least_squares[0]
         point = np.concatenate([states @ share, inputs @ share])
     is_reached = np.abs(residual(point)).max() <= EQUILIBRIUM_TOLERANCE * size
     problem = "no constant input of the model holds this scaled output"
@@ -108,10 +112,12 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     c = -np.linalg.solve(curvature, g.T)
     through = np.linalg.solve(curvature, d.T)
     backward = StateSpace(a=closed.T, b=-output_map.T, c=c, d=through)
-    preview = backward.simulate(target[::-1], last)[0][::-1]
+    response = backward.simulate(target[::-1], last)
+    preview = response[0][::-1]
     c = np.vstack([np.eye(n, n + m), closed[n:]])
     through = np.vstack([np.zeros((n, m)), g[n:]])
-    plan = StateSpace(a=closed, b=g, c=c, d=through).simulate(preview)[0]
+    state_space = StateSpace(a=closed, b=g, c=c, d=through)
+    plan = state_space.simulate(preview)[0]
     scaled_inputs = inverse(model.scaffold_in, plan[:, n:])
     return np.concatenate([plan[:, :n], scaled_inputs], axis=1)
 
@@ -221,7 +227,8 @@ def _solve_newton(
     for _ in range(NEWTON_STEPS):
         if np.linalg.norm(value) <= tolerance:
             break
-        step = np.linalg.lstsq(jacobian(point), -value, rcond=None)[0]
+        least_squares = np.linalg.lstsq(jacobian(point), -value, rcond=None)
+        step = least_squares[0]
         for share in 0.5 ** np.arange(40):
             trial = point + share * step
             trial_value = residual(trial)

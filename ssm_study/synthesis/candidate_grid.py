@@ -86,11 +86,15 @@ class CandidateGrid:
             unsolved += side.unsolved
         if not controllers or not observers:
             return None
+        feedback = tuple(specification for specification, _ in controllers)
+        ks = np.stack([solution.k for _, solution in controllers])
+        observing = tuple(specification for specification, _ in observers)
+        ls = np.stack([solution.k.T for _, solution in observers])
         return Candidates(
-            feedback=tuple(specification for specification, _ in controllers),
-            ks=np.stack([solution.k for _, solution in controllers]),
-            observing=tuple(specification for specification, _ in observers),
-            ls=np.stack([solution.k.T for _, solution in observers]),
+            feedback=feedback,
+            ks=ks,
+            observing=observing,
+            ls=ls,
             l_zs=injections(observers),
             internal=self._internal_model(model),
             unsolved=unsolved,
@@ -100,7 +104,8 @@ class CandidateGrid:
         """Internal model of the controller, with its modes at the model's sampling time."""
         if not self.modes:
             return None
-        return internal_model(self.modes, model.step_s, model.scale.outputs)
+        outputs = model.scale.outputs
+        return internal_model(self.modes, model.step_s, outputs)
 
     def solve_side(
         self,
@@ -151,13 +156,15 @@ class CandidateGrid:
         fastest = None
         if isinstance(system, StateSpace):
             own = max(1 - system.spectral_radius**2, 0.0)
-            limit = controller_frontier(dual(system) if observes else system, ball).rate_limit
+            frontier = controller_frontier(dual(system) if observes else system, ball)
+            limit = frontier.rate_limit
         else:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
 
             problem = specification.problem(system, ball, observes)
             limit, fastest = structured_lmi.fastest_solution(problem)
-        rates = self._rates(observes, isinstance(system, StateSpace), own, limit)
+        linear = isinstance(system, StateSpace)
+        rates = self._rates(observes, linear, own, limit)
         below = [rate for rate in rates if 0 < rate < limit]
         return sorted(below, reverse=True), fastest
 
@@ -197,14 +204,14 @@ class CandidateGrid:
         proved_candidates = []
         for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
             frozen = system.at_slopes(slopes)
-            for request, solution in self.solve_side(
-                specification, frozen, ball, observes
-            ).candidates:
+            solved_side = self.solve_side(specification, frozen, ball, observes)
+            for request, solution in solved_side.candidates:
                 try:
                     proved = program.proved(solution.k)
                 except NoSolution:
                     continue
-                settings: dict[str, Any] = {side: rate, "near": {observes: proved}}
+                near = {observes: proved}
+                settings: dict[str, Any] = {side: rate, "near": near}
                 proved_candidates.append((replace(request, **settings), proved))
         return proved_candidates
 

@@ -29,9 +29,8 @@ class Candidates:
     def gains(self, pairs: Int[np.ndarray, "*pairs 2"]) -> Gains:
         """Gains of one controller with its observer, or of many."""
         l_zs = None if self.l_zs is None else self.l_zs[pairs[..., 1]]
-        return Gains(
-            k=self.ks[pairs[..., 0]], l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal
-        )
+        k = self.ks[pairs[..., 0]]
+        return Gains(k=k, l=self.ls[pairs[..., 1]], l_z=l_zs, internal=self.internal)
 
     def specification(self, pair: Int[np.ndarray, "2"]) -> RiccatiSynthesis:
         """Specification of the synthesis whose solutions are these gains."""
@@ -39,4 +38,5 @@ class Candidates:
         observing = self.observing[pair[1]]
         names = ("rate_observer", "input_noise", "state_noise", "output_noise")
         taken: Any = {name: getattr(observing, name) for name in names}
-        return replace(feedback, near={**feedback.near, **observing.near}, **taken)
+        near = {**feedback.near, **observing.near}
+        return replace(feedback, near=near, **taken)

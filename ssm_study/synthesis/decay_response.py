@@ -41,9 +41,11 @@ def decays_of(
         if trial.closed_loop or model.scale.scaled_input(trial.u).any():
             continue
         samples = min(SAMPLES[1], len(trial))
-        measured = model.scale.scaled_output(trial.y[:samples])
+        y = trial.y[:samples]
+        measured = model.scale.scaled_output(y)
         start = initial_state(model, trial, samples, reached_by=validation[0])
-        simulated = model.scale.scaled_output(model.simulate(trial.u[:samples], start))
+        response = model.simulate(trial.u[:samples], start)
+        simulated = model.scale.scaled_output(response)
         missed = ((measured - simulated) ** 2).sum()
         if np.linalg.norm(simulated[0]) > SETTLED and missed < FITTED * (measured**2).sum():
             decays.append(simulated)
@@ -80,7 +82,8 @@ def decay_ratios(
     pairs = len(gains.k)
     if not len(decays):
         return np.zeros(pairs)
-    alone = _settled_sample(np.linalg.norm(decays, axis=2), band)
+    sizes = np.linalg.norm(decays, axis=2)
+    alone = _settled_sample(sizes, band)
     outputs = _closed_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
     settled = _settled_sample(np.linalg.norm(outputs, axis=3), band)
     return np.asarray(settled.mean(axis=1) / max(float(alone.mean()), 1.0))
@@ -113,7 +116,8 @@ def _closed_outputs(
     for sample in range(horizon):
         u = np.clip(x_hat @ k, *limits)
         lifted = model.scaffold_in(u)
-        y = model.read_scaled(x, lifted) + decays[:, sample]
+        scaled = model.read_scaled(x, lifted)
+        y = scaled + decays[:, sample]
         outputs[:, :, sample] = y
         innovation = model.read_scaled(x_hat, lifted) - y
         injected = () if l_z is None else (innovation @ l_z,)

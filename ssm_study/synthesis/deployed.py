@@ -59,7 +59,8 @@ def with_gain_certificates(
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}
     for side, part in sides.items():
         if not isinstance(part, Infeasible) and part.certified:
-            certificates[f"{side}_deployed"] = within_reach(partial(at_largest_rate, part))
+            find = partial(at_largest_rate, part)
+            certificates[f"{side}_deployed"] = within_reach(find)
     certificates["tolerance"] = tolerance_certificate(design, model, balls)
     extra = {name: part for name, part in certificates.items() if part is not None}
     design = replace(design, extra_certificates=extra)
@@ -78,15 +79,14 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
     has_neurons = isinstance(observer, StructuredObserver)
     if not isinstance(feedback, StateFeedback) or not (is_linear or has_neurons):
         return None
+    controlled = controlled_system(model, feedback)
     context = VerificationContext(
-        system=model.system,
-        controlled=controlled_system(model, feedback),
-        balls=balls,
-        gains=design.gains,
+        system=model.system, controlled=controlled, balls=balls, gains=design.gains
     )
     theorem = Tolerance if is_linear else StructuredTolerance
     constant_weight = np.eye(len(feedback.k))
-    return within_reach(partial(largest_tolerance, context, constant_weight, theorem=theorem))
+    find = partial(largest_tolerance, context, constant_weight, theorem=theorem)
+    return within_reach(find)
 
 
 def at_largest_rate(part: Side) -> Side | None:
@@ -114,17 +114,20 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
         extra.get("state_feedback_limited"),
     )
     feedbacks = [part for part in parts if isinstance(part, StateFeedbackOfBall) and part.certified]
-    limits = np.stack([model.scale.scaled_input(end) for end in (lower, upper)], axis=1)
+    ends = (lower, upper)
+    limits = np.stack([model.scale.scaled_input(end) for end in ends], axis=1)
     hold_rest = ((limits[:, 0] < 0) & (limits[:, 1] > 0)).all()
     if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
-    everywhere = within_reach(partial(certify_under_limits, feedbacks[0]))
+    find = partial(certify_under_limits, feedbacks[0])
+    everywhere = within_reach(find)
     certificates: dict[str, Any] = {EVERYWHERE: everywhere}
     if isinstance(everywhere, StateFeedbackOfBall):
         feedbacks.append(everywhere)
     corners = rest_corners(model)
     if corners is not None:
-        internal_states = feedbacks[0].k.shape[1] - model.order
+        feedbacks_k = feedbacks[0].k
+        internal_states = feedbacks_k.shape[1] - model.order
         corners = np.pad(corners, ((0, internal_states), (0, 0)))
         certificates[SETS] = within_reach(
             partial(certify_unlimited_start, feedbacks, corners, limits)
@@ -143,14 +146,16 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     rest, _, gain = model.linear.held()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
-    if model.linear.d.any() or inverse is None or not tells_state:
+    linear_d = model.linear.d
+    if linear_d.any() or inverse is None or not tells_state:
         return None
     signs = np.array([(1.0, *more) for more in product((-1.0, 1.0), repeat=outputs - 1)]).T
     if inverse.matrix is not None:
         off_diagonal = inverse.matrix - np.diag(np.diagonal(inverse.matrix))
         if np.count_nonzero(off_diagonal):
             signs = inverse.matrix @ signs
-    corners: Float[np.ndarray, "n j"] = rest @ np.linalg.pinv(gain) @ signs
+    pseudo_inverse = np.linalg.pinv(gain)
+    corners: Float[np.ndarray, "n j"] = rest @ pseudo_inverse @ signs
     return corners
 
 
@@ -185,7 +190,8 @@ class WithinLimits:
         if starts is None:
             return None
         low, high = outputs_of(model, starts)
-        return cls(lower=low, upper=high, everywhere=parts.get(EVERYWHERE))
+        everywhere = parts.get(EVERYWHERE)
+        return cls(lower=low, upper=high, everywhere=everywhere)
 
 
 def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
@@ -208,7 +214,8 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
 def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
     """Least and greatest output between the initial states and their mirror images, in physical
     units."""
-    read = (model.linear.c @ starts[: model.order]).T
+    linear_c = model.linear.c
+    read = (linear_c @ starts[: model.order]).T
     ends = model.scale.physical_output(model.scaffold_out(np.concatenate([read, -read])))
     return ends.min(axis=0), ends.max(axis=0)
 

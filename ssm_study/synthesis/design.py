@@ -93,12 +93,12 @@ class DesignAttempt:
 
     def infeasible(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """Result of an attempt without a certificate. `reason` says why."""
-        asked: Any = {
-            "theorem": self.theorem.name(),
-            "rate": self.rate,
-            "rate_limit": self.frontier.rate_limit,
-        }
-        asked |= {"alpha": self.ball.alpha, "beta": self.ball.beta, "method": self.method}
+        theorem = self.theorem.name()
+        rate_limit = self.frontier.rate_limit
+        asked: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
+        alpha = self.ball.alpha
+        beta = self.ball.beta
+        asked |= {"alpha": alpha, "beta": beta, "method": self.method}
         seconds = time.perf_counter() - self.started
         return Infeasible(
             **asked, proved=proved, reason=reason, solver_status=status, seconds=seconds
@@ -109,9 +109,8 @@ class DesignAttempt:
         transposed for an observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
-        return self.theorem.proved(
-            numbers, rate_limit=self.frontier.rate_limit, status=solution.status, **told
-        )
+        rate_limit = self.frontier.rate_limit
+        return self.theorem.proved(numbers, rate_limit=rate_limit, status=solution.status, **told)
 
     def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
         """First attempt that is certified; otherwise the result of the last one with matrices, or
@@ -167,7 +166,8 @@ def failed_checks(
     if (
         design.inverts and balls.input.relative_radius < 1
     ):  # S_u has an inverse, and the law applies it
-        balls = replace(balls, input=JacobianBall(alpha=1.0, beta=0.0))
+        jacobian_ball = JacobianBall(alpha=1.0, beta=0.0)
+        balls = replace(balls, input=jacobian_ball)
     context = VerificationContext(
         system=linear, controlled=controlled or linear, balls=balls, gains=design.gains
     )
@@ -177,7 +177,8 @@ def failed_checks(
         if part in design.content and fields.get("digest") != digest(fields)
     ]
     for label, part in design.content.items():
-        broken += [f"{label}{claim}" for claim in _of_part(part, context)]
+        claims = _of_part(part, context)
+        broken += [f"{label}{claim}" for claim in claims]
     for (
         label,
         again,
@@ -269,7 +270,8 @@ class Synthesis(ABC):
 
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
-            contraction_rate(f"synthesis.{name}", getattr(self, name), "try 0.1")
+            rate = getattr(self, name)
+            contraction_rate(f"synthesis.{name}", rate, "try 0.1")
         for name in (
             "state_weight",
             "input_weight",
@@ -297,9 +299,8 @@ class Synthesis(ABC):
         """Design controller and observer independently, for the model's `system` if it has one,
         else for its linear recurrence."""
         if self.invert_input:
-            return design_with_inverted_input(
-                replace(self, invert_input=False), model, validation, shown
-            )
+            plain = replace(self, invert_input=False)
+            return design_with_inverted_input(plain, model, validation, shown)
         system = getattr(model, "system", model.linear)
         controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
         feedback = self.state_feedback(controlled, balls.input)
@@ -310,17 +311,15 @@ class Synthesis(ABC):
         """Design of the state feedback: Theorem 1 for `x+ = A x + B S_u(u)`, or its counterpart for
         a model with neurons."""
         neurons = isinstance(system, StructuredSystem)
-        return self._certified(
-            StructuredStateFeedback if neurons else self.feedback_theorem, system, ball
-        )
+        theorem = StructuredStateFeedback if neurons else self.feedback_theorem
+        return self._certified(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
         """Design of the observer for `y = S_y(C x + D S_u(u))`: Theorem 2, solved as Theorem 1 for
         `(A^T, C^T)` and verified in its own form."""
         neurons = isinstance(system, StructuredSystem)
-        return self._certified(
-            StructuredObserver if neurons else self.observer_theorem, system, ball
-        )
+        theorem = StructuredObserver if neurons else self.observer_theorem
+        return self._certified(theorem, system, ball)
 
     def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
         """Certified solution for controller or observer, or the reason why there is none."""

@@ -80,7 +80,9 @@ class ExpectedResponse:
     def expected(self, pair: Pair, area: float, shared: Responses) -> float:
         """Expected response area of a design, with its loop gain taken on the angles of
         `shared`."""
-        return expected_area(float(area), self.loop_gain(pair, shared), self.mismatch.spread)
+        loop_gain = self.loop_gain(pair, shared)
+        spread = self.mismatch.spread
+        return expected_area(float(area), loop_gain, spread)
 
     def resists_noise(self, pair: Pair) -> bool:
         """Whether the sensor's noise alone leaves the output within the settling band."""
@@ -93,7 +95,8 @@ class ExpectedResponse:
             return np.empty((0, 2), dtype=int)
         pairs = np.argwhere(self.margin * peaks < 1)
         gains = self.candidates.gains(pairs)
-        return pairs[controller_radius(self.model.system, gains, self.balls) < 1]
+        system = self.model.system
+        return pairs[controller_radius(system, gains, self.balls) < 1]
 
     def ordered_pairs(
         self, peaks: Float[np.ndarray, "C O"], validation: Trajectories, limits: Ends | None
@@ -109,9 +112,11 @@ class ExpectedResponse:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_areas(self.model, gains, validation, limits)
-        ratios = slowest_ratios(self.model, gains, self.decays, self.mismatch.band, limits)
+        band = self.mismatch.band
+        ratios = slowest_ratios(self.model, gains, self.decays, band, limits)
         slow = np.maximum(areas, ratios) >= FASTER
-        coarse = Responses(angles=FINE_ANGLES[::2])
+        angles = FINE_ANGLES[::2]
+        coarse = Responses(angles=angles)
         fine = Responses(angles=FINE_ANGLES)
         passing: list[tuple[Rank, int]] = []
         remaining = compared_indices(areas, slow)
@@ -123,7 +128,9 @@ class ExpectedResponse:
                 index = remaining.pop(0)
                 loop_gain = self.loop_gain(pairs[index], coarse)
                 if self.margin * loop_gain < 1 and self.resists_noise(pairs[index]):
-                    score = expected_area(float(areas[index]), loop_gain, self.mismatch.spread)
+                    area = float(areas[index])
+                    spread = self.mismatch.spread
+                    score = expected_area(area, loop_gain, spread)
                     passing.append(((bool(slow[index]), score), index))
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
@@ -149,7 +156,8 @@ def predicts_faster_response(
     """Whether a design is clearly faster than the open loop, on the model and from the initial
     states of recorded decays. Input limits are not considered."""
     l_z = None if pair.l_z is None else pair.l_z[None]
-    one = replace(pair, k=pair.k[None], l=pair.l[None], l_z=l_z)
+    k = pair.k[None]
+    one = replace(pair, k=k, l=pair.l[None], l_z=l_z)
     area = relative_areas(model, one, validation)[0]
     decays = decays_of(model, trials, validation)
     ratio = slowest_ratios(model, one, decays, mismatch.band)[0]
@@ -161,4 +169,5 @@ def response_facts(design: Any, model: Model, mismatch: Mismatch, *records: Traj
     None without a design, and for a law that inverts the input map."""
     if not design.feasible or design.inverts:
         return {}
-    return {"predicted_faster": predicts_faster_response(model, design.pair, mismatch, *records)}
+    predicted_faster = predicts_faster_response(model, design.pair, mismatch, *records)
+    return {"predicted_faster": predicted_faster}

@@ -99,7 +99,8 @@ def guaranteed_cost(problem: Problem) -> Solution:
     )  # the cost only falls with tau
     best = best or _search(problem, tau_min)
     # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
-    p = symmetric(np.linalg.inv(best.s_over_tau))
+    matrix = np.linalg.inv(best.s_over_tau)
+    p = symmetric(matrix)
     return Solution(p=p, y=p, k=best.k, sigma=1.0, status=f"tau {best.tau:.6g}")
 
 
@@ -114,12 +115,14 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     if not kappa_times_tau > 0:
         return None
     try:
-        s = solve_riccati(ah, bh, problem.state_weight / tau, float(kappa_times_tau))
+        q = problem.state_weight / tau
+        s = solve_riccati(ah, bh, q, float(kappa_times_tau))
     except NoSolution:
         return None
     m = bh.shape[1]
     energy = bh.T @ s @ bh
-    if not np.linalg.eigvalsh(energy)[-1] < 1:  # Bh^T S Bh < tau I, the hypothesis
+    eigenvalues = np.linalg.eigvalsh(energy)
+    if not eigenvalues[-1] < 1:  # Bh^T S Bh < tau I, the hypothesis
         return None
     k = -(ball.alpha / rt_over_tau) * np.linalg.solve(
         np.eye(m) + kappa_times_tau * energy, bh.T @ s @ ah
@@ -135,7 +138,8 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     def cost(log_step: float) -> float:
         """Guaranteed cost at a value of the search variable, the logarithm of `tau / tau_min -
         1`."""
-        point = at_tau(problem, tau_min * (1 + np.exp(log_step)))
+        tau = tau_min * (1 + np.exp(log_step))
+        point = at_tau(problem, tau)
         tried.append((FAR if point is None else point.cost, point))
         return tried[-1][0]
 
@@ -144,9 +148,8 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     if tried[index][1] is None:
         raise NoSolution("no admissible tau")
     span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
-    scipy.optimize.minimize_scalar(
-        cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
-    )
+    options = {"xatol": LOG_TAU_TOLERANCE}
+    scipy.optimize.minimize_scalar(cost, bounds=span, method="bounded", options=options)
     best = min(tried, key=lambda point: point[0])[1]
     assert best is not None  # one of the grid is
     return best
@@ -171,7 +174,9 @@ class RiccatiSynthesis(Synthesis):
             least_cost,
         )  # compiles: only where there are neurons
 
-        return least_cost(problem, self.near.get(problem.neurons.observes))
+        observes = problem.neurons.observes
+        near = self.near.get(observes)
+        return least_cost(problem, near)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
         """Solutions for the given weights; near the frontier also the minimum-energy gain or, with

@@ -34,12 +34,16 @@ def model_behind_map(model: Model) -> Model:
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
-    known = inverse_of(model.scaffold_in.portable()) is not None
+    portable = model.scaffold_in.portable()
+    known = inverse_of(portable) is not None
     require(known, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
-    scale = {"input_scale": np.ones(channels), "input_equilibrium": np.zeros(channels)}
+    input_scale = np.ones(channels)
+    input_equilibrium = np.zeros(channels)
+    scale = {"input_scale": input_scale, "input_equilibrium": input_equilibrium}
     scaled: Scale = replace(model.scale, **scale)
-    return replace(model, scaffold_in=LinearScaffold.identity(channels), scale=scaled)
+    scaffold_in = LinearScaffold.identity(channels)
+    return replace(model, scaffold_in=scaffold_in, scale=scaled)
 
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
@@ -81,7 +85,8 @@ def as_inverting(design: Design) -> Design:
         "use riccati",
     )
     if isinstance(part, Infeasible):
-        return replace(design, state_feedback=replace(part, theorem=INVERTED[name]))
+        state_feedback = replace(part, theorem=INVERTED[name])
+        return replace(design, state_feedback=state_feedback)
     kind: Any = theorem_named(INVERTED[name])
     return replace(design, state_feedback=kind(**vars(part)))
 
@@ -107,4 +112,5 @@ def design_with_inverted_input(
         plain = replace(plain, limits=tuple(np.sort(ends, axis=0)))  # a falling S_u exchanges them
     balls = certified_balls(inner_model)
     records = records_behind_map(model, validation)
-    return as_inverting(plain.design(inner_model, balls, records, shown))
+    design = plain.design(inner_model, balls, records, shown)
+    return as_inverting(design)

@@ -65,11 +65,13 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
     """Constant loads at `LEVELS` of each channel of `S_u`, scaled so that level one moves the
     output by one scale. Channels without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
-        held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
+        response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
+        held = response[1]
     else:
         held = linear.held()[0].T
     no_input = np.zeros((len(held), linear.b.shape[1]))
-    reach = np.linalg.norm(model.read_scaled(held, no_input), axis=1)
+    scaled = model.read_scaled(held, no_input)
+    reach = np.linalg.norm(scaled, axis=1)
     counts = reach > 1e-6 * reach.max()
     channels = np.eye(len(held))[counts]
     loads = [level * channels / reach[counts, None] for level in LEVELS]
@@ -100,9 +102,11 @@ def relative_areas(
     by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
     units, inputs within `limits`, where it is `held`. Below one is faster than none.
     """
-    x0, load, horizon = release(model, validation, loaded=len(gains.modes) > 0)
+    loaded = len(gains.modes) > 0
+    x0, load, horizon = release(model, validation, loaded=loaded)
     cut = limits or (-LARGEST, LARGEST)
-    no_control = replace(gains, k=0 * gains.k[:1], l=0 * gains.l[:1], l_z=None)
+    k = 0 * gains.k[:1]
+    no_control = replace(gains, k=k, l=0 * gains.l[:1], l_z=None)
     alone = _areas(model, no_control, x0, load, horizon, cut)[0]
     counts = alone > FAINT * alone.max()
     batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))

@@ -64,20 +64,24 @@ class CompiledLmi:
         parts["alpha"] = cp.Parameter()
         parts["beta"] = cp.Parameter(nonneg=True)
         self.parts = parts
-        upper = StateFeedbackOfBall.inequality(SimpleNamespace(a=a, b=b, **parts))
+        of = SimpleNamespace(a=a, b=b, **parts)
+        upper = StateFeedbackOfBall.inequality(of)
         if objective == "smallest_gain":
             goal, constraints = _smallest_gain(upper, p, y, x)
         else:
             root = np.real(scipy.linalg.sqrtm(state_weight))
             performance = [root @ y, np.sqrt(input_weight) * x]
             goal, constraints = goal_and_constraints(objective, upper, p, 1, performance)
-        self.problem = cp.Problem(cp.Minimize(goal), constraints)
+        minimize = cp.Minimize(goal)
+        self.problem = cp.Problem(minimize, constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
         """Matrices that satisfy the inequality. Raises `NoSolution` with the solver's status when
         it returns none."""
         parts = self.parts
-        known = {"rate": problem.rate, "alpha": problem.ball.alpha, "beta": problem.ball.beta}
+        alpha = problem.ball.alpha
+        beta = problem.ball.beta
+        known = {"rate": problem.rate, "alpha": alpha, "beta": beta}
         for name, value in known.items():
             parts[name].value = value
         status = solve_program(self.problem, solver)
@@ -87,7 +91,8 @@ class CompiledLmi:
             k = np.linalg.solve(y.T, parts["x"].value.T).T
         except np.linalg.LinAlgError as error:
             raise NoSolution(f"{status}, singular Y") from error
-        return Solution(p=p, y=y, k=k, sigma=float(parts["sigma"].value), status=status)
+        sigma = float(parts["sigma"].value)
+        return Solution(p=p, y=y, k=k, sigma=sigma, status=status)
 
 
 def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
@@ -156,13 +161,15 @@ def paper_lmi(
     method = LmiSynthesis(
         rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
     )
+    frontier = Frontier(contraction_limit=0.0, decided_by="not asked")
+    started = time.perf_counter()
     attempt = DesignAttempt(
         theorem=theorem,
         rate=rate,
         ball=ball,
-        frontier=Frontier(contraction_limit=0.0, decided_by="not asked"),
+        frontier=frontier,
         method=method.method,
-        started=time.perf_counter(),
+        started=started,
     )
     try:
         problem = method.problem(linear, ball, theorem.observes)

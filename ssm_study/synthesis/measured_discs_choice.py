@@ -138,12 +138,10 @@ class LoopCoverage:
 
         context = replace(self.context, gains=gains)
         forms = LoopForms.of(theorem_of(context), context, (centre,))
+        grid = forms.at(forms.frequency_grid)
+        weight_program_items = self.items[centre]
         program = WeightProgram(
-            forms=forms,
-            grid=forms.at(forms.frequency_grid),
-            centre=centre,
-            items=self.items[centre],
-            basis=WeightBasis(),
+            forms=forms, grid=grid, centre=centre, items=weight_program_items, basis=WeightBasis()
         )
         try:
             with linear_algebra_failures_as_no_solution():
@@ -169,5 +167,6 @@ def coverage_by_frequency(
     frequency. The search ends at the first radius that is `enough`."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
-    loop = LoopCoverage.of(model, controlled_system(model, feedback), balls, premise)
+    system = controlled_system(model, feedback)
+    loop = LoopCoverage.of(model, system, balls, premise)
     return loop.largest(design.gains, enough)[0]

@@ -67,10 +67,13 @@ class LoopForms:
             deviation = rows.e - c * rows.m
             centred[c] = deviation.T @ deviation
         multipliers = [_form_of(theorem, of, counts, *name) for name in names]
+        a = rows.step[:, :order]
+        b = rows.step[:, order:]
+        model = rows.m.T @ rows.m
         return cls(
-            a=rows.step[:, :order],
-            b=rows.step[:, order:],
-            model=rows.m.T @ rows.m,
+            a=a,
+            b=b,
+            model=model,
             input=rows.u.T @ rows.u,
             centred=centred,
             multipliers=np.stack(multipliers),
@@ -88,12 +91,16 @@ class LoopForms:
         free = np.broadcast_to(np.eye(free_signals), (count, free_signals, free_signals))
         signals = np.concatenate([to_state, free], axis=1)
         adjoint = np.conj(signals.transpose(0, 2, 1))
+        model = adjoint @ self.model @ signals
+        forms_at_angles_input = adjoint @ self.input @ signals
+        centred = {c: adjoint @ form @ signals for c, form in self.centred.items()}
+        multipliers = adjoint @ self.multipliers[:, None] @ signals
         return FormsAtAngles(
             angles=angles,
-            model=adjoint @ self.model @ signals,
-            input=adjoint @ self.input @ signals,
-            centred={c: adjoint @ form @ signals for c, form in self.centred.items()},
-            multipliers=adjoint @ self.multipliers[:, None] @ signals,
+            model=model,
+            input=forms_at_angles_input,
+            centred=centred,
+            multipliers=multipliers,
         )
 
     @property
@@ -119,12 +126,17 @@ class FormsAtAngles:
 
     def joined(self, other: "FormsAtAngles") -> "FormsAtAngles":
         """Forms at the angles of both objects."""
+        angles = np.concatenate([self.angles, other.angles])
+        model = np.concatenate([self.model, other.model])
+        forms_at_angles_input = np.concatenate([self.input, other.input])
+        centred = {c: np.concatenate([f, other.centred[c]]) for c, f in self.centred.items()}
+        multipliers = np.concatenate([self.multipliers, other.multipliers], axis=1)
         return FormsAtAngles(
-            angles=np.concatenate([self.angles, other.angles]),
-            model=np.concatenate([self.model, other.model]),
-            input=np.concatenate([self.input, other.input]),
-            centred={c: np.concatenate([f, other.centred[c]]) for c, f in self.centred.items()},
-            multipliers=np.concatenate([self.multipliers, other.multipliers], axis=1),
+            angles=angles,
+            model=model,
+            input=forms_at_angles_input,
+            centred=centred,
+            multipliers=multipliers,
         )
 
 
@@ -135,7 +147,8 @@ def loop_without_filters(
     multipliers of each name."""
     loop = theorem.loop_of(context)
     zero = np.zeros((1, 1))
-    counts = {"lambda_p": 1, "lambda_out": 3 if loop["beta_out"] > 0 else 0}
+    lambda_out = 3 if loop["beta_out"] > 0 else 0
+    counts = {"lambda_p": 1, "lambda_out": lambda_out}
     if "e" in loop:
         counts["lambda_"] = 3 * loop["g"].shape[0]
     ball = context.balls.input
@@ -151,7 +164,8 @@ def _form_of(
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
-    pairs = theorem.static_map_forms(alone, theorem.signals(alone))
+    signals = theorem.signals(alone)
+    pairs = theorem.static_map_forms(alone, signals)
     forms = [multiplier * form for multiplier, form in pairs]
     return np.asarray(np.sum(forms, axis=0))
 
@@ -186,12 +200,14 @@ class ConeProgram:
 
         rows = [-row for row in self.rows]
         right = [-bound for bound in self.bounds]
-        cones: list[Any] = [clarabel.NonnegativeConeT(sum(map(len, self.bounds)))]
+        nonnegative_cone_t = clarabel.NonnegativeConeT(sum(map(len, self.bounds)))
+        cones: list[Any] = [nonnegative_cone_t]
         for constant, linear in self.blocks:
             rows.append(-linear.T)
             right.append(constant)
             side = round((float(np.sqrt(8 * len(constant) + 1)) - 1) / 2)
-            cones.append(clarabel.PSDTriangleConeT(side))
+            psd_triangle_cone_t = clarabel.PSDTriangleConeT(side)
+            cones.append(psd_triangle_cone_t)
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_iter = 120
@@ -235,7 +251,8 @@ class AngleProgram:
     def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
         """Smallest eigenvalue of the matrix at each angle."""
         whole = self.constant + np.tensordot(x, self.linear, axes=1)
-        return np.asarray(np.linalg.eigvalsh(whole)[:, 0])
+        eigenvalues = np.linalg.eigvalsh(whole)
+        return np.asarray(eigenvalues[:, 0])
 
     def maximise(
         self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
@@ -244,7 +261,8 @@ class AngleProgram:
 
         Angles that are far from deciding leave again.
         """
-        chosen = _spread_indices(len(self.constant), FIRST)
+        count = len(self.constant)
+        chosen = _spread_indices(count, FIRST)
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
             program = ConeProgram(unknowns=len(goal))

@@ -50,11 +50,9 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
+    controlled = controlled_system(model, feedback)
     context = VerificationContext(
-        system=model.system,
-        controlled=controlled_system(model, feedback),
-        balls=balls,
-        gains=design.gains,
+        system=model.system, controlled=controlled, balls=balls, gains=design.gains
     )
     find = partial(measured_discs_search.largest_coverage, context, premise)
     try:
@@ -95,7 +93,8 @@ def coverage_facts(
     weights = weights_of(part)
     items = premise.items(part.centre)
     need, where = weights.need(items)
-    facts: dict[str, Any] = {"coverage": part.kappa / need, "coverage_reference": where}
+    coverage = part.kappa / need
+    facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
         facts |= unknown_band(part.kappa, weights, items)
     if fresh is not None and fresh.missing(part.centre) is None:
@@ -150,7 +149,8 @@ def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[
     if kappa < weights.need(lit)[0]:
         return {}
     band = weights.need([item for item in items if item.dark])[1]
-    return {"coverage": None, "coverage_reason": UNKNOWN.format(f"at {band}")}
+    coverage_reason = UNKNOWN.format(f"at {band}")
+    return {"coverage": None, "coverage_reason": coverage_reason}
 
 
 def weights_of(part: MeasuredDiscs) -> Weights:

@@ -130,18 +130,18 @@ def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
     """Program at the angles of a grid with the weights fixed."""
-    reference = weights.on_output(grid.angles)[:, None, None] * grid.model
+    powers = weights.on_output(grid.angles)
+    reference = powers[:, None, None] * grid.model
     reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
-    program = AngleProgram(
-        constant=grid.centred[centre],
-        linear=linear / scale[:, None, None, None],
-        rows=np.concatenate([np.eye(len(scale)), -np.eye(len(scale))]),
-        bounds=np.concatenate([np.zeros(len(scale)), -most]),
-    )
+    constant = grid.centred[centre]
+    angle_program_linear = linear / scale[:, None, None, None]
+    rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
+    bounds = np.concatenate([np.zeros(len(scale)), -most])
+    program = AngleProgram(constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds)
     return program, scale
 
 
@@ -156,7 +156,8 @@ def _largest_margin(
     signal's own weight."""
     grid = forms.at(forms.frequency_grid)
     own = own_weights(forms, centre, multipliers)
-    reference = weights.on_output(grid.angles)[:, None, None] * grid.model
+    powers = weights.on_output(grid.angles)
+    reference = powers[:, None, None] * grid.model
     reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
     constant = grid.centred[centre] - nu * reference
     margin = -np.broadcast_to(np.diag(own), grid.model.shape)
@@ -164,9 +165,8 @@ def _largest_margin(
     scale = form_sizes(linear)
     rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
     bounds = np.concatenate([np.zeros(len(scale)), np.full(len(scale), -MOST)])
-    program = AngleProgram(
-        constant=constant, linear=linear / scale[:, None, None, None], rows=rows, bounds=bounds
-    )
+    angle_program_linear = linear / scale[:, None, None, None]
+    program = AngleProgram(constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds)
     goal = np.zeros(len(scale))
     goal[-1] = 1.0
     x, _ = program.maximise(goal)
@@ -233,7 +233,8 @@ def metric_candidates(
     own = np.abs(np.diagonal(form)[order:])
     root = np.sqrt(np.maximum(own, 1e-9 * own.max()))
     driven = b / root
-    gramian = symmetric(scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T))
+    matrix = scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T)
+    gramian = symmetric(matrix)
     share = FLOOR * np.trace(gramian) / order
     right = np.linalg.cholesky(gramian + share * np.eye(order))
     left = np.linalg.inv(right)
@@ -244,9 +245,8 @@ def metric_candidates(
         q = scaled[:order, :order] - slack * margin * np.eye(order)
         r = scaled[order:, order:] - KEPT * margin * inputs
         try:
-            x = scipy.linalg.solve_discrete_are(
-                left @ a @ right, left @ driven, q, r, s=scaled[:order, order:]
-            )
+            s = scaled[:order, order:]
+            x = scipy.linalg.solve_discrete_are(left @ a @ right, left @ driven, q, r, s=s)
         except (np.linalg.LinAlgError, ValueError):
             continue
         p = symmetric(-(left.T @ x @ left))
@@ -257,7 +257,8 @@ def metric_candidates(
 def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
     """Smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
-    return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in ("inequality", "p"))
+    names = ("inequality", "p")
+    return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in names)
 
 
 def largest_coverage(

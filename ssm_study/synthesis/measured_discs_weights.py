@@ -135,15 +135,18 @@ class WeightProgram:
     def accuracy(self) -> float:
         """Amount by which constraints between the angles may be violated. It is larger where each
         is a large matrix."""
-        return COARSE if self.grid.model.shape[1] > LARGE else JOINT
+        model = self.grid.model
+        return COARSE if model.shape[1] > LARGE else JOINT
 
     @property
     def linear(self) -> Any:
         """Matrix of each unknown except nu, at each angle."""
-        phi = self.basis.at(self.grid.angles)[:, :, None, None]
+        angles = self.grid.angles
+        phi = self.basis.at(angles)[:, :, None, None]
         of_x = -phi * self.grid.model
         of_y = -phi * self.grid.input
-        return np.concatenate([of_x, of_y, self.grid.multipliers])
+        multipliers = self.grid.multipliers
+        return np.concatenate([of_x, of_y, multipliers])
 
     def item_rows(self) -> Float[np.ndarray, "I n"]:
         """Coefficients of x and y in each requirement, `sum over its lines of (X model + Y input) /
@@ -174,11 +177,10 @@ class WeightProgram:
         scale = form_sizes(linear)
         count = len(scale)
         rows, bounds = self._rows_with_nu(scale)
+        constant = self.grid.centred[self.centre]
+        angle_program_linear = np.concatenate([np.zeros_like(linear[:1]), in_units(linear, scale)])
         program = AngleProgram(
-            constant=self.grid.centred[self.centre],
-            linear=np.concatenate([np.zeros_like(linear[:1]), in_units(linear, scale)]),
-            rows=rows,
-            bounds=bounds,
+            constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
         )
         goal = np.zeros(1 + count)
         goal[0] = 1.0
@@ -230,11 +232,11 @@ class WeightProgram:
         scale = form_sizes(linear)
         rows, bounds, bands = self._rows_with_bands(scale, nu)
         none = np.zeros((bands, *linear.shape[1:]))
+        centred = self.grid.centred
+        constant = centred[self.centre] * units - room * np.eye(len(own))
+        angle_program_linear = np.concatenate([in_units(linear, scale), none])
         program = AngleProgram(
-            constant=self.grid.centred[self.centre] * units - room * np.eye(len(own)),
-            linear=np.concatenate([in_units(linear, scale), none]),
-            rows=rows,
-            bounds=bounds,
+            constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
         )
         goal = np.concatenate([np.zeros(len(scale)), np.ones(bands)])
         x, _ = program.maximise(goal, self.accuracy)
@@ -253,7 +255,8 @@ class WeightProgram:
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
         seen = self.item_rows()
-        bands = sorted({item.place for item in self.items})
+        places = {item.place for item in self.items}
+        bands = sorted(places)
         band_of_item = np.array([bands.index(item.place) for item in self.items])
         total = len(scale) + len(bands)
         top = np.zeros((len(seen) + len(rows_xy), total))
@@ -275,9 +278,11 @@ class WeightProgram:
         floor = abs(self.centre) * (1 + ROOM / 4) / np.sqrt(nu)
         if floor == 0:
             floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
-        above_floor = x - floor**2 * autocorrelation(self.basis.poles, size)
+        poles = self.basis.poles
+        above_floor = x - floor**2 * autocorrelation(poles, size)
         output = self.basis.filter(above_floor)
-        return Weights(floor=float(floor), output=output, input=self.basis.filter(y))
+        weights_input = self.basis.filter(y)
+        return Weights(floor=float(floor), output=output, input=weights_input)
 
 
 def in_units(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:

@@ -3,6 +3,7 @@
 Rates and limits: docs/theory.md, [Z26]; margins: `synthesis.mismatch`.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,47 +28,24 @@ OPINION = "another solver's opinion, which decides nothing"
 def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
     """Declarations of the columns of controller or observer."""
     said = side.capitalize()
-    setting = f"synthesis.rate_{side}"
-    reason = f"Why there is no {side}"
+    rate = _rate_column(f"rate_{side}", f"{said} rate, ρ", setting=f"synthesis.rate_{side}")
+    margin = f"{said} LMI margin"
+    norm = f"{said} gain ‖{gain}‖"
     return (
-        Column(
-            f"rate_{side}",
-            "Float64",
-            "",
-            f"r {short}",
-            f"{said} rate, ρ",
-            "1/sample",
-            ITERATED,
-            setting=setting,
-        ),
+        replace(rate, better="", head=f"r {short}"),
         Column(f"{side}_feasible", "boolean", "high", word=f"{said} feasible"),
         Column(f"{side}_certified", "boolean", "high", f"{short} cert", f"{said} certified"),
-        Column(f"{side}_reason", "string", word=reason),
-        Column(
-            f"{side}_margin", "Float64", "high", "", f"{said} LMI margin", "", ITERATED, EIGENVALUE
-        ),
-        Column(
-            f"{side}_rate_limit",
-            "Float64",
-            "high",
-            "",
-            f"{said} rate limit, ρ",
-            "1/sample",
-            ITERATED,
-        ),
-        Column(
-            f"{side}_certified_rate",
-            "Float64",
-            "high",
-            "",
-            f"{said} rate proved",
-            "1/sample",
-            ITERATED,
-        ),
-        Column(
-            f"{side}_gain_norm", "Float64", "low", "", f"{said} gain ‖{gain}‖", "scaled", ITERATED
-        ),
+        Column(f"{side}_reason", "string", word=f"Why there is no {side}"),
+        Column(f"{side}_margin", "Float64", "high", "", margin, "", ITERATED, EIGENVALUE),
+        _rate_column(f"{side}_rate_limit", f"{said} rate limit, ρ"),
+        _rate_column(f"{side}_certified_rate", f"{said} rate proved"),
+        Column(f"{side}_gain_norm", "Float64", "low", "", norm, "scaled", ITERATED),
     )
+
+
+def _rate_column(name: str, word: str, setting: str = "") -> Column:
+    """Declaration of a rate of contraction, the larger the better."""
+    return Column(name, "Float64", "high", "", word, "1/sample", ITERATED, setting=setting)
 
 
 COLUMNS = (

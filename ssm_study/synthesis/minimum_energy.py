@@ -72,7 +72,8 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
     """
     m = modes.b_fast.shape[1]
     if modes.fast == 0:
-        return FastGain(k=np.zeros((m, len(modes.left))), p=np.zeros((0, 0)))
+        p = np.zeros((0, 0))
+        return FastGain(k=np.zeros((m, len(modes.left))), p=p)
     ah = modes.a_fast / contraction
     bh = modes.b_fast / contraction
     root = energy_root(ah, bh)
@@ -81,7 +82,8 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
     a_balanced = scipy.linalg.solve_triangular(root, ah, lower=True)
     k0_root = -np.linalg.solve(np.eye(m) + energy, b_balanced.T @ a_balanced)
     delta = ball.relative_radius
-    widest = 1 / np.sqrt(1 + np.linalg.eigvalsh(energy)[-1])
+    eigenvalues = np.linalg.eigvalsh(energy)
+    widest = 1 / np.sqrt(1 + eigenvalues[-1])
     if widen:
         delta = max(np.sqrt(delta * widest), widest / 2)
     k = k0_root @ modes.left[: modes.fast] / ((1 - delta**2) * ball.alpha)
@@ -129,7 +131,8 @@ def _gain_at(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
     frontier, and that factor."""
     ball = problem.ball
     r = problem.contraction
-    limit = max(frontier(problem.a, problem.b, ball).contraction_limit, FASTEST * r)
+    contraction_limit = frontier(problem.a, problem.b, ball).contraction_limit
+    limit = max(contraction_limit, FASTEST * r)
     faster = float(r * (limit / r) ** share)
     modes = split_modes(problem.a, problem.b, faster)
     return modes, fast_gain(modes, ball, faster), faster

@@ -68,7 +68,8 @@ class LargestCertifiableRate:
 
     def largest_rate(self, model: Any) -> float:
         """Largest rate of a certified state feedback for one model. Zero where there is none."""
-        return max(0.0, largest_rate_of(model.system, certified_balls(model).input))
+        ball = certified_balls(model).input
+        return max(0.0, largest_rate_of(model.system, ball))
 
     def _within(self, model: Any) -> float:
         """Difference in fit that counts as equal, in percentage points, by kind of model."""
@@ -86,6 +87,5 @@ def largest_rate_of(system: System, ball: JacobianBall) -> float:
         largest_rate,
     )  # CVXPY: only where there are neurons
 
-    return largest_rate(
-        RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5).problem(system, ball)
-    )
+    riccati_synthesis = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.5)
+    return largest_rate(riccati_synthesis.problem(system, ball))

@@ -78,9 +78,9 @@ def split_modes(
         left[k:] -= x @ left[:k]
         right[:, :k] += right[:, k:] @ x
     b_z = left @ b
-    return Modes(
-        right=right, left=left, a_fast=a_fast, b_fast=b_z[:k], a_slow=a_slow, b_slow=b_z[k:]
-    )
+    b_fast = b_z[:k]
+    b_slow = b_z[k:]
+    return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_fast, a_slow=a_slow, b_slow=b_slow)
 
 
 def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
@@ -90,9 +90,12 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
     if modes.fast == len(modes.left):
-        return symmetric(modes.right @ fast.p @ modes.right.T)
+        matrix = modes.right @ fast.p @ modes.right.T
+        return symmetric(matrix)
     ah = modes.a_slow / problem.contraction
-    if not np.abs(np.linalg.eigvals(ah)).max() < 1:
+    eigenvalues = np.linalg.eigvals(ah)
+    spectral_radius = np.abs(eigenvalues).max()
+    if not spectral_radius < 1:
         raise NoSolution(ON_CIRCLE)
     lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
     slow = symmetric(np.linalg.inv(lyapunov_metric))
@@ -136,7 +139,8 @@ def whole_metric(
 def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
     """Scale of each state: square roots of the minimum energy of the fast modes and of the Gramian
     of the slow ones."""
-    root = energy_root(modes.a_fast / faster, modes.b_fast / faster)
+    a = modes.a_fast / faster
+    root = energy_root(a, modes.b_fast / faster)
     slow = len(modes.left) - modes.fast
     if slow == 0:
         return root

@@ -26,10 +26,12 @@ def goal_and_constraints(
         t = cp.Variable()
         one = np.eye(matrix.shape[0])
         if objective == "feasibility":
-            return cp.Constant(0), [matrix >> one]
+            constant = cp.Constant(0)
+            return constant, [matrix >> one]
         has_fixed_trace = cp.trace(matrix) == len(one)
         return -t, [matrix >> t * one, has_fixed_trace]
-    bordered = cp.bmat(full(_bordered(upper, at, performance)))
+    blocks = _bordered(upper, at, performance)
+    bordered = cp.bmat(full(blocks))
     one = np.eye(p.shape[0])
     z = cp.Variable(p.shape, symmetric=True)
     exceeds_inverse = cp.bmat([[z, one], [one, p]]) >> 0

@@ -37,7 +37,8 @@ def simulated_sines(
     from ssm_study.data.simulated import PERIOD
 
     lines = design_lines(design, model, balls, mismatch, PERIOD)
-    return measure_sine_mismatch(model, data.simulate_sines(plant, seed, lines), mismatch, PERIOD)
+    records = data.simulate_sines(plant, seed, lines)
+    return measure_sine_mismatch(model, records, mismatch, PERIOD)
 
 
 def sine_facts(

@@ -54,15 +54,18 @@ class StructuredLmi:
         weighted_input = np.sqrt(problem.input_weight) * self.of.x
         performance = [weighted_state, weighted_input]
         at = len(upper) - 1 if neurons.observes else 0
-        goal, constraints = goal_and_constraints(objective, upper, self.of.p, at, performance)
-        self.program = cp.Problem(cp.Minimize(goal), constraints)
+        p = self.of.p
+        goal, constraints = goal_and_constraints(objective, upper, p, at, performance)
+        a = cp.Minimize(goal)
+        self.program = cp.Problem(a, constraints)
 
     def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
         """Variables and parameters by the letters of the theorem, with the numbers of the ball."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
-        of.k = cp.Parameter((m, n), value=None if self.fixed is None else self.fixed.k)
+        parameter_value = None if self.fixed is None else self.fixed.k
+        of.k = cp.Parameter((m, n), value=parameter_value)
         of.p = cp.Variable((n, n), symmetric=True)
         of.x = cp.Variable((m, n)) if self.fixed is None else of.k @ of.p
         of.t = cp.Variable(neurons.e.shape[1])
@@ -74,19 +77,17 @@ class StructuredLmi:
         """Block matrix of the theorem with the rows of the ball's multiplier."""
         q, m = neurons.g.shape
         t = cp.diag(of.t)
-        data = {
-            "a": self.problem.a,
-            "b": self.problem.b,
-            "e": neurons.e,
-            "f": neurons.f,
-            "g": neurons.g,
-        }
+        a = self.problem.a
+        b = self.problem.b
+        data = {"a": a, "b": b, "e": neurons.e, "f": neurons.f, "g": neurons.g}
         if not neurons.observes:
             named = SimpleNamespace(**vars(of), **data, y=of.p)
-            return structured_state_feedback.inequality(named, (np.eye(q), t, t)), [1, 4]
+            blocks = structured_state_feedback.inequality(named, (np.eye(q), t, t))
+            return blocks, [1, 4]
         of.n = cp.Variable((q, m)) if neurons.injects else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
-            injected = self.fixed.k_w / self.problem.required_neurons.units
+            k_w = self.fixed.k_w
+            injected = k_w / self.problem.required_neurons.units
             of.n = t @ injected.T
         turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
@@ -119,8 +120,10 @@ class StructuredLmi:
         """Program with the gains given, for gains that do not act on the neurons."""
         n, m = problem.b.shape
         one = np.eye(n)
-        none = np.zeros((m, problem.required_neurons.e.shape[1]))
-        fixed = Solution(p=one, y=one, k=np.zeros((m, n)), sigma=1.0, status="", k_w=none)
+        required_neurons_e = problem.required_neurons.e
+        none = np.zeros((m, required_neurons_e.shape[1]))
+        k = np.zeros((m, n))
+        fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
     def proved(self, k: Rows) -> Solution:

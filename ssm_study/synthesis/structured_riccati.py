@@ -76,8 +76,11 @@ class Game:
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.
         """
-        of, neurons, half = self.problem, self.neurons, self.neurons.e / 2
-        shares = (of.ball.alpha, of.ball.beta)[: 1 + (of.ball.beta > 0)]
+        neurons_e = self.neurons.e
+        of, neurons, half = self.problem, self.neurons, neurons_e / 2
+        alpha = of.ball.alpha
+        beta = of.ball.beta
+        shares = (alpha, beta)[: 1 + (beta > 0)]
         drive = of.b + neurons.e @ neurons.g / 2
         moved = np.hstack([share * neurons.g for share in shares])
         a = of.a + half @ neurons.f
@@ -85,7 +88,9 @@ class Game:
         matrices = (a / self.r, b / self.r, neurons.f, moved, of.state_weight)
         # numba would compile everything once more for any other layout or kind of number
         contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
-        return *contiguous, float(of.input_weight), of.b.shape[1], float(self.r), neurons.injects
+        input_weight = float(of.input_weight)
+        self_r = float(self.r)
+        return *contiguous, input_weight, of.b.shape[1], self_r, neurons.injects
 
 
 class Saddle(NamedTuple):
@@ -111,7 +116,8 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
         return Saddle(*saddle_point(*game.data, logs, barrier))
     except (np.linalg.LinAlgError, ArithmeticError):
         none = np.empty((0, 0))
-        return Saddle(np.inf, np.empty(0), none, none, none)
+        gradient = np.empty(0)
+        return Saddle(np.inf, gradient, none, none, none)
 
 
 def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
@@ -141,7 +147,8 @@ def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) ->
         if (
             along > 1e-12
         ):  # BFGS's curvature condition: without it the metric would lose definiteness
-            turn = np.eye(len(logs)) - np.outer(step, change) / along
+            outer_product = np.outer(step, change)
+            turn = np.eye(len(logs)) - outer_product / along
             metric = turn @ metric @ turn.T + np.outer(step, step) / along
     return logs
 
@@ -159,7 +166,8 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
     game = Game(problem=problem, r=problem.contraction)
     known = None if near is None else near.logs
     for logs in () if known is None else known + ROOM[:, None]:
-        if np.isfinite(evaluate_saddle(game, logs, 0.0).goal):
+        goal = evaluate_saddle(game, logs, 0.0).goal
+        if np.isfinite(goal):
             return theorem_matrices(game, least_cost_multipliers(game, logs))
     for effort in TRIES:
         logs, reached = continue_to_rate(game, *effort)
@@ -179,14 +187,15 @@ def continue_to_rate(
     e = game.neurons.e
     logs = np.log(2 * np.einsum("nq,nj,jq->q", e, of.state_weight, e) + 1e-9)
     if of.ball.beta > 0:
+        beta = of.ball.beta
         logs = np.append(
-            logs,
-            np.log(1 + 4 * of.ball.beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2)),
+            logs, np.log(1 + 4 * beta**2 * np.linalg.norm(of.b.T @ of.state_weight @ of.b, 2))
         )
     slow = game
     share = 1.0
     while np.isinf(evaluate_saddle(slow, logs, 0.0).goal):
-        slow = replace(slow, r=slow.r * SLOWER)
+        r = slow.r * SLOWER
+        slow = replace(slow, r=r)
         if slow.r > SLOWEST:
             return logs, slow.r
     while slow.r > game.r:
@@ -246,7 +255,8 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     else:
         k = -np.linalg.solve(h, toward)[:m]
         k_w = np.zeros((m, q))
-    p = symmetric(np.linalg.inv(x))
+    matrix = np.linalg.inv(x)
+    p = symmetric(matrix)
     weights = np.exp(logs[:q])
     beta = problem.ball.beta
     sigma = float(np.exp(-logs[-1])) if beta > 0 else multiplier_without_ball(problem, p, k)
@@ -272,7 +282,6 @@ def multiplier_without_ball(
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """
     if problem.required_neurons.observes:
-        return float(
-            BALL_SLACK * np.linalg.eigvalsh(p)[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300)
-        )
+        eigenvalues = np.linalg.eigvalsh(p)
+        return float(BALL_SLACK * eigenvalues[0] / (np.linalg.norm(problem.b, 2) ** 2 + 1e-300))
     return float(np.linalg.norm(k @ p @ k.T, 2) / BALL_SLACK + 1.0)

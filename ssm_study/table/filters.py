@@ -75,7 +75,8 @@ class _Prepared(ast.NodeTransformer):
         if node.id.lower() in WORDS:
             return ast.Constant(WORDS[node.id.lower()])
         if node.id not in self.table.columns:
-            remedy = suggest_column(node.id, self.table.columns)
+            names = self.table.columns
+            remedy = suggest_column(node.id, names)
             raise BadRequest("where", node.id, "no such column", remedy)
         return node
 
@@ -104,7 +105,8 @@ class _Prepared(ast.NodeTransformer):
         if not isinstance(operator, ast.NotEq | ast.NotIn):
             return comparison
         # NaN differs from everything and is in no list: here it has to be equal to itself as well.
-        names = [side for side in (left, right) if isinstance(side, ast.Name)]
+        sides = (left, right)
+        names = [side for side in sides if isinstance(side, ast.Name)]
         present: list[ast.expr] = [ast.Compare(name, [ast.Eq()], [name]) for name in names]
         return ast.BoolOp(ast.And(), [comparison, *present])
 

@@ -17,7 +17,9 @@ def study_folder(path: Path) -> Path:
     """
     if not path.is_dir():
         raise BadRequest("study", path, "no such study folder", _remedy_for_no_folder(path))
-    studies = sorted({table.parent.name for table in path.glob("*/runs.parquet")})
+    tables = path.glob("*/runs.parquet")
+    names = {table.parent.name for table in tables}
+    studies = sorted(names)
     is_study = (path / "runs.parquet").exists() or bool(_run_names(path))
     if studies and not is_study:
         problem = "there is no run in it, but there are studies"
@@ -30,7 +32,8 @@ def _remedy_for_no_folder(path: Path) -> str:
     in_results = Path("results") / path
     if in_results.is_dir():
         return f"did you mean {in_results}?"
-    names = [folder.name for folder in path.parent.glob("*/")]
+    folders = path.parent.glob("*/")
+    names = [folder.name for folder in folders]
     similar = get_close_matches(path.name, names, n=1)
     if similar:
         return f"did you mean {path.parent / similar[0]}?"
@@ -64,7 +67,8 @@ def run_folder(path: Path) -> Path:
 
 def _run_names(study: Path) -> list[str]:
     """Names of the runs of a study that left a record."""
-    return sorted(record.parent.name for record in study.glob(f"*/{RECORD}"))
+    records = study.glob(f"*/{RECORD}")
+    return sorted(record.parent.name for record in records)
 
 
 def _list_names(names: list[str]) -> str:

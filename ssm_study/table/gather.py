@@ -56,11 +56,13 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     require(bool(marks), "study", study, "there is no run in it", remedy)
     last_table, last_marks = (NO_RUNS, {}) if anew else _last_gathered(study)
     has_ended = ~last_table["status"].isin([RUNNING, LOST])
-    ended = [name for name in last_table["run"][has_ended] if name in marks]
+    names = last_table["run"][has_ended]
+    ended = [name for name in names if name in marks]
     unchanged = {name for name in ended if marks[name] == last_marks.get(name)}
     if len(unchanged) == len(last_table) == len(marks):  # no run is new, gone or changed
         return last_table
-    old_records = _records(last_table[last_table["run"].isin(unchanged)])
+    rows = last_table[last_table["run"].isin(unchanged)]
+    old_records = _records(rows)
     study_name = study.resolve().name
     records = []
     for name in sorted(marks):
@@ -79,8 +81,10 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
     csv = _without_formulas(table).to_csv(index=False)
     write_atomically(study / PARQUET, parquet.getvalue())
     write_atomically(study / CSV, csv.encode())
-    checksums = {name: sha256_of_file(study / name) for name in (PARQUET, CSV)}
-    write_json_atomically(study / MARKS, sealed(checksums | {"marks": marks}))
+    names = (PARQUET, CSV)
+    checksums = {name: sha256_of_file(study / name) for name in names}
+    body = checksums | {"marks": marks}
+    write_json_atomically(study / MARKS, sealed(body))
 
 
 def record_marks(study: Path) -> Marks:

@@ -70,7 +70,8 @@ def _write_run(client: Any, experiment: str, study: Path, row: dict[str, Any]) -
     others = [name for name in row if name not in scored]
     parameters = [Param(name, str(row[name])[:500]) for name in others]
     for first in range(0, len(parameters), AT_ONCE):
-        client.log_batch(number, params=parameters[first : first + AT_ONCE])
+        params = parameters[first : first + AT_ONCE]
+        client.log_batch(number, params=params)
     for name in ARTEFACTS:
         artefact = study / row["run"] / name
         if artefact.is_file():

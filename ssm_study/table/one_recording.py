@@ -23,7 +23,8 @@ def export_mcap(study: Path) -> Path:
     Raises `BadRequest` for a study without a closed loop, with more than `MOST`, or with a damaged
     recording.
     """
-    recordings = [path for path in sorted(study.glob(f"*/{LOOP}")) if _belongs_to_run(path)]
+    paths = sorted(study.glob(f"*/{LOOP}"))
+    recordings = [path for path in paths if _belongs_to_run(path)]
     by_name = {f"run_{path.parent.name.rpartition('-')[2]}": path for path in recordings}
     if len(by_name) < len(recordings):
         by_name = {f"run_{path.parent.name}": path for path in recordings}

@@ -84,7 +84,8 @@ def print_rows(rows: pd.DataFrame, by: str | None) -> None:
     lines = plain_table(rows, by, width).splitlines()
     statuses = ["", *map(str, rows["status"])]
     for line, status in zip(lines, statuses, strict=True):
-        text_line = Text(line, style=COLOURS.get(status, ""))  # no colour in a pipe
+        style = COLOURS.get(status, "")
+        text_line = Text(line, style=style)  # no colour in a pipe
         console.print(text_line, soft_wrap=True)
 
 
@@ -177,8 +178,9 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     settled = table["stable_count"].astype("string")
     settled = settled + "/" + table["initial_conditions"].astype("string")
     varied, telling = _varied_settings(table)
+    run = short_names(table["run"])
     table = table.assign(
-        run=short_names(table["run"]),
+        run=run,
         certified=certificate_words(table),
         settled=settled,
         predicted_stable=predictions(table),
@@ -237,7 +239,8 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     # A number for each group of runs that are not told apart yet.
     alike = pd.Series(0, index=table.index)
     for name in varied:
-        finer = pd.DataFrame({"before": alike, "now": values[name].astype("string")})
+        now = values[name].astype("string")
+        finer = pd.DataFrame({"before": alike, "now": now})
         groups = finer.groupby(["before", "now"], dropna=False).ngroup()
         if groups.nunique() > alike.nunique():
             telling = [*telling, name]
@@ -257,7 +260,8 @@ def cell(value: object) -> str:
 def summary(table: pd.DataFrame, shown: int) -> list[str]:
     """Text lines with counts by status and the reasons of runs without success, each reason
     once."""
-    table = table.assign(run=short_names(table["run"]))
+    run = short_names(table["run"])
+    table = table.assign(run=run)
     counts = table["status"].value_counts()
     words = [f"{counts[status]} {status}" for status in STATUSES if status in counts]
     total = "1 run" if len(table) == 1 else f"{len(table)} runs"
@@ -291,7 +295,8 @@ def over_folds(table: pd.DataFrame) -> list[str]:
     groups = table.groupby(varied, dropna=False) if varied else [((), table)]
     lines = []
     for values, runs in groups:
-        fits = runs.groupby("fold")["fit_test_percent"].mean().dropna()
+        fit_test_percent = runs.groupby("fold")["fit_test_percent"]
+        fits = fit_test_percent.mean().dropna()
         pairs = zip(varied, values, strict=True)
         which = "".join(f", {name} {cell(value)}" for name, value in pairs)
         mean = f"mean test fit {cell(fits.mean())} %"
@@ -308,13 +313,15 @@ def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
         reason = AGAIN.get(status) or next(recorded, "no reason was recorded")
         reason = printable(reason)
         without_numbers = NUMBER.sub("#", reason)
-        runs.setdefault(without_numbers, []).append((str(row["run"]), reason))
+        run = str(row["run"])
+        runs.setdefault(without_numbers, []).append((run, reason))
     lines = []
     for alike in list(runs.values())[:limit]:
         names = ", ".join(name for name, _ in alike[:5])
         if len(alike) > 5:
             names = f"{names} and {len(alike) - 5} more"
-        sentence = merge_with_ranges([reason for _, reason in alike])
+        sentences = [reason for _, reason in alike]
+        sentence = merge_with_ranges(sentences)
         lines.append(f"  {status} {names}: {sentence}")
     if len(runs) > limit:
         lines.append(f"  ... {status} for {len(runs) - limit} more reasons")

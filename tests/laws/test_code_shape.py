@@ -43,9 +43,6 @@ MOST_PACKED = 250  # assignments of several values to several names
 LONG_FILES = frozenset({"ssm_study/renamed.py"})
 LONG_BODIES = frozenset(
     {
-        "ssm_study/api/fitting.py: fit",
-        "ssm_study/api/pictures/free_run.py: free_run_picture",
-        "ssm_study/api/pictures/margin.py: margin_picture",
         "ssm_study/certificates/semidefinite.py: largest_mismatch",
         "ssm_study/data/assembly.py: assemble_dataset",
         "ssm_study/data/recorded.py: __post_init__",
@@ -54,7 +51,6 @@ LONG_BODIES = frozenset(
         "ssm_study/models/structured_kernel.py: _sensitivities",
         "ssm_study/models/structured_spec.py: __post_init__",
         "ssm_study/models/torch_recurrence.py: backward",
-        "ssm_study/synthesis/metrics.py: _of_side",
         "ssm_study/training/saving.py: trained",
         "tests/structured_adjoint.py: _derivatives",
     }

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from ssm_study.api.fitting import sampling_time_in_seconds
-from ssm_study.api.model import import_python_control
+from ssm_study.api.linearisation import import_python_control
 from ssm_study.api.parts import write_value
 from ssm_study.cli.main import WRONG_REQUEST, main
 from ssm_study.data.plain_names import plain_name

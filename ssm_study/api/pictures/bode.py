@@ -31,12 +31,16 @@ def bode_picture(
     """
     nyquist = 0.5 / model.step_s
     hertz = np.geomspace(10.0**-DECADES * nyquist, nyquist, POINTS)
-    response = response_at_rest(model, 2 * np.pi * hertz * model.step_s)
+    angles = 2 * np.pi * hertz * model.step_s
+    response = response_at_rest(model, angles)
     angle = np.unwrap(np.angle(response))
     magnitude = np.abs(response)
-    gains = [Series(x=hertz, y=magnitude, name="model at rest")]
-    phases = [Series(x=hertz, y=np.rad2deg(angle))]
-    at_hertz, estimate = estimated_response(record.u[:, 0], record.y[:, 0], record.step_s)
+    series = Series(x=hertz, y=magnitude, name="model at rest")
+    gains = [series]
+    y = np.rad2deg(angle)
+    phases = [Series(x=hertz, y=y)]
+    u = record.u[:, 0]
+    at_hertz, estimate = estimated_response(u, record.y[:, 0], record.step_s)
     if len(at_hertz):
         dots = np.abs(estimate)
         name = "record"
@@ -56,7 +60,8 @@ def bode_picture(
     )
     lower = PicturePanel(y_label="Phase (degrees)", series=tuple(phases), **shared)  # type: ignore[arg-type]
     title = "Frequency response at the equilibrium"
-    return Picture(title=title, panels=(upper, lower))
+    panels = (upper, lower)
+    return Picture(title=title, panels=panels)
 
 
 def _ratio(units: tuple[str, str]) -> str:
@@ -82,10 +87,13 @@ def _bands(
 def response_at_rest(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
     """`s_y J_y (C (zI - A)^-1 B + D) J_u / s_u` of the first channels at `z = exp(j angle)`."""
     linear = at_rest(model)
-    slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+    inputs = model.scaffold_in.inputs
+    slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
     slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
-    inward = (slope_in / model.scale.input_scale)[:, 0]
-    outward = (model.scale.output_scale[:, None] * slope_out)[0]
+    input_scale = model.scale.input_scale
+    inward = (slope_in / input_scale)[:, 0]
+    output_scale = model.scale.output_scale
+    outward = (output_scale[:, None] * slope_out)[0]
     z = np.exp(1j * angles)[:, None, None]
     shifted = z * np.eye(len(linear.a)) - linear.a
     states = np.linalg.solve(shifted, (linear.b @ inward)[:, None])

@@ -43,11 +43,13 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
         series.append(_mark(band, part.kappa, step_s))
     verdict = "covered" if coverage >= 1 else "not covered"
     title = f"Coverage {_two_digits(coverage)}, {verdict}; decided by: {where}"
+    guide_line = GuideLine(y=1.0, dashed=False, name="1: no longer covered")
+    rules = (guide_line,)
     panel = PicturePanel(
         x_label="Frequency (Hz)",
         y_label="Proved over measured error (–)",
         series=tuple(series),
-        rules=(GuideLine(y=1.0, dashed=False, name="1: no longer covered"),),
+        rules=rules,
         log_x=True,
         log_y=True,
         height=1.6,
@@ -59,7 +61,8 @@ def _record_series(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, colour: str
 ) -> list[Series]:
     """Line over the bands of one record, with crosses where its input has no power."""
-    hertz = np.array([row.frequency for row in rows]) / (2 * np.pi * step_s)
+    frequencies = [row.frequency for row in rows]
+    hertz = np.array(frequencies) / (2 * np.pi * step_s)
     times = np.minimum([kappa / row.need for row in rows], HIGHEST)
     is_dark = np.array([row.is_dark for row in rows])
     seen = hertz > 0
@@ -67,18 +70,16 @@ def _record_series(
     dark = is_dark & seen
     if not dark.any():
         return [lit]
-    return [lit, Series(x=hertz[dark], y=times[dark], mark="crosses", colour=colour)]
+    series = Series(x=hertz[dark], y=times[dark], mark="crosses", colour=colour)
+    return [lit, series]
 
 
 def _mark(band: CoverageBand, kappa: float, step_s: float) -> Series:
     """Dot at the band that decides."""
     hertz = band.frequency / (2 * np.pi * step_s)
+    y = np.array([kappa / band.need])
     return Series(
-        x=np.array([hertz]),
-        y=np.array([kappa / band.need]),
-        mark="point",
-        colour=style.INK,
-        name=f"decides, {hertz:.3g} Hz",
+        x=np.array([hertz]), y=y, mark="point", colour=style.INK, name=f"decides, {hertz:.3g} Hz"
     )
 
 

@@ -38,7 +38,8 @@ def draw_unstyled(picture: Picture) -> "Figure":
     ]
     heights = [row[0].height for row in rows]
     width = style.PAGE_IN if picture.wide or picture.columns > 1 else style.COLUMN_IN
-    figure = style.canvas(width, 0.35 + ROW_IN * sum(heights))
+    height_in = 0.35 + ROW_IN * sum(heights)
+    figure = style.canvas(width, height_in)
     grid = figure.subplots(len(rows), picture.columns, squeeze=False, height_ratios=heights)
     for axes_of_row, panels in zip(grid, rows, strict=True):
         for axes, panel in zip(axes_of_row, panels, strict=False):
@@ -55,8 +56,9 @@ def draw_unstyled(picture: Picture) -> "Figure":
 def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
     """Draw one panel into its axes."""
     for band in panel.bands:
+        label = band.name or None
         axes.fill_between(
-            band.x, band.low, band.high, color=band.colour, lw=0, label=band.name or None, alpha=0.6
+            band.x, band.low, band.high, color=band.colour, lw=0, label=label, alpha=0.6
         )
     for rule in panel.rules:
         _draw_rule(axes, rule)
@@ -74,8 +76,10 @@ def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range:
         axes.set_ylim(*panel.y_range)
-    if axes.get_legend_handles_labels()[1] and not panel.title:
-        style.above(axes, columns=MOST_LEGEND_COLUMNS if _is_wide(axes) else 2)
+    legend_handles_labels = axes.get_legend_handles_labels()
+    if legend_handles_labels[1] and not panel.title:
+        columns = MOST_LEGEND_COLUMNS if _is_wide(axes) else 2
+        style.above(axes, columns=columns)
     elif axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best")
 
@@ -86,7 +90,9 @@ def _thin_minor_labels(axes: "Axes") -> None:
 
     low, high = axes.get_ylim()
     if high < FEW_DECADES * low:
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        subs = (1.0, 2.0, 5.0)
+        log_locator = LogLocator(subs=subs)
+        axes.yaxis.set_major_locator(log_locator)
         axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes.yaxis.set_minor_formatter(lambda *_: "")
 
@@ -97,17 +103,17 @@ def _is_wide(axes: "Axes") -> bool:
     columns = axes.get_subplotspec()
     assert columns is not None
     across = columns.get_gridspec().ncols
-    return bool(figure.get_figwidth() / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
+    figwidth = figure.get_figwidth()
+    return bool(figwidth / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
 
 
 def _draw_series(axes: "Axes", series: Series) -> None:
     """Draw one series by its mark."""
     label = series.name or None
     look: dict[str, Any] = {"color": series.colour, "label": label}
-    line: dict[str, Any] = {
-        "linewidth": 0.7 if series.thin else 1.1,
-        "linestyle": "--" if series.dashed else "-",
-    }
+    linewidth = 0.7 if series.thin else 1.1
+    linestyle = "--" if series.dashed else "-"
+    line: dict[str, Any] = {"linewidth": linewidth, "linestyle": linestyle}
     if series.mark == "line":
         axes.plot(series.x, series.y, **look, **line)
     elif series.mark == "steps":
@@ -125,11 +131,13 @@ def _draw_series(axes: "Axes", series: Series) -> None:
 
 def _draw_rule(axes: "Axes", rule: GuideLine) -> None:
     """Draw a line across the axes."""
+    linestyle = "--" if rule.dashed else "-"
+    label = rule.name or None
     look: dict[str, Any] = {
         "color": style.INK,
         "linewidth": 0.8,
-        "linestyle": "--" if rule.dashed else "-",
-        "label": rule.name or None,
+        "linestyle": linestyle,
+        "label": label,
     }
     if rule.y is not None:
         axes.axhline(rule.y, **look)
@@ -144,7 +152,8 @@ def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> No
         if len(set(labels)) > 1:
             continue
         for i in range(len(labels) - 1):
-            if rows[i][j].x_range == rows[i + 1][j].x_range:
+            x_range = rows[i][j].x_range
+            if x_range == rows[i + 1][j].x_range:
                 grid[i][j].sharex(grid[i + 1][j])
                 grid[i][j].set_xlabel("")
                 grid[i][j].tick_params(labelbottom=False)

@@ -32,10 +32,9 @@ def free_run_picture(
     upper = []
     lower = []
     for j, label in enumerate(labels):
-        start = _start_up_band(time_s[shown], measured[shown, j], start_up)
-        dots = Series(
-            x=time_s[shown], y=measured[shown, j], mark="dots", colour=style.GREY, name="measured"
-        )
+        y = measured[shown, j]
+        start = _start_up_band(time_s[shown], y, start_up)
+        dots = Series(x=time_s[shown], y=y, mark="dots", colour=style.GREY, name="measured")
         runs = [dots]
         errors = []
         for i, (name, output) in enumerate(simulated.items()):
@@ -43,28 +42,32 @@ def free_run_picture(
             legend = f"{name}, fit {fits[name]:.1f} %"
             run = Series(x=time_s[shown], y=output[shown, j], colour=colour, name=legend)
             runs.append(run)
-            error = measured[shown, j] - output[shown, j]
-            errors.append(Series(x=time_s[shown], y=error, colour=_error_colour(i), thin=True))
-        upper.append(
-            PicturePanel(
-                x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3
-            )
+            error = y - output[shown, j]
+            series = Series(x=time_s[shown], y=error, colour=_error_colour(i), thin=True)
+            errors.append(series)
+        picture_panel = PicturePanel(
+            x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3
         )
-        zero = GuideLine(y=0.0, dashed=False)
-        lower.append(
-            PicturePanel(
-                x_label="Time (s)",
-                y_label=f"Error{_unit(label)}",
-                series=tuple(errors) if len(errors) > 1 else _recoloured(errors),
-                rules=(zero,),
-                height=0.7,
-            )
-        )
+        upper.append(picture_panel)
+        lower.append(_error_panel(errors, label))
     best = max(fits.values())
     title = f"Free run on the test record: fit {best:.1f} %"
     if len(measured) > LONGEST:
         title += f" (the first {LONGEST} of {len(measured)} samples)"
-    return Picture(title=title, panels=(*upper, *lower), columns=len(labels), wide=True)
+    panels = (*upper, *lower)
+    return Picture(title=title, panels=panels, columns=len(labels), wide=True)
+
+
+def _error_panel(errors: list[Series], label: str) -> PicturePanel:
+    """Errors of the models on one output, with a line at zero."""
+    zero = GuideLine(y=0.0, dashed=False)
+    return PicturePanel(
+        x_label="Time (s)",
+        y_label=f"Error{_unit(label)}",
+        series=tuple(errors) if len(errors) > 1 else _recoloured(errors),
+        rules=(zero,),
+        height=0.7,
+    )
 
 
 def _error_colour(i: int) -> str:
@@ -91,4 +94,5 @@ def _start_up_band(
     ends = time_s[[0, min(samples, len(time_s) - 1)]]
     low = np.full(2, values.min())
     high = np.full(2, values.max())
-    return (Band(x=ends, low=low, high=high, name="initial state"),)
+    band = Band(x=ends, low=low, high=high, name="initial state")
+    return (band,)

@@ -20,7 +20,9 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     if model.scaffold_in.inputs != 1:
         raise NothingToShow("The input map has several inputs: there is no curve to draw.")
     scaled = np.linspace(-REACH_IN_SCALES, REACH_IN_SCALES, POINTS)
-    physical = model.scale.input_equilibrium[0] + scaled * model.scale.input_scale[0]
+    input_equilibrium = model.scale.input_equilibrium
+    input_scale = model.scale.input_scale
+    physical = input_equilibrium[0] + scaled * input_scale[0]
     values = model.scaffold_in(scaled[:, None])[:, 0]
     local = np.array([model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled])
     ends = physical[[0, -1]]
@@ -28,11 +30,9 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     low = np.full(2, slopes.lower)
     high = np.full(2, slopes.upper)
     band = Band(x=ends, low=low, high=high, name=name, colour=style.SKY)
+    series = (Series(x=physical, y=values),)
     left = PicturePanel(
-        x_label=input_label,
-        y_label="S_u (scaled units, –)",
-        series=(Series(x=physical, y=values),),
-        height=1.3,
+        x_label=input_label, y_label="S_u (scaled units, –)", series=series, height=1.3
     )
     right = PicturePanel(
         x_label=input_label,
@@ -42,7 +42,8 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
     )
     is_linear = np.ptp(local) <= LINEAR * np.abs(local).max()
     title = "Input map: linear" if is_linear else _title(local)
-    return Picture(title=title, panels=(left, right), columns=2)
+    panels = (left, right)
+    return Picture(title=title, panels=panels, columns=2)
 
 
 def _title(local: np.ndarray) -> str:

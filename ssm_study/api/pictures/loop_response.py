@@ -41,9 +41,8 @@ def initial_response_picture(
     for j, channel in enumerate(plant.outputs):
         open_loop = _bundle(uncontrolled, "y", j, "open loop", style.GREY)
         closed = _bundle(controlled, "y", j, "under control", style.BLUE)
-        panel = PicturePanel(
-            x_label="Time (s)", y_label=label_of(channel), series=(*open_loop, *closed)
-        )
+        series = (*open_loop, *closed)
+        panel = PicturePanel(x_label="Time (s)", y_label=label_of(channel), series=series)
         upper.append(panel)
     lower = _input_panels(controlled, plant.inputs, recorded)
     panels = (*_padded(upper, columns), *_padded(lower, columns))
@@ -66,7 +65,8 @@ def set_point_picture(
     an input within the limits of `loop` holds. Raises `NothingToShow` where none does.
     """
     controller = ObserverFeedback.of(model, design)
-    scale = float(model.scale.output_scale.min())
+    output_scale = model.scale.output_scale
+    scale = float(output_scale.min())
     sizes = (size,) if size is not None else tuple(share * scale for share in SIZES)
     reason = "No step of the set point can be held."
     for one in sizes:
@@ -96,21 +96,21 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
-        goal = run.reference[0, :, j] if run.reference.ndim == 3 else run.reference[:, j]
-        band = Band(
-            x=run.time_s,
-            low=goal - plant.settling_band,
-            high=goal + plant.settling_band,
-            name="settling band",
-        )
+        ndim = run.reference.ndim
+        goal = run.reference[0, :, j] if ndim == 3 else run.reference[:, j]
+        low = goal - plant.settling_band
+        high = goal + plant.settling_band
+        band = Band(x=run.time_s, low=low, high=high, name="settling band")
         set_point = Series(
             x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name="set point"
         )
-        output = Series(x=run.time_s, y=run.y[0, :, j], name="output")
+        y = run.y[0, :, j]
+        output = Series(x=run.time_s, y=y, name="output")
+        series = (set_point, output)
         panel = PicturePanel(
             x_label="Time (s)",
             y_label=label_of(channel),
-            series=(set_point, output),
+            series=series,
             bands=(band,),
             x_range=seen,
         )
@@ -159,10 +159,9 @@ def _input_panels(
         rules: tuple[GuideLine, ...] = ()
         if len(recorded):
             values = np.concatenate([one[:, j] for one in recorded])
-            rules = (
-                GuideLine(y=float(values.min()), name="recorded range"),
-                GuideLine(y=float(values.max())),
-            )
+            guide_line = GuideLine(y=float(values.min()), name="recorded range")
+            y = float(values.max())
+            rules = (guide_line, GuideLine(y=y))
         series = _bundle(runs, "u", j, "input", style.VERMILLION)
         panel = PicturePanel(
             x_label="Time (s)", y_label=label_of(channel), series=series, rules=rules

@@ -40,17 +40,11 @@ def margin_picture(
         for i, curve in enumerate(drawn)
     ]
     at_hertz = least.angle / (2 * np.pi * step_s)
-    rules = [GuideLine(y=1.0, dashed=False, name="1: small gain ends")]
+    guide_line = GuideLine(y=1.0, dashed=False, name="1: small gain ends")
+    rules = [guide_line]
     decided_by_curve = margin is None or least.smallest <= 1.001 * margin
     if decided_by_curve:
-        dot = Series(
-            x=np.array([at_hertz]),
-            y=np.array([least.smallest]),
-            mark="point",
-            colour=style.INK,
-            name=f"decides: {least.smallest:.3g} at {at_hertz:.3g} Hz",
-        )
-        series.append(dot)
+        series.append(_deciding_point(at_hertz, least.smallest))
         title = f"Stability margin {least.smallest:.3g}, decided at {at_hertz:.3g} Hz"
     else:
         rules.append(GuideLine(y=margin, name="the design's margin, between two amplitudes"))
@@ -65,6 +59,17 @@ def margin_picture(
         height=1.5,
     )
     return Picture(title=title, panels=(panel,))
+
+
+def _deciding_point(hertz: float, margin: float) -> Series:
+    """Dot at the frequency that decides the margin."""
+    return Series(
+        x=np.array([hertz]),
+        y=np.array([margin]),
+        mark="point",
+        colour=style.INK,
+        name=f"decides: {margin:.3g} at {hertz:.3g} Hz",
+    )
 
 
 def _name(curve: MarginCurve) -> str:

@@ -28,7 +28,8 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     the curve does not wind around -1 and no disc holds it. The amplitude drawn is the one whose
     discs come nearest. Raises `NothingToShow` for several inputs or outputs.
     """
-    if model.scale.inputs != 1 or model.scale.outputs != 1:
+    inputs = model.scale.inputs
+    if inputs != 1 or model.scale.outputs != 1:
         raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
     plant, controller = loop_parts(model, pair, FINE_ANGLES)
     loop = -plant * controller
@@ -45,13 +46,15 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     series.append(_point())
     unit = circle()
     circle_series = Series(x=unit[0], y=unit[1], colour=style.PALE, thin=True, name="gain 1")
+    x_range = (-REACH, REACH)
+    y_range = (-REACH, REACH)
     panel = PicturePanel(
         x_label="Real part (–)",
         y_label="Imaginary part (–)",
         series=(circle_series, *series),
         equal=True,
-        x_range=(-REACH, REACH),
-        y_range=(-REACH, REACH),
+        x_range=x_range,
+        y_range=y_range,
         height=2.2,
     )
     return Picture(title=title, panels=(panel,))
@@ -64,7 +67,8 @@ def loop_parts(
     linear = at_rest(model)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
-    closed = frequency_response(sensitivity(linear, pair, slope_in, slope_out), angles)[:, 0, 0]
+    state_space = sensitivity(linear, pair, slope_in, slope_out)
+    closed = frequency_response(state_space, angles)[:, 0, 0]
     plant = slope_in * slope_out * frequency_response(linear, angles)[:, 0, 0]
     return plant, closed / (1 + plant * closed)
 
@@ -75,10 +79,12 @@ def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Se
     Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
     that lies farther away counts: either is sufficient.
     """
-    plant, controller = loop_parts(model, pair, np.maximum(ANGLES, 1e-4))
+    angles = np.maximum(ANGLES, 1e-4)
+    plant, controller = loop_parts(model, pair, angles)
     nearest: tuple[Series, float] | None = None
     for view in views:
-        by_size = _nyquist_discs(plant, controller, 0 * view.linear, view.by_frequency)
+        linear_part = 0 * view.linear
+        by_size = _nyquist_discs(plant, controller, linear_part, view.by_frequency)
         with_phase = _nyquist_discs(plant, controller, view.linear, view.rest)
         farther = max(by_size, with_phase, key=lambda pair: pair[1])
         if nearest is None or farther[1] < nearest[1]:
@@ -96,18 +102,15 @@ def _nyquist_discs(
     """Discs around `L (1 + Q)` with the radius `|C| g`, and how far -1 lies outside all."""
     centres = -plant * controller * (1 + linear_part)
     radii = np.abs(controller) * remainder
-    return _discs(centres, radii), float((np.abs(centres + 1) - radii).min())
+    series = _discs(centres, radii)
+    return series, float((np.abs(centres + 1) - radii).min())
 
 
 def _curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
     """The part of a complex curve that is near enough to be seen."""
     near = np.abs(values) < 2 * REACH
-    return Series(
-        x=np.where(near, values.real, np.nan),
-        y=np.where(near, values.imag, np.nan),
-        name=name,
-        colour=colour,
-    )
+    y = np.where(near, values.imag, np.nan)
+    return Series(x=np.where(near, values.real, np.nan), y=y, name=name, colour=colour)
 
 
 def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
@@ -130,6 +133,5 @@ def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> 
 
 def _point() -> Series:
     """The point that must not be reached."""
-    return Series(
-        x=np.array([-1.0]), y=np.array([0.0]), mark="crosses", colour=style.INK, name="-1"
-    )
+    y = np.array([0.0])
+    return Series(x=np.array([-1.0]), y=y, mark="crosses", colour=style.INK, name="-1")

@@ -46,12 +46,15 @@ def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
     """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest, without an internal model."""
     linear = at_rest(model)
     n = len(linear.a)
-    slope_in = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+    inputs = model.scaffold_in.inputs
+    slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
     slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
     controlled = linear.a + linear.b @ slope_in @ gains.k[:, :n]
     observed = linear.a + gains.l[:n] @ slope_out @ linear.c
+    eigenvalues = np.linalg.eigvals(linear.a)
+    estimate = np.linalg.eigvals(observed).astype(complex)
     return {
-        "model": np.linalg.eigvals(linear.a).astype(complex),
+        "model": eigenvalues.astype(complex),
         "controlled": np.linalg.eigvals(controlled).astype(complex),
-        "estimate": np.linalg.eigvals(observed).astype(complex),
+        "estimate": estimate,
     }

@@ -26,7 +26,8 @@ def residual_correlation_picture(
     panels = [_panel(own, bound, f"Error of {output_name} with itself")]
     for j, name in enumerate(input_names):
         cross = correlate(errors, inputs, 0, j, lags, one_sided=False)
-        panels.append(_panel(cross, bound, f"Error with {name}"))
+        picture_panel = _panel(cross, bound, f"Error with {name}")
+        panels.append(picture_panel)
     inside = float(np.mean(np.abs(own[1][1:]) <= bound))
     title = (
         f"Correlation of the free run's error: {100 * inside:.0f} % of the lags within 95 % bounds"
@@ -40,7 +41,9 @@ def _panel(
     """One correlation as stems over its bounds."""
     lags, values = correlation
     ends = np.array([lags[0], lags[-1]], dtype=float)
-    band = Band(x=ends, low=np.full(2, -bound), high=np.full(2, bound))
+    low = np.full(2, -bound)
+    high = np.full(2, bound)
+    band = Band(x=ends, low=low, high=high)
     stems = Series(x=lags.astype(float), y=values, mark="stems")
     return PicturePanel(
         x_label="Lag (samples)",

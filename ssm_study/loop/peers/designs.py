@@ -48,5 +48,6 @@ class ChosenIntegralPeer(Peer, names=("auto_integral",)):
     """Peer with our own automatic choice and integral action."""
 
     def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        synthesis = Auto(integral_weights=(1e-4, 1e-3, 1e-2))
+        integral_weights = (1e-4, 1e-3, 1e-2)
+        synthesis = Auto(integral_weights=integral_weights)
         return known.chosen(synthesis)

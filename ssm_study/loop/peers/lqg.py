@@ -28,11 +28,15 @@ def lqg(model: SSM, weights: Synthesis) -> ObserverFeedback:
     those of `weights`; its rates do not count.
     """
     slope = mean_slope(model)
-    linear = replace(model.linear, b=model.linear.b @ slope)
-    k = _riccati_gain(weights.problem(linear, LINEAR, False))
+    b = model.linear.b @ slope
+    linear = replace(model.linear, b=b)
+    problem = weights.problem(linear, LINEAR, False)
+    k = _riccati_gain(problem)
     dual = _riccati_gain(weights.problem(linear, LINEAR, True))
-    plain = replace(model, scaffold_in=LinearScaffold(gain=slope))
-    return ObserverFeedback(model=plain, gains=Gains(k=k, l=dual.T))
+    scaffold_in = LinearScaffold(gain=slope)
+    plain = replace(model, scaffold_in=scaffold_in)
+    gains = Gains(k=k, l=dual.T)
+    return ObserverFeedback(model=plain, gains=gains)
 
 
 def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
@@ -58,6 +62,7 @@ def lqg_weights(plant: Plant, known: Identified, rate: float) -> Synthesis:
 
     One input scale drives the states; a linear design has no rate.
     """
-    scaled_variance = np.array(plant.noise_variance) / known.model.scale.output_scale**2
+    output_scale = known.model.scale.output_scale
+    scaled_variance = np.array(plant.noise_variance) / output_scale**2
     noise = max(float(np.mean(scaled_variance)), 1e-6)
     return RiccatiSynthesis(rate_controller=rate, rate_observer=rate, output_noise=noise)

@@ -84,13 +84,15 @@ def ultimate(model: SSM) -> Ultimate:
     outward = model.scaffold_out
     a = model.linear.a
     b = model.linear.b @ mean_slope(model)
-    c = outward.jacobian(np.zeros(outward.inputs)) @ model.linear.c
+    linear_c = model.linear.c
+    c = outward.jacobian(np.zeros(outward.inputs)) @ linear_c
     static_gain = c @ np.linalg.solve(np.eye(model.order) - a, b)
     sign = float(np.sign(static_gain[0, 0]))
 
     def poles(gain: float) -> Complex[np.ndarray, "n"]:
         """Poles of the loop with this proportional gain."""
-        return np.linalg.eigvals(a - sign * gain * b @ c).astype(complex)
+        eigenvalues = np.linalg.eigvals(a - sign * gain * b @ c)
+        return eigenvalues.astype(complex)
 
     def excess(gain: float) -> float:
         """Spectral radius of the loop minus one."""
@@ -108,7 +110,9 @@ def ultimate(model: SSM) -> Ultimate:
     angle = float(np.abs(np.angle(slowest)))
     unit = float(scale.input_scale[0] / scale.output_scale[0])
     period_samples = 2 * np.pi / max(angle, 1e-6)
-    return Ultimate(gain=sign * limit * unit, period_s=period_samples * model.step_s)
+    ultimate_gain = sign * limit * unit
+    period_s = period_samples * model.step_s
+    return Ultimate(gain=ultimate_gain, period_s=period_s)
 
 
 def tyreus_luyben(model: SSM) -> PI:
@@ -120,11 +124,11 @@ def tyreus_luyben(model: SSM) -> PI:
     fit, SIMC among them, do not see an elastic shaft: on the motor they excite its resonance.)
     """
     limit = ultimate(model)
+    gain = limit.gain / 3.2
+    integral_s = 2.2 * limit.period_s
+    input_equilibrium = float(model.scale.input_equilibrium[0])
     return PI(
-        gain=limit.gain / 3.2,
-        integral_s=2.2 * limit.period_s,
-        input_equilibrium=float(model.scale.input_equilibrium[0]),
-        step_s=model.step_s,
+        gain=gain, integral_s=integral_s, input_equilibrium=input_equilibrium, step_s=model.step_s
     )
 
 

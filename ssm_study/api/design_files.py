@@ -1,0 +1,40 @@
+"""Records beside a saved design: ranges and names for its export."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from ssm_study.data.mcap import SignalGroup, write_mcap
+from ssm_study.signals import DataSet
+
+
+def write_records(data: DataSet, folder: Path) -> None:
+    """Write training inputs and validation outputs, for ranges and names in the export."""
+    metadata = {"step_s": repr(data.step_s)}
+    inputs = (*input_groups(data), *disturbance_groups(data))
+    write_mcap(folder / "excitation.mcap", inputs, metadata)
+    write_mcap(folder / "validation.mcap", tuple(output_groups(data)), metadata)
+
+
+def input_groups(data: DataSet) -> Iterator[SignalGroup]:
+    """Inputs of the training records, each under its topic."""
+    channels = tuple(data.inputs)
+    for i, record in enumerate(data.training):
+        topic = f"/record_{i}/input"
+        yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.u)
+
+
+def disturbance_groups(data: DataSet) -> Iterator[SignalGroup]:
+    """Measured disturbances of the training records that have any."""
+    channels = tuple(data.disturbances)
+    for i, record in enumerate(data.training):
+        if record.d is not None:
+            topic = f"/record_{i}/disturbance"
+            yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.d)
+
+
+def output_groups(data: DataSet) -> Iterator[SignalGroup]:
+    """Measured outputs of the validation records."""
+    channels = tuple(data.outputs)
+    for i, record in enumerate(data.validation):
+        topic = f"/record_{i}/measured"
+        yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.y)

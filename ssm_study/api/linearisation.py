@@ -1,0 +1,84 @@
+"""Linear models at the equilibrium: python-control systems and frequency responses."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import StructuredSSM, at_rest
+from ssm_study.refusal import BadRequest, require
+
+if TYPE_CHECKING:
+    import control as python_control
+
+
+def import_python_control(function: str) -> Any:
+    """Import python-control. Raises `BadRequest` where it is not installed."""
+    try:
+        import control
+    except ImportError as error:
+        remedy = "pip install 'ssm-study[export]'"
+        raise BadRequest(function, "control", "is not installed", remedy) from error
+    return control
+
+
+def linearise(model: SSM | StructuredSSM) -> "python_control.StateSpace":
+    """State space of deviations from the equilibrium, in physical units.
+
+    `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
+    within A, B, C, D.
+    """
+    python_control = import_python_control("to_control")
+    linear = at_rest(model)
+    input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
+    output_slope = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
+    inward = input_slope / model.scale.input_scale
+    output_scale = model.scale.output_scale
+    outward = output_scale[:, None] * output_slope
+    b = linear.b @ inward
+    c = outward @ linear.c
+    d = outward @ linear.d @ inward
+    return python_control.StateSpace(linear.a, b, c, d, model.step_s)
+
+
+def undo_sampling(discrete: "python_control.StateSpace") -> "python_control.StateSpace":
+    """Continuous system whose input is held, by the matrix logarithm of `[A B; 0 I]`.
+
+    Raises `BadRequest` where a pole lies on the negative real axis or at zero.
+    """
+    import scipy
+
+    python_control = import_python_control("to_continuous")
+    poles = np.linalg.eigvals(discrete.A)
+    on_axis = (poles.real <= 0) & (np.abs(poles.imag) < 1e-12)
+    problem = f"a pole at {poles[on_axis][0].real:.3g}" if on_axis.any() else ""
+    remedy = "use the discrete system, to_control()"
+    require(not on_axis.any(), "model", "linearised", problem, remedy)
+    n, m = discrete.B.shape
+    held = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
+    logarithm = np.real(scipy.linalg.logm(held)) / discrete.dt
+    a = logarithm[:n, :n]
+    b = logarithm[:n, n:]
+    return python_control.StateSpace(a, b, discrete.C, discrete.D)
+
+
+def response_table(
+    system: "python_control.StateSpace", inputs: list[str], outputs: list[str], points: int
+) -> pd.DataFrame:
+    """Frequency response from each input to each output, up to half the sampling rate."""
+    nyquist = np.pi / system.dt
+    omega = np.geomspace(nyquist * 1e-4, nyquist, points)
+    z = np.exp(1j * omega * system.dt)
+    identity = np.eye(len(system.A))
+    resolvent = np.linalg.inv(z[:, None, None] * identity - system.A)
+    response = system.C @ resolvent @ system.B + system.D
+    tables = []
+    for i, output in enumerate(outputs):
+        for j, name in enumerate(inputs):
+            channel = response[:, i, j]
+            table = pd.DataFrame({"input": name, "output": output, "frequency_rad_s": omega})
+            table["magnitude"] = np.abs(channel)
+            table["phase_deg"] = np.rad2deg(np.unwrap(np.angle(channel)))
+            tables.append(table)
+    return pd.concat(tables, ignore_index=True)

@@ -1,0 +1,127 @@
+"""Summaries of models and designs: one value a line, as text and as a table for notebooks."""
+
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from ssm_study.models.identified import SSM
+from ssm_study.models.structured import StructuredSSM
+from ssm_study.signals import DataSet
+
+if TYPE_CHECKING:
+    from ssm_study.api.design import Design
+    from ssm_study.api.model import Model
+
+PROVED = {True: "certified in exact arithmetic", False: "not certified"}
+STABILITY = {True: "stays stable", False: "may not stay stable", None: "no prediction"}
+
+
+def summarise_model(model: "Model") -> pd.Series:
+    """Table of a model's properties: class, size, fits, poles, slopes, evidence."""
+    facts = model.facts
+    data = model.data
+    lines: dict[str, Any] = {"class": type(model.simulator).__name__}
+    lines["inputs"] = ", ".join(map(name_with_unit, data.inputs))
+    lines["outputs"] = ", ".join(map(name_with_unit, data.outputs))
+    if data.disturbances:
+        lines["measured disturbances"] = ", ".join(map(name_with_unit, data.disturbances))
+    lines["sampling time"] = f"{data.step_s:g} s"
+    lines["samples"] = words_on_samples(data)
+    for part in ("train", "validation", "test"):
+        name = "training" if part == "train" else part
+        lines[f"fit on the {name} records"] = f"{facts[f'fit_{part}_percent']:.1f} %"
+    if "members" in facts:
+        fit = facts["fit_test_members_percent"]
+        words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
+        lines["mean that predicts"] = words
+    if model.identification.chosen:
+        lines["chosen by the records"] = model.identification.chosen
+    if isinstance(model.simulator, SSM | StructuredSSM):
+        lines |= state_space_lines(model, model.simulator)
+    return pd.Series(lines, name="model", dtype=object)
+
+
+def state_space_lines(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
+    """Lines that only a state-space model has: states, neurons, pole, slopes, evidence."""
+    facts = model.facts
+    slowest = np.abs(model.eigenvalues()).max()
+    lines: dict[str, Any] = {"states": simulator.order}
+    lines["neurons"] = facts.get("neurons", 0)
+    lines["slowest pole"] = f"{slowest:.4f} per sample"
+    lower = facts.get("input_slope_lower")
+    upper = facts.get("input_slope_upper")
+    if lower is not None and upper is not None:
+        lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
+    lines["evidence"] = model.evidence.level
+    return lines
+
+
+def summarise_design(design: "Design") -> pd.Series:
+    """Table of what is proved and what is predicted of a design, with units."""
+    lines: dict[str, Any] = {}
+    certificate = design.certificate
+    if not certificate.feasible:
+        lines["infeasible"] = design.facts.get("infeasible_reason", "no controller was found")
+        return pd.Series(lines, name="design", dtype=object)
+    feedback, observer = certificate.parts()
+    sides = (("controller", feedback, "state_feedback"), ("observer", observer, "observer"))
+    for name, part, side in sides:
+        rate = certificate.certified_rate(side)
+        value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
+        lines[name] = f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"
+        lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
+    slowest = {name: np.abs(poles).max() for name, poles in design.eigenvalues().items()}
+    lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
+    lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
+    if design.origin is not None:
+        lines |= prediction_lines(design.facts)
+    return pd.Series(lines, name="design", dtype=object)
+
+
+def prediction_lines(facts: dict[str, Any]) -> dict[str, str]:
+    """Lines that predict how the plant behaves in closed loop."""
+    margin = facts.get("resolved_margin")
+    suffix = "" if margin is None else f" (stability margin {margin:.3g})"
+    coverage = facts.get("coverage")
+    covered = "not covered"
+    if coverage is not None and coverage >= 1:
+        covered = f"a model error {coverage:.3g} times as large as the records show"
+    prediction = STABILITY[facts.get("predicted_stable")]
+    return {
+        "covered by the proof": covered,
+        "predicted for the plant": prediction + suffix,
+        "evidence": str(facts["evidence"]),
+    }
+
+
+def name_with_unit(channel: Any) -> str:
+    """Name of a channel, its unit in parentheses where there is one."""
+    return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
+
+
+def words_on_samples(data: DataSet) -> str:
+    """Numbers of samples in training, validation and test, in words."""
+    counts = []
+    for part in ("training", "validation", "test"):
+        samples = sum(len(record) for record in getattr(data, part))
+        counts.append(f"{samples} {part}")
+    return ", ".join(counts)
+
+
+def text_table(title: str, summary: pd.Series) -> str:
+    """Render a summary as lines of text, names and values in two columns."""
+    width = max(map(len, summary.index))
+    rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
+    return "\n".join([title, *rows])
+
+
+def html_table(title: str, summary: pd.Series) -> str:
+    """Render a summary as an HTML table for notebooks."""
+    rows = [
+        f"<tr><th style='text-align:left'>{escape(str(name))}</th>"
+        f"<td style='text-align:left'>{escape(str(value))}</td></tr>"
+        for name, value in summary.items()
+    ]
+    return f"<table><caption>{escape(title)}</caption>{''.join(rows)}</table>"
