@@ -21,7 +21,6 @@ from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
-from ssm_study.engine.settings import read_stored_yaml, resolve_node
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import onnx_model
@@ -32,6 +31,7 @@ from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
+from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.synthesis.deployed import within_limits
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall
@@ -96,14 +96,21 @@ def limits(run: Path) -> tuple[Range, Range]:
     visited = _recorded_range(run, "excitation.mcap", "/input")
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
-    file = run / ".hydra" / "config.yaml"
-    settings = OmegaConf.create(read_stored_yaml(file)) if file.is_file() else OmegaConf.create()
-    lower = OmegaConf.select(settings, "loop.input_lower")
-    upper = OmegaConf.select(settings, "loop.input_upper")
+    loop = _loop_settings(run)
     scale = _model(run).scale
     inputs = [np.stack(visited[1:])]
     around_rest = scale.with_rest(inputs)
-    return input_limits(resolve_node(lower), resolve_node(upper), around_rest)
+    return input_limits(loop.get("input_lower"), loop.get("input_upper"), around_rest)
+
+
+def _loop_settings(run: Path) -> dict[str, Any]:
+    """Settings of the loop in a run's configuration; empty for a design without one."""
+    file = run / ".hydra" / "config.yaml"
+    if not file.is_file():
+        return {}
+    settings = OmegaConf.to_container(OmegaConf.create(read_stored_yaml(file)))
+    loop = settings.get("loop") if isinstance(settings, dict) else None
+    return loop if isinstance(loop, dict) else {}
 
 
 def _recorded_range(

@@ -16,13 +16,13 @@ import yaml  # type: ignore[import-untyped]
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
-from ssm_study.engine.settings import read_stored_yaml
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.signals import Trajectories
+from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.systems import Gains
 from ssm_study.table.columns import text

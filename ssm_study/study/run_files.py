@@ -14,7 +14,6 @@ from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import contents
-from ssm_study.engine.settings import read_stored_yaml
 from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
@@ -22,6 +21,7 @@ from ssm_study.refusal import BadRequest, require
 from ssm_study.renamed import bring_up_to_date
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
+from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.allow_list import refuse_foreign_targets
 from ssm_study.study.read_once import read_data_set
 from ssm_study.study.recordings import RecordedCases, read_trials

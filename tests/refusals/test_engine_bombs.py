@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 import yaml  # type: ignore[import-untyped]
 
-from ssm_study.engine.settings import read_stored_yaml, yaml_text
+from ssm_study.engine.settings import yaml_text
 from ssm_study.refusal import BadRequest
+from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.findings import Checked
 from ssm_study.study.verify import UNGIVEN, finding_lines
 
