@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader
 
 from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.mlp import Mlp
-from ssm_study.models.scaffolds.scaffold import Frame
+from ssm_study.models.scaffolds.trainable import Frame
 from ssm_study.models.spec import on_ring
 from ssm_study.models.torch_recurrence import by_convolution
 from ssm_study.models.torch_ssm import LRU, Lift, TorchSSM

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float, Inexact
 
-from ssm_study.models.scaffolds.scaffold import Frame, Trainable
+from ssm_study.models.scaffolds.trainable import Frame, Trainable
 from ssm_study.refusal import at_least, one_of, positive, require
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.scaffolds.scaffold import Pieces, Scaffold, Trainable
+from ssm_study.models.scaffolds.torch_scaffold import TorchScaffold
 from ssm_study.models.torch_recurrence import ModalForm, end_state, respond
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
@@ -20,38 +20,6 @@ if TYPE_CHECKING:
     from ssm_study.models.spec import Initialisation
 
 FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
-
-
-class TorchScaffold(nn.Module):
-    """Static map as a torch module. Holds the free parameters of a `Trainable` in float64;
-    `freeze()` returns the explicit ones."""
-
-    def __init__(
-        self, spec: Trainable, start: dict[str, np.ndarray], slopes: tuple[float, float]
-    ) -> None:
-        super().__init__()
-        self.spec = spec
-        self.slopes = slopes
-        for name, values in start.items():
-            at = torch.tensor(np.ascontiguousarray(values))
-            self.register_parameter(
-                name, nn.Parameter(at, requires_grad=not name.startswith(spec.fixed))
-            )
-
-    def explicit(self) -> Any:
-        return self.spec.explicit(dict(self.named_parameters()), self.slopes)
-
-    def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        return self.spec.evaluate(self.explicit(), v)
-
-    def freeze(self) -> Scaffold:
-        return self.spec.frozen(self.explicit(), self.slopes)
-
-    def pieces(self) -> Pieces | None:
-        return self.spec.pieces(self.explicit())
-
-    def roughness(self) -> Float[Tensor, ""]:
-        return self.spec.roughness(self.explicit())
 
 
 class Lift(nn.Module):

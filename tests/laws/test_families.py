@@ -15,7 +15,8 @@ from ssm_study.loop.controller import Controller
 from ssm_study.loop.peers.peer import Peer
 from ssm_study.models import baselines, scaffolds
 from ssm_study.models.identified import Simulator
-from ssm_study.models.scaffolds.scaffold import Scaffold, Trainable
+from ssm_study.models.scaffolds.scaffold import Scaffold
+from ssm_study.models.scaffolds.trainable import Trainable
 from ssm_study.models.spec import ModelSpec
 from ssm_study.plants.plant import Plant
 from ssm_study.synthesis.design import Synthesis

@@ -17,7 +17,7 @@ from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.monotone import Monotone
 from ssm_study.models.scaffolds.residual import Residual
-from ssm_study.models.scaffolds.scaffold import Trainable
+from ssm_study.models.scaffolds.trainable import Trainable
 from ssm_study.models.spec import SSMSpec
 from ssm_study.signals import Scale, Trajectory, fit_percent
 from ssm_study.training.metrics import mean_fit

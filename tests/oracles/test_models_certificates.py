@@ -11,7 +11,7 @@ from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.residual import Residual, ResidualScaffold
-from ssm_study.models.scaffolds.scaffold import Frame
+from ssm_study.models.scaffolds.trainable import Frame
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace

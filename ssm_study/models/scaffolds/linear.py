@@ -14,7 +14,8 @@ from ssm_study.bounds.slopes import (
     bound_from_interval,
 )
 from ssm_study.models.lazy_torch import Tensor
-from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable
+from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square
+from ssm_study.models.scaffolds.trainable import Frame, Trainable
 
 
 @dataclass(frozen=True, kw_only=True)

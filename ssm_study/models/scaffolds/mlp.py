@@ -10,15 +10,8 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import (
-    Frame,
-    Free,
-    Pieces,
-    Scaffold,
-    Square,
-    Trainable,
-    numbers,
-)
+from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, numbers
+from ssm_study.models.scaffolds.trainable import Frame, Trainable
 from ssm_study.refusal import at_least
 
 # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth

@@ -11,15 +11,8 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_interval
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import (
-    Frame,
-    Free,
-    Pieces,
-    Scaffold,
-    Square,
-    Trainable,
-    numbers,
-)
+from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, numbers
+from ssm_study.models.scaffolds.trainable import Frame, Trainable
 from ssm_study.refusal import require
 
 

@@ -11,7 +11,8 @@ from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
-from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable, numbers
+from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square, numbers
+from ssm_study.models.scaffolds.trainable import Frame, Trainable
 from ssm_study.refusal import at_least, require
 from ssm_study.systems import JacobianBall
 

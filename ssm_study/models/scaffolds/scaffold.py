@@ -4,9 +4,9 @@
 group `scaffold` says. Members are found by `names`, the kind that JSON says.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields
+from dataclasses import MISSING, Field, fields
 from typing import Any, ClassVar, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -164,58 +164,6 @@ class Scaffold(Family, Explicit):
             return super().from_json(data)
         one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
         return kinds[data["kind"]].from_json(data)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Frame:
-    """Data that a model gives its static maps: width, sector, and samples of the signal that each
-    will receive, `(N, m)`."""
-
-    width: int
-    slopes: tuple[float, float]
-    samples: Float[np.ndarray, "N m"]
-
-
-class Trainable(ABC):
-    """Base class of static maps that are trained. Free parameters -> explicit parameters -> `S(v)`:
-    the constraint lives in the first map, and only there.
-
-    A choice of scaffolding: `build` returns a `TorchScaffold` with all slopes in the frame's
-    sector. The paper's perceptron with free weights is the exception, and says so.
-    """
-
-    fixed: ClassVar[
-        tuple[str, ...]
-    ] = ()  # Names, or beginnings of names, of parameters that are not trained
-
-    @abstractmethod
-    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
-        """Initial values of the free parameters."""
-
-    @abstractmethod
-    def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """Explicit parameters for any values of the free ones, with slopes in the sector."""
-
-    @abstractmethod
-    def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        """Evaluate the map, `S(v)`."""
-
-    @abstractmethod
-    def frozen(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """Trained static map as explicit numbers in float64."""
-
-    def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
-        """Pieces of a one-channel piecewise-linear map. None for others."""
-        return None
-
-    def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Total variation of the slopes (`roughness` below). Zero where slopes are not explicit."""
-        return torch.zeros((), dtype=torch.float64)
-
-    def build(self, frame: Frame, rng: np.random.Generator) -> Any:
-        from ssm_study.models.torch_ssm import TorchScaffold
-
-        return TorchScaffold(self, self.start(frame, rng), frame.slopes)
 
 
 def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
