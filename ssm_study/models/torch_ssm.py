@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.scaffolds.torch_scaffold import TorchScaffold
 from ssm_study.models.torch_recurrence import ModalForm, end_state, respond
+from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 

@@ -17,8 +17,8 @@ from ssm_study.bounds.slopes import interval_bound, jacobian_ball
 from ssm_study.models.scaffolds.mlp import Mlp, layer_sector
 from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.models.scaffolds.torch_scaffold import TorchScaffold
 from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.models.torch_ssm import Lift
 
 CONF = Path(__file__).resolve().parents[2] / "conf"

@@ -59,6 +59,6 @@ class Trainable(ABC):
 
     def build(self, frame: Frame, rng: np.random.Generator) -> Any:
         """Torch module of the map with its initial values."""
-        from ssm_study.models.scaffolds.torch_scaffold import TorchScaffold
+        from ssm_study.models.torch_scaffold import TorchScaffold
 
         return TorchScaffold(self, self.start(frame, rng), frame.slopes)

@@ -7,7 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ssm_study.models.scaffolds.scaffold import Pieces, Scaffold
+# Points, slopes and offsets: `models.scaffolds.scaffold.Pieces`.
+Pieces = tuple[Tensor, Tensor, Tensor]
 
 
 class TorchScaffold(nn.Module):
@@ -34,7 +35,7 @@ class TorchScaffold(nn.Module):
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
         return self.spec.evaluate(self.explicit(), v)
 
-    def freeze(self) -> Scaffold:
+    def freeze(self) -> Any:
         return self.spec.frozen(self.explicit(), self.slopes)
 
     def pieces(self) -> Pieces | None:
