@@ -164,7 +164,7 @@ class Design:
             return {}
         data = self.origin.data
         twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
-        loop = self.loop.within(data.applied).fitted(self.model)
+        loop = self.loop.within(data.training_inputs).fitted(self.model)
         runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
         return (
             {"loop_on": "identified model"}
@@ -306,7 +306,7 @@ class Design:
         loop = Loop().fitted(self.model)
         recorded = self._recorded_inputs
         if recorded:
-            loop = loop.within(self.model.scale.with_rest(recorded))
+            loop = loop.within(self.model.scale.append_equilibrium_input(recorded))
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(

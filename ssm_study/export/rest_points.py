@@ -110,7 +110,7 @@ def _equilibrium(
         """Difference between the next state and the state."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = phi(neurons.kinds, z) - neurons.phi_bias
-        tangent = model.at_slopes(phi(neurons.kinds, z, "slope"))
+        tangent = model.linearise_at_slopes(phi(neurons.kinds, z, "slope"))
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
         return following - x, tangent.a - np.eye(len(x))
 

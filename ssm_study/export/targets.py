@@ -100,7 +100,7 @@ def limits(run: Path) -> tuple[Range, Range]:
     settings = OmegaConf.create(read_stored_yaml(file)) if file.is_file() else OmegaConf.create()
     lower = OmegaConf.select(settings, "loop.input_lower")
     upper = OmegaConf.select(settings, "loop.input_upper")
-    around_rest = _model(run).scale.with_rest([np.stack(visited[1:])])
+    around_rest = _model(run).scale.append_equilibrium_input([np.stack(visited[1:])])
     return input_limits(resolve_node(lower), resolve_node(upper), around_rest)
 
 

@@ -196,7 +196,7 @@ class CandidateGrid:
         side = "rate_observer" if observes else "rate_controller"
         proved_candidates = []
         for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
-            frozen = system.at_slopes(slopes)
+            frozen = system.linearise_at_slopes(slopes)
             for request, solution in self.solve_side(
                 specification, frozen, ball, observes
             ).candidates:

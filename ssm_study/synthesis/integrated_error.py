@@ -67,7 +67,7 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         held = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))[1]
     else:
-        held = linear.held()[0].T
+        held = linear.steady_states()[0].T
     no_input = np.zeros((len(held), linear.b.shape[1]))
     reach = np.linalg.norm(model.read_scaled(held, no_input), axis=1)
     counts = reach > 1e-6 * reach.max()
@@ -98,7 +98,7 @@ def relative_areas(
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
     lies beyond the horizon. Observers start from zero. Gains with an internal model are also judged
     by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
-    units, inputs within `limits`, where it is `held`. Below one is faster than none.
+    units, inputs within `limits`, where it is `steady_states`. Below one is faster than none.
     """
     x0, load, horizon = release(model, validation, loaded=len(gains.modes) > 0)
     cut = limits or (-LARGEST, LARGEST)

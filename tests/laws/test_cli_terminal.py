@@ -152,6 +152,6 @@ def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
     study = SimpleNamespace(of_best=lambda *_, **__: (loop,))
     widths = {}
     for width in ("page", "column"):
-        with style.paper(width):
+        with style.paper_style(width):
             widths[width] = closed_loop_responses.draw(study).get_size_inches()[0]
     assert widths == {"page": style.PAGE_IN, "column": style.COLUMN_IN}

@@ -89,7 +89,7 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     noise."""
     data = log_of(tmp_path)
     linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.15]]), c=np.eye(1), d=np.zeros((1, 1)))
-    unit = replace(Scale.unit(1, 1), input_equilibrium=np.ones(1))
+    unit = replace(Scale.identity(1, 1), input_equilibrium=np.ones(1))
     shown = measure_mismatch(
         SSM.of(linear, 0.1, unit), data.validation, data.start_up_samples, data.mismatch_records
     )

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.durable import json_bytes, link_or_copy, sealed
+from ssm_study.durable import json_bytes, link_or_copy, add_digest
 from ssm_study.engine.jobs import Job, kill_group, note_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, error_facts, execute
@@ -233,7 +233,7 @@ def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path
     study = tmp_path / "study"
     execute(study / "good", {"seed": 1}, lambda _: {})
     execute(study / "huge", {"seed": 1}, lambda _: {})
-    huge = json_bytes(sealed({"record_version": 1, "status": "ok", "seed": 10**30}))
+    huge = json_bytes(add_digest({"record_version": 1, "status": "ok", "seed": 10**30}))
     (study / "huge" / RECORD).write_bytes(huge)
     assert parse_record(huge) == {"status": "corrupt"}
     assert gather(study).set_index("run")["status"].to_dict() == {"good": "ok", "huge": "corrupt"}

@@ -40,10 +40,10 @@ def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Whatever a test trusts is forgotten after it."""
     monkeypatch.setenv(extensions.FOLDER, "")
     monkeypatch.setattr(sys, "path", list(sys.path))
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
     yield
     monkeypatch.undo()
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -164,9 +164,9 @@ def test_no_other_folder_is_trusted(tmp_path: Path, name: str, made: bool, said:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
     with pytest.raises(BadRequest, match=said):
-        extensions.trust(tmp_path / name)
+        extensions.trust_package(tmp_path / name)
     with pytest.raises(BadRequest, match="names no folder"):
-        extensions.taken_from(["verify", "run", "--with"])
+        extensions.pop_extension_option(["verify", "run", "--with"])
 
 
 def test_new_refuses(tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path)
         "    def read(self, path, names): raise NotImplementedError\n"
     )
     assert ".mine" not in Reader.members(readers)
-    extensions.trust(tmp_path / "logs_of_mine")
+    extensions.trust_package(tmp_path / "logs_of_mine")
     try:
         assert Reader.members(readers)[".mine"].__module__ == "logs_of_mine"
     finally:

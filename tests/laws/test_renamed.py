@@ -13,7 +13,12 @@ from omegaconf import OmegaConf
 
 from ssm_study import renamed
 from ssm_study.cli.request import translate
-from ssm_study.durable import contents, sealed, unsealed, write_json_atomically
+from ssm_study.durable import (
+    read_limited_bytes,
+    add_digest,
+    read_sealed_json,
+    write_json_atomically,
+)
 from ssm_study.engine.records import CORRUPT, parse_record, read_record, write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.renamed import OldName, Withdrawn
@@ -124,7 +129,7 @@ def test_a_method_that_a_stranger_overrides_by_its_old_name_is_called() -> None:
         def present(self) -> str:
             return "ours"
 
-    renamed.accept_old_methods(Base, {"old_present": "present"})
+    renamed.support_old_methods(Base, {"old_present": "present"})
     with pytest.warns(OldName, match=r"Theirs\.old_present is now Theirs\.present"):
 
         class Theirs(Ours):
@@ -144,7 +149,7 @@ def test_an_abstract_method_is_answered_by_its_old_name() -> None:
         @abstractmethod
         def present() -> str: ...
 
-    renamed.accept_old_methods(Base, {"old": "present"})
+    renamed.support_old_methods(Base, {"old": "present"})
 
     class Theirs(Base):
         @staticmethod
@@ -161,12 +166,12 @@ def test_stored_targets_are_read_under_their_new_names() -> None:
     config = OmegaConf.create(
         {"model": {"among_starts": {"_target_": old, "at": "${seed}"}}, "seed": 3}
     )
-    renamed.bring_up_to_date(config)
+    renamed.rename_old_settings(config)
     chosen = config.model.among_starts
     assert chosen._target_ == "ssm_study.synthesis.model_selection.LargestCertifiableRate"
     assert chosen.at == 3
     for foreign in ("os.system", "ssm_study.cli.main.main", "another.synthesis.among_starts.Foo"):
-        assert renamed.present_target(foreign) == foreign
+        assert renamed.current_target(foreign) == foreign
 
 
 @pytest.fixture
@@ -184,7 +189,7 @@ def tables(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
     assert translate(["model.summed=true", "seed=1"]) == ["model.integrating=true", "seed=1"]
     tree = {"model": {"summed": True, "order": 2}, "training": {"old_weight": 0.0, "starts": 1}}
-    assert renamed.present_settings(tree) == {
+    assert renamed.current_settings(tree) == {
         "model": {"integrating": True, "order": 2},
         "training": {"starts": 1},
     }
@@ -192,7 +197,7 @@ def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
     with pytest.raises(
         BadRequest, match=r"training.old_weight = 0.5: was withdrawn in 0.2 \(CHANGE"
     ):
-        renamed.present_settings(tree)
+        renamed.current_settings(tree)
     with pytest.raises(BadRequest, match=r"training.old_weight = 0.1: was withdrawn in 0.2"):
         translate(["training.old_weight=0.1"])
     with pytest.raises(
@@ -213,13 +218,13 @@ def test_a_renamed_column_has_both_names_in_a_record(tmp_path: Path) -> None:
 
 def written(folder: Path, record: dict[str, object]) -> bytes:
     """A record as another version would have sealed it."""
-    write_json_atomically(folder / "other.json", sealed(record))
-    return contents(folder / "other.json")
+    write_json_atomically(folder / "other.json", add_digest(record))
+    return read_limited_bytes(folder / "other.json")
 
 
 @pytest.mark.parametrize("version", [0, 3, "2", True, None, 1.0])
 def test_a_record_of_an_unknown_version_is_corrupt(tmp_path: Path, version: object) -> None:
     stored = written(tmp_path, {"record_version": version, "status": "ok"})
-    assert unsealed(stored) is not None
+    assert read_sealed_json(stored) is not None
     assert parse_record(stored) == {"status": CORRUPT}
     assert parse_record(written(tmp_path, {"record_version": 1, "status": "ok"}))["status"] == "ok"

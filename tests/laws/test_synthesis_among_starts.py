@@ -69,7 +69,7 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     """Bisection on the inequality with neurons, and the frontier in closed form."""
     idle = drawn(seed=3, size=1e-6)
     assert isinstance(idle, StructuredSystem)
-    exact = largest_rate_of(idle.at_slopes(np.zeros(idle.neurons)), BALL)
+    exact = largest_rate_of(idle.linearise_at_slopes(np.zeros(idle.neurons)), BALL)
     assert largest_rate_of(idle, BALL) == pytest.approx(exact, abs=2e-3)
     assert largest_rate_of(idle, BALL) <= exact
 

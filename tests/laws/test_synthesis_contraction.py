@@ -45,7 +45,7 @@ def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
         linear=linear,
         scaffold_in=kinked(rng, channels, 0.3),
         scaffold_out=kinked(rng, channels, output_floor),
-        scale=Scale.unit(channels, channels),
+        scale=Scale.identity(channels, channels),
         step_s=0.1,
     )
 

@@ -289,7 +289,7 @@ def recorded(model: StructuredSSM, seed: int) -> DataSet:
         test=records[2],
         inputs=channel,
         outputs=channel,
-        scale=Scale.unit(1, 1),
+        scale=Scale.identity(1, 1),
     )
 
 
@@ -307,7 +307,7 @@ def data() -> DataSet:
         neurons=("tanh",),
         scaffold_in=LinearScaffold.identity(1),
         scaffold_out=LinearScaffold.identity(1),
-        scale=Scale.unit(1, 1),
+        scale=Scale.identity(1, 1),
         step_s=0.1,
     )
     return recorded(true, 0)

@@ -250,7 +250,7 @@ def two_channel(inner, outer=None) -> SSM:
         linear=linear,
         scaffold_in=inner,
         scaffold_out=outer or LinearScaffold.identity(2),
-        scale=Scale.unit(2, 2),
+        scale=Scale.identity(2, 2),
         step_s=0.1,
     )
 

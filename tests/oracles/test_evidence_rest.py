@@ -177,7 +177,7 @@ def test_short_returns_of_an_output_that_moves_on_say_nothing(tmp_path):
 def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     """Where the first sample after the step lies decides."""
     record = Trajectory(u=np.eye(41, 1), y=start * np.eye(41, 1, -1), step_s=0.1)
-    still, offsets = after_returns(Scale.unit(1, 1), [record], 1000)
+    still, offsets = after_returns(Scale.identity(1, 1), [record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -187,7 +187,7 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     """Two short returns at another input than the equilibrium's, where the output rests at one."""
     y = np.where(np.arange(41) < 2, start, 1.0)[:, None]
     record = Trajectory(u=1.0 + np.eye(41, 1), y=y, step_s=0.1)
-    still, offsets = after_returns(Scale.unit(1, 1), [record, record], 1000)
+    still, offsets = after_returns(Scale.identity(1, 1), [record, record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 

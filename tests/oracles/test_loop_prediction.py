@@ -55,7 +55,7 @@ def linear_model(seed: int, order: int = 3) -> SSM:
         linear=linear,
         scaffold_in=unit,
         scaffold_out=unit,
-        scale=Scale.unit(1, 1),
+        scale=Scale.identity(1, 1),
         step_s=0.01,
     )
 
@@ -342,7 +342,7 @@ def drive_model() -> SSM:
             c=np.array([[0.0, 1.0]]),
             d=np.zeros((1, 1)),
         ),
-        scaffold_in=unit, scaffold_out=unit, scale=Scale.unit(1, 1),
+        scaffold_in=unit, scaffold_out=unit, scale=Scale.identity(1, 1),
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.return_to_rest import AT_REST
-from ssm_study.signals import Trajectory, repetition
+from ssm_study.signals import Trajectory, find_repetition
 from ssm_study.study.stages.mismatch import read_mismatch, write_mismatch
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
@@ -34,15 +34,15 @@ def test_two_equal_pieces_are_found_wherever_they_are(seed, period, before, afte
     rng = np.random.default_rng(seed)
     piece = rng.standard_normal((period, 1))
     u = np.concatenate([rng.standard_normal((before, 1)), piece, piece, np.zeros((after, 1))])
-    assert repetition(u) == (before, period)
+    assert find_repetition(u) == (before, period)
     u[before + period // 2] += 1e-3
-    assert repetition(u) is None
+    assert find_repetition(u) is None
 
 
 def test_a_signal_that_rests_or_holds_its_levels_does_not_repeat():
-    assert repetition(np.zeros((500, 1))) is None
+    assert find_repetition(np.zeros((500, 1))) is None
     levels = np.random.default_rng(0).uniform(-1, 1, 40)
-    assert repetition(np.repeat(levels, 20)[:, None]) is None
+    assert find_repetition(np.repeat(levels, 20)[:, None]) is None
 
 
 def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 0) -> Trajectory:
@@ -224,7 +224,7 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
         max(np.abs(record.u).max() for record in records) <= motor().input_amplitude[0]
     )  # none goes beyond it
     for record, share in zip(records, SHARES, strict=False):
-        assert repetition(record.u) == (LEAD_IN, PERIOD)
+        assert find_repetition(record.u) == (LEAD_IN, PERIOD)
         assert np.abs(record.u).max() <= share * motor().input_amplitude[0]
         assert not record.u[-PERIOD // 2 :].any()
     for record, share in zip(records[-len(RETURNS) :], RETURNS, strict=True):

@@ -259,7 +259,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
 
 def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
     """Largest input that the law asks for from rest at this output, the estimate exact."""
-    rest, _, gain = model.linear.held()
+    rest, _, gain = model.linear.steady_states()
     x = rest @ np.linalg.solve(model.scaffold_out.portable().linear @ gain, output)
     k = design.state_feedback.k
     largest = 0.0
@@ -284,7 +284,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     assert 0.4 < max(requests) <= 0.6
     np.testing.assert_allclose(found.lower, -found.upper)
 
-    rest, _, gain = model.linear.held()
+    rest, _, gain = model.linear.steady_states()
     mapped = rest @ np.linalg.inv(gain) @ np.array([[1.0, 1.0], [-1.0, 1.0]])
     limits = np.stack(ends, axis=1)
     old = certify_unlimited_start([design.state_feedback], mapped, limits)

@@ -30,7 +30,7 @@ ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.
 
 class _Model:
     def __init__(self, system: StructuredSystem) -> None:
-        self.system, self.linear = system, system.at_slopes(np.zeros(system.neurons))
+        self.system, self.linear = system, system.linearise_at_slopes(np.zeros(system.neurons))
 
 
 def found(
@@ -61,7 +61,7 @@ def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndar
     system = drawn(2, n=4, q=3, radius=0.9)
     still = StructuredSystem(**{**vars(system), "e": 0 * system.e, "h": 0 * system.h})
     known, proved = found(still, weight)
-    linear = still.at_slopes(np.zeros(3))
+    linear = still.linearise_at_slopes(np.zeros(3))
     gains = {name: known.gains[name] for name in ("k", "l")}
     other = without_neurons(
         VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains), weight
@@ -82,7 +82,11 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
         injected = l + (system.e * slopes) @ l_z
         for slope in (0.6, 0.8, 1.0):
             peaks.append(
-                hinf_norm(sensitivity(system.at_slopes(slopes), Gains(k=k, l=injected), slope, 0.8))
+                hinf_norm(
+                    sensitivity(
+                        system.linearise_at_slopes(slopes), Gains(k=k, l=injected), slope, 0.8
+                    )
+                )
             )
     assert 0.2 < proved.s * max(peaks) <= 1
     assert not StructuredTolerance.holds(**(proved.variables | {"s": 1.001 / max(peaks)}))

@@ -138,7 +138,7 @@ def test_the_points_at_rest_are_all_of_them() -> None:
             c = rng.standard_normal((2, 4))
             d = rng.standard_normal((2, inputs))
             system = StateSpace(a=turn @ modes @ turn.T, b=b, c=c, d=d)
-            x, v, y = system.held()
+            x, v, y = system.steady_states()
             assert system.integrates == (integrators > 0)
             assert x.shape[1] == max(inputs, integrators)
             assert np.linalg.matrix_rank(np.vstack([x, v])) == x.shape[1]

@@ -61,9 +61,11 @@ def test_the_exact_routes_agree_with_textbook_elimination(
     gram = (gram + gram.T) / 2
     matrix = gram + (shift - np.linalg.eigvalsh(gram)[0]) * np.eye(size)
     fractions = [[Fraction(float(value)) for value in row] for row in matrix]
-    verdict = exact.is_positive_definite(Exact.of(matrix))
+    verdict = exact.is_positive_definite(Exact.from_floats(matrix))
     assert verdict == plain_ldl_is_positive(fractions)
-    assert verdict == exact.has_positive_leading_minors(Exact.of(matrix).rational.numer_denom()[0])
+    assert verdict == exact.has_positive_leading_minors(
+        Exact.from_floats(matrix).rational.numer_denom()[0]
+    )
 
 
 @pytest.mark.parametrize("synthesis", [RiccatiSynthesis, ClosedFormSynthesis, LmiSynthesis])
@@ -128,7 +130,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     )
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
-    np.testing.assert_allclose(exactly["inequality"].rounded(), one, atol=1e-13)
+    np.testing.assert_allclose(exactly["inequality"].to_floats(), one, atol=1e-13)
     c = b.T.copy()
     gain = k.T.copy()
     v = y @ gain
@@ -142,7 +144,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
         ]
     )
     exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
-    np.testing.assert_allclose(exactly["inequality"].rounded(), two, atol=1e-13)
+    np.testing.assert_allclose(exactly["inequality"].to_floats(), two, atol=1e-13)
 
 
 def test_units_far_apart_are_decided_by_the_balls_alone(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,7 +182,7 @@ def test_what_floats_cannot_see_needs_no_elimination(
 ) -> None:
     """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the
     resolution of floats."""
-    lower = Exact.of(
+    lower = Exact.from_floats(
         np.tril(0.1 * np.random.default_rng(size).normal(size=(size, size)), -1) + np.eye(size)
     )
     matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
@@ -193,6 +195,6 @@ def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
     factor = 2.0**-20 * np.eye(56) + np.diag(np.ones(55), -1)
     floats = factor @ factor.T
     np.testing.assert_array_equal(np.linalg.cholesky(floats), factor)
-    assert exact.is_positive_definite(Exact.of(floats))
+    assert exact.is_positive_definite(Exact.from_floats(floats))
     floats[-1, -1] = 1.0  # the last pivot is zero
-    assert not exact.is_positive_definite(Exact.of(floats))
+    assert not exact.is_positive_definite(Exact.from_floats(floats))

@@ -214,5 +214,5 @@ def test_integrators_are_states_like_others() -> None:
     found = least_cost(problem)
     assert is_confirmed(problem, found)
     assert sampled(system, "state_feedback", WIDE, found) <= problem.contraction
-    alone = [linear.a for linear in map(system.at_slopes, system.corners())]
+    alone = [linear.a for linear in map(system.linearise_at_slopes, system.corners())]
     assert all(np.abs(np.linalg.eigvals(a)).max() > 1 - 1e-12 for a in alone)

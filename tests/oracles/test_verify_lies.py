@@ -40,7 +40,7 @@ from verify_lies import (
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.data.recorded import RecordedData
-from ssm_study.durable import sealed, sha256_of_file, unsealed, write_json_atomically
+from ssm_study.durable import add_digest, sha256_of_file, read_sealed_json, write_json_atomically
 from ssm_study.engine.records import read_record
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
@@ -144,10 +144,10 @@ def test_the_command_gathers_anew_whatever_table_lies_there(
     study = copied_run.parent
     true = gather(study)
     true.assign(fit_test_percent=99.9).to_parquet(study / "runs.parquet", index=False)
-    index = unsealed((study / MARKS).read_bytes()) or {}
+    index = read_sealed_json((study / MARKS).read_bytes()) or {}
     sums = {"runs.parquet": sha256_of_file(study / "runs.parquet")}
     write_json_atomically(
-        study / MARKS, sealed({k: v for k, v in index.items() if k != "sha256"} | sums)
+        study / MARKS, add_digest({k: v for k, v in index.items() if k != "sha256"} | sums)
     )
     assert gather(study)["fit_test_percent"].item() == 99.9
     assert main([command, str(study)]) == 0

@@ -21,7 +21,7 @@ def stored() -> dict[str, Any]:
         linear=linear,
         scaffold_in=identity,
         scaffold_out=identity,
-        scale=Scale.unit(1, 1),
+        scale=Scale.identity(1, 1),
         step_s=0.01,
     ).to_json()
 

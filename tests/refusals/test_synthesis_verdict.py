@@ -245,7 +245,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
         conditions(**numbers)["inequality"]
         for conditions in (type(part).as_floats, type(part).exactly)
     )
-    np.testing.assert_allclose(ours, unit_diagonal(exactly.rounded()), atol=1e-13)
+    np.testing.assert_allclose(ours, unit_diagonal(exactly.to_floats()), atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
     assert type(part).proved(numbers, **known).margin == smallest_eigenvalue(ours)
 

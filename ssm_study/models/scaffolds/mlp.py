@@ -19,7 +19,7 @@ from ssm_study.models.scaffolds.scaffold import (
     Trainable,
     numbers,
 )
-from ssm_study.refusal import at_least
+from ssm_study.refusal import require_at_least
 
 # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
 JUMP_UNIT = 0.3
@@ -88,7 +88,7 @@ class Mlp(Trainable):
     certified: bool
 
     def __post_init__(self) -> None:
-        at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
+        require_at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
 
     def build(self, frame: Frame, rng: np.random.Generator) -> Any:
         if self.certified and frame.samples.shape[1] == 1:
