@@ -65,6 +65,6 @@ def draw(trial: pd.DataFrame, path: Path, step_s: float = 0.01) -> None:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         print(told(Path(folder))["replay"])
-        with style.paper():
+        with style.paper_style():
             draw(pd.read_csv(Path(folder) / "first_trial.csv"), PICTURE)
     print(PICTURE)

@@ -216,7 +216,7 @@ WITHDRAWN_COLUMNS: Mapping[str, Withdrawn] = {
 
 
 @cache
-def present_module(module: str) -> str:
+def current_module(module: str) -> str:
     """The module that an import of `module` means today, dotted from `ssm_study`."""
     inner = module.removeprefix(f"{OURS}.")
     if inner == module:
@@ -229,9 +229,9 @@ def present_module(module: str) -> str:
     return module
 
 
-def present_symbol(module: str, name: str) -> tuple[str, str]:
+def current_symbol(module: str, name: str) -> tuple[str, str]:
     """The module and the name that `from module import name` means today."""
-    as_module = present_module(f"{module}.{name}")
+    as_module = current_module(f"{module}.{name}")
     dotted = as_module.removeprefix(f"{OURS}.")
     dotted = NAMES.get(dotted, dotted)
     present = f"{OURS}.{dotted}" if module.split(".")[0] == OURS else f"{module}.{name}"
@@ -239,12 +239,12 @@ def present_symbol(module: str, name: str) -> tuple[str, str]:
     return holder, last
 
 
-def present_target(target: Any) -> Any:
+def current_target(target: Any) -> Any:
     """The class that a `_target_` names today; whatever is no text is returned as it is."""
     if not isinstance(target, str) or not target.startswith(f"{OURS}."):
         return target
     module, _, name = target.rpartition(".")
-    return ".".join(present_symbol(module, name))
+    return ".".join(current_symbol(module, name))
 
 
 def withdrawn_target(target: Any) -> Withdrawn | None:
@@ -252,7 +252,7 @@ def withdrawn_target(target: Any) -> Withdrawn | None:
     return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
-def warn(old: str, new: str) -> None:
+def warn_of_old_name(old: str, new: str) -> None:
     """Warn once that a name is old, with the new one."""
     if old not in _WARNED:
         _WARNED.add(old)
@@ -266,13 +266,13 @@ _WARNED: set[str] = set()
 # Settings
 
 
-def present_settings(tree: Any, path: str = "") -> Any:
+def current_settings(tree: Any, path: str = "") -> Any:
     """Plain containers of an earlier version under today's names.
 
     Raises `BadRequest` for a withdrawn setting whose value is not the neutral one.
     """
     if isinstance(tree, list):
-        return [present_settings(value, f"{path}[]") for value in tree]
+        return [current_settings(value, f"{path}[]") for value in tree]
     if not isinstance(tree, dict):
         return tree
     present: dict[Any, Any] = {}
@@ -284,14 +284,14 @@ def present_settings(tree: Any, path: str = "") -> Any:
             continue
         name = SETTINGS.get(place, place).rpartition(".")[2]
         is_target = key == "_target_"
-        present[name] = present_target(value) if is_target else present_settings(value, place)
+        present[name] = current_target(value) if is_target else current_settings(value, place)
     return type(tree)(present)
 
 
-def bring_up_to_date(config: Any) -> None:
+def rename_old_settings(config: Any) -> None:
     """Give a composed or stored configuration (`DictConfig`) today's names, in place.
 
-    Raises `BadRequest` as `present_settings` does.
+    Raises `BadRequest` as `current_settings` does.
     """
     from omegaconf import OmegaConf, open_dict
 
@@ -299,7 +299,7 @@ def bring_up_to_date(config: Any) -> None:
     assert isinstance(tree, dict)
     hydra = tree.pop("hydra", None)
     del hydra  # its own section, whose targets are its own
-    present = present_settings(tree)
+    present = current_settings(tree)
     with open_dict(config):
         for key in tree:
             if key not in present:
@@ -327,7 +327,7 @@ def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawn) -> None:
         raise BadRequest(path, value, problem, withdrawn.remedy)
 
 
-def present_override(word: str) -> str:
+def current_override(word: str) -> str:
     """A word of a command, `model.integrated=true`, under today's name.
 
     Raises `BadRequest` with the line of the changelog for what was withdrawn.
@@ -345,21 +345,21 @@ def present_override(word: str) -> str:
             problem = f"was {gone.sentence} ({CHANGELOG})"
             raise BadRequest(path, choice.strip(), problem, gone.remedy)
     if path in SETTINGS:
-        warn(path, SETTINGS[path])
+        warn_of_old_name(path, SETTINGS[path])
         return f"{marks}{SETTINGS[path]}{equals}{value}"
-    return f"{key}={present_target(value)}" if path.endswith("_target_") else word
+    return f"{key}={current_target(value)}" if path.endswith("_target_") else word
 
 
-def present_overrides(words: Sequence[str]) -> list[str]:
+def current_overrides(words: Sequence[str]) -> list[str]:
     """The words of a command under today's names; those that say nothing any more are left out."""
-    present = [present_override(word) for word in words]
+    present = [current_override(word) for word in words]
     return [word for word in present if word]
 
 
 # Columns
 
 
-def with_both_columns(record: Mapping[str, Any]) -> dict[str, Any]:
+def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
     """A record with every renamed column under its old and its new name."""
     both = dict(record)
     for old, new in COLUMNS.items():
@@ -382,25 +382,25 @@ class OldModules(MetaPathFinder):
         del target
         if not fullname.startswith(f"{OURS}."):
             return None
-        present = present_module(fullname)
+        present = current_module(fullname)
         if present != fullname:
             return ModuleSpec(fullname, Alias(present), is_package=True)
         inner = fullname.removeprefix(f"{OURS}.")
         if inner not in _modules_with_renames():
             return None
-        spec = _found_by_others(fullname, path)
+        spec = _find_with_other_finders(fullname, path)
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
                 execute(module)
-                _give_old_names(module, inner)
+                _restore_old_names(module, inner)
 
             spec.loader.exec_module = exec_module  # type: ignore[method-assign]
         return spec
 
 
-def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
+def _find_with_other_finders(fullname: str, path: Any) -> ModuleSpec | None:
     """Module that other import hooks find, that of the tests' shapes among them."""
     for finder in sys.meta_path:
         if not isinstance(finder, OldModules):
@@ -421,7 +421,7 @@ class Alias(Loader):
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        warn(module.__name__, self.present)
+        warn_of_old_name(module.__name__, self.present)
         # The import takes what stands in sys.modules afterwards.
         sys.modules[module.__name__] = importlib.import_module(self.present)
 
@@ -432,7 +432,7 @@ def _modules_with_renames() -> frozenset[str]:
     return frozenset(name.rpartition(".")[0] for name in (*NAMES, *METHODS))
 
 
-def _give_old_names(module: ModuleType, inner: str) -> None:
+def _restore_old_names(module: ModuleType, inner: str) -> None:
     """Let a module, just imported, answer to the old names of what it holds."""
     holder = f"{inner}."
     old_names = {
@@ -444,7 +444,7 @@ def _give_old_names(module: ModuleType, inner: str) -> None:
     def look_up(name: str) -> Any:
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
-        warn(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
+        warn_of_old_name(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
         place, _, present = old_names[name].rpartition(".")
         return getattr(importlib.import_module(f"{OURS}.{place}"), present)
 
@@ -453,19 +453,19 @@ def _give_old_names(module: ModuleType, inner: str) -> None:
     for dotted, methods in METHODS.items():
         place, _, name = dotted.rpartition(".")
         if place == inner:
-            accept_old_methods(getattr(module, name), methods)
+            support_old_methods(getattr(module, name), methods)
 
 
-def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
+def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
     """Let a class and all its subclasses answer to old and new names of these methods."""
-    answer_to_both(base, methods)
+    add_method_aliases(base, methods)
     for kind in _subclasses(base):
-        answer_to_both(kind, methods)
+        add_method_aliases(kind, methods)
     defined = vars(base).get("__init_subclass__")
 
     def redirect_renamed_overrides(cls: type, **options: Any) -> None:
         """Give a new subclass the old method names, then do what its base class does."""
-        answer_to_both(cls, methods)
+        add_method_aliases(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]
         else:
@@ -475,12 +475,12 @@ def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
     base.__init_subclass__ = classmethod(redirect_renamed_overrides)  # type: ignore[assignment]
 
 
-def answer_to_both(kind: type, methods: Mapping[str, str]) -> None:
+def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
     """Give each method that the class itself defines its other name as well."""
     for old, new in methods.items():
         defined = vars(kind)
         if old in defined and new not in defined:
-            warn(f"{kind.__name__}.{old}", f"{kind.__name__}.{new}")
+            warn_of_old_name(f"{kind.__name__}.{old}", f"{kind.__name__}.{new}")
             setattr(kind, new, defined[old])
         elif new in defined and old not in defined:
             setattr(kind, old, defined[new])
@@ -493,7 +493,7 @@ def _subclasses(base: type) -> Iterator[type]:
         yield from _subclasses(kind)
 
 
-def install() -> None:
+def install_import_hook() -> None:
     """Make old modules importable; asked once, when the package is imported."""
     if not any(isinstance(finder, OldModules) for finder in sys.meta_path):
         sys.meta_path.insert(0, OldModules())
@@ -501,4 +501,4 @@ def install() -> None:
         inner
     ) in _modules_with_renames():  # imported before this, by whatever imports the package in parts
         with suppress(KeyError):
-            _give_old_names(sys.modules[f"{OURS}.{inner}"], inner)
+            _restore_old_names(sys.modules[f"{OURS}.{inner}"], inner)

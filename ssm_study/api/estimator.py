@@ -10,7 +10,7 @@ from ssm_study.api.fitting import Signals, fit
 from ssm_study.api.model import Model, Values
 from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.models.metrics import Simulation
-from ssm_study.refusal import BadRequest, at_least, require
+from ssm_study.refusal import BadRequest, require_at_least, require
 from ssm_study.signals import Trajectory
 
 FEWEST_SCORED = 2  # samples
@@ -91,7 +91,7 @@ class Estimator:
         before `fit`, and for a record that is no longer than its start.
         """
         model = self._fitted()
-        at_least(0, "start_up_samples", self.start_up_samples, "use 20")
+        require_at_least(0, "start_up_samples", self.start_up_samples, "use 20")
         inputs = signal_columns(u, "u", len(model.data.inputs), model.input_names)[1]
         outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]
         scored = len(outputs) - self.start_up_samples

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectory, repetition
+from ssm_study.signals import Trajectory, find_repetition
 
 Pieces = tuple[list[Trajectory], list[Trajectory], list[Trajectory]]
 Intervals = Sequence[list[float]]
@@ -130,7 +130,7 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     for (a, b), (_, end) in pairwise(rests):
         between.append(record[(a + b) // 2 : end])
     inputs = [piece.driven_by[start_up_samples:] for piece in between]
-    return between if all(repetition(u) for u in inputs) else []
+    return between if all(find_repetition(u) for u in inputs) else []
 
 
 def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
