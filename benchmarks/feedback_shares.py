@@ -85,7 +85,12 @@ def drawn(log: Callable, count: int) -> Iterator[DataSet]:
         record = Trajectory(u=u, y=y, step_s=0.1)
         once = (record,)
         yield DataSet(
-            training=once, validation=once, test=once, inputs=(), outputs=(), scale=Scale.unit(1, 1)
+            training=once,
+            validation=once,
+            test=once,
+            inputs=(),
+            outputs=(),
+            scale=Scale.identity(1, 1),
         )
 
 

@@ -102,7 +102,7 @@ def _drawn(name: str, studies: Sequence[Path]) -> str:
         except NothingToDraw as reason:
             reasons.append(f"{folder}: {reason}")
             continue
-        with style.paper():
+        with style.paper_style():
             figure.savefig(PICTURES / f"{name}.png", dpi=DPI, metadata={"Software": None})
         return f"pictures/gallery/{name}.png"
     raise SystemExit(f"{name} is drawn by none of these studies. {'; '.join(reasons)}")

@@ -92,14 +92,14 @@ def row(folder: Path, situation: str) -> dict[str, object]:
 def draw(folders: list[Path], path: Path) -> None:
     """One start of seed 0 under the sine and the ramp load, the error over time on a logarithmic
     axis."""
-    with style.paper():
+    with style.paper_style():
         fig = drawn(folders)
         fig.savefig(path, dpi=200, metadata={"Software": None})
 
 
 def drawn(folders: list[Path]) -> Figure:
     """The two panels."""
-    fig = style.canvas(style.PAGE_IN, 2.6)
+    fig = style.new_figure(style.PAGE_IN, 2.6)
     for axis, situation in zip(
         fig.subplots(1, 2, sharey=True), ("sine load", "ramp load"), strict=True
     ):

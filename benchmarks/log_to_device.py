@@ -50,7 +50,7 @@ def output(command: str) -> str:
 def draw(trial: pd.DataFrame, path: Path, step_s: float = 0.01) -> None:
     """Speed with its set points above, voltage with its limits below."""
     time_s = step_s * trial.index.to_numpy()
-    fig = style.canvas(style.PAGE_IN, 3.2)
+    fig = style.new_figure(style.PAGE_IN, 3.2)
     above, below = fig.subplots(2, 1, sharex=True)
     above.plot(time_s, trial["speed"], color=style.BLUE, lw=1)
     above.step(time_s, trial["set_point"], color=style.VERMILLION, lw=1, ls="--", where="post")
@@ -65,6 +65,6 @@ def draw(trial: pd.DataFrame, path: Path, step_s: float = 0.01) -> None:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         print(told(Path(folder))["replay"])
-        with style.paper():
+        with style.paper_style():
             draw(pd.read_csv(Path(folder) / "first_trial.csv"), PICTURE)
     print(PICTURE)

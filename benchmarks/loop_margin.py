@@ -183,7 +183,7 @@ def draw(arguments: argparse.Namespace) -> None:
     peers_table, robustness_table = (
         pd.read_csv(folder / f"{name}.csv") for name in ("peers", "robustness")
     )
-    with style.paper():
+    with style.paper_style():
         figures = {
             "margin_roc": roc(drawn),
             "margin_settling": settling(drawn),

@@ -62,7 +62,7 @@ def prediction_score(table: pd.DataFrame) -> Float[np.ndarray, "N"]:
 def roc(table: pd.DataFrame) -> Figure:
     """ROC of "all cases settle" per plant: by the prediction, its threshold as a dot, and by the
     margin in total."""
-    fig = style.canvas(style.COLUMN_IN, 2.8)
+    fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     for plant, own in table.groupby("plant"):
         good = own["kind"].eq("settled").to_numpy(float)
@@ -106,7 +106,7 @@ def settling(table: pd.DataFrame) -> Figure:
     """Settling time relative to the plant left alone against the resolved margin, one panel per
     plant."""
     plants = list(dict.fromkeys(table["plant"]))
-    fig = style.canvas(style.PAGE_IN, 2.7)
+    fig = style.new_figure(style.PAGE_IN, 2.7)
     for axes, plant in zip(
         np.atleast_1d(fig.subplots(1, len(plants), sharey=True)), plants, strict=True
     ):

@@ -37,7 +37,10 @@ PAUSE = 15  # seconds of motion, slow motion, frames at the end
 def animation(loop: RecordedCases) -> FuncAnimation:
     """One frame per recorded sample; every line grows to the right, and its last point is
     marked."""
-    with style.paper(), mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}):
+    with (
+        style.paper_style(),
+        mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}),
+    ):
         figure = Figure(figsize=(7.2, 2.7), layout="constrained")
         FigureCanvasAgg(figure)
         left, right = figure.subplots(1, 2, sharey=True)
@@ -85,7 +88,10 @@ def study_line(study: StudyFolder) -> Figure:
         otherwise="No controlled run.",
     )
     validation, model, certificate, loop, record = parts
-    with style.paper(), mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}):
+    with (
+        style.paper_style(),
+        mpl.rc_context({"font.size": 9, "axes.titlesize": 10, "axes.labelsize": 9}),
+    ):
         figure = Figure(figsize=(7.6, 5.4), layout="constrained")
         FigureCanvasAgg(figure)
         panels = figure.subplots(2, 2).ravel()

@@ -60,7 +60,7 @@ def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
     """The noise-free output of each iteration's loop from its own starts, and its input."""
     from ssm_study.study.loop_recordings import read_experiment
 
-    fig = style.canvas(style.COLUMN_IN, 1.6 * len(runs))
+    fig = style.new_figure(style.COLUMN_IN, 1.6 * len(runs))
     panels = fig.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, run, (_, row) in zip(panels, runs, table.iterrows(), strict=True):
         loop = read_experiment(run)[0].controlled
@@ -86,7 +86,7 @@ def main() -> None:
     from ssm_study.study import allow_list
 
     sys.path.append(str(HERE.parent))
-    allow_list.packages = lambda: {"benchmarks": HERE}  # its plants may be chosen
+    allow_list.trusted_packages = lambda: {"benchmarks": HERE}  # its plants may be chosen
 
     with TemporaryDirectory() as folder:
         runs = iterations(Path(folder), asked.settings)
@@ -100,7 +100,7 @@ def main() -> None:
         table.to_csv(
             asked.to / "refined.csv", index=False, lineterminator="\n", float_format="%.4g"
         )
-        with style.paper():
+        with style.paper_style():
             figure = picture(runs, table)
             figure.savefig(asked.to / "refined.png", dpi=200, metadata={"Software": None})
 

@@ -30,7 +30,7 @@ def feasibility_map(table: pd.DataFrame) -> Figure:
     floor = column(table, "slope_floor")
     rate = column(table, "rate")
     held = flag(table, "solver_certified")
-    fig = style.canvas(style.COLUMN_IN, 2.8)
+    fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log")
     limits = pd.DataFrame({"floor": floor, "limit": column(table, "rate_limit")}).drop_duplicates()
     limits = limits.sort_values("floor")
@@ -55,7 +55,7 @@ def feasibility_map(table: pd.DataFrame) -> Figure:
         ylabel="Controller rate, ρ (1/sample)",
     )
     axes.set_ylim(0, 1)
-    style.above(axes, columns=3)
+    style.place_legend_above(axes, columns=3)
     return fig
 
 
@@ -64,7 +64,7 @@ def gain_norm(table: pd.DataFrame) -> Figure:
 
     `table`: columns `method, rate, rate_limit, gain_norm`, all of one model and one ball.
     """
-    fig = style.canvas(style.COLUMN_IN, 2.6)
+    fig = style.new_figure(style.COLUMN_IN, 2.6)
     axes = fig.add_subplot()
     _lines(axes, table, column(table, "rate"), column(table, "gain_norm"))
     axes.axvline(
@@ -72,7 +72,7 @@ def gain_norm(table: pd.DataFrame) -> Figure:
     )
     axes.set(xlabel="Controller rate, ρ (1/sample)", ylabel="Controller gain ‖K‖ (scaled)")
     axes.set_ylim(bottom=0)
-    style.above(axes, columns=2)
+    style.place_legend_above(axes, columns=2)
     return fig
 
 
@@ -84,7 +84,7 @@ def contraction(table: pd.DataFrame) -> Figure:
     """
     certified = column(table, "certified")
     measured = column(table, "measured")
-    fig = style.canvas(style.COLUMN_IN, 2.8)
+    fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     span = (
         min(certified.min(), measured.min()) - 0.01,
@@ -96,7 +96,7 @@ def contraction(table: pd.DataFrame) -> Figure:
         xlabel="Certified contraction, r (1/sample)", ylabel="Measured contraction, r (1/sample)"
     )
     axes.set(xlim=span, ylim=span)
-    style.above(axes, columns=2)
+    style.place_legend_above(axes, columns=2)
     return fig
 
 
@@ -126,8 +126,10 @@ FIGURES = {"feasibility_map": feasibility_map, "gain_norm": gain_norm, "contract
 
 def main() -> None:
     for name, draw in FIGURES.items():
-        with style.paper():
-            paths = style.save(draw(pd.read_csv(FOLDER / f"{name}.csv")), FOLDER, name, ("png",))
+        with style.paper_style():
+            paths = style.save_figure(
+                draw(pd.read_csv(FOLDER / f"{name}.csv")), FOLDER, name, ("png",)
+            )
         print(*paths, sep="\n")
 
 

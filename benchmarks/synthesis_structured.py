@@ -96,7 +96,7 @@ def sampled(
     def step(at: Float[np.ndarray, "s"]) -> Float[np.ndarray, "n n"]:
         slopes = at[:-1]
         j = ball.lower + at[-1] * (ball.upper - ball.lower)
-        frozen = system.at_slopes(slopes)
+        frozen = system.linearise_at_slopes(slopes)
         if not problem.neurons.observes:
             return root @ (frozen.a + j * frozen.b @ k) @ inverse
         injected = 0.0 if k_w is None else (system.e * slopes) @ k_w.T @ system.c

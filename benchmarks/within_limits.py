@@ -116,7 +116,7 @@ def row(folder: Path, integral: bool) -> dict[str, object]:
 
 def draw(folder: Path, path: Path) -> None:
     """The start farthest out under both, in the style of all figures."""
-    with style.paper():
+    with style.paper_style():
         drawn(folder).savefig(path, dpi=200, metadata={"Software": None})
 
 
@@ -126,7 +126,7 @@ def drawn(folder: Path) -> Figure:
     _, told, naive = loops(files, integral=True)
     low, high = LIMITS[folder.parent.name]
     case = int(np.abs(told.controlled.y[:, 0, 0] - files.plant.equilibrium().y[0]).argmax())
-    fig = style.canvas(style.PAGE_IN, 3.2)
+    fig = style.new_figure(style.PAGE_IN, 3.2)
     above, below = fig.subplots(2, 1, sharex=True)
     for one, colour, label in (
         (naive, style.VERMILLION, "naive clamp"),
@@ -143,7 +143,7 @@ def drawn(folder: Path) -> Figure:
     output = files.plant.outputs[0]
     applied = files.plant.inputs[0]
     above.set(ylabel=f"{output.name.replace('_', ' ')} ({output.unit})")
-    style.above(above)
+    style.place_legend_above(above)
     until = 2 * (pool_columns([naive])["settling_time_worst_s"] or told.controlled.time_s[-1] / 2)
     below.set(ylabel=f"requested ({applied.unit})", xlabel="Time (s)", xlim=(0, until))
     return fig

@@ -74,8 +74,8 @@ for ratio, limit in zip(ratios, limits, strict=True):
         part = synthesis.state_feedback(linear, JacobianBall.from_slopes(ratio, 1.0))
         verdicts.append((ratio, rate, not isinstance(part, Infeasible) and part.certified))
 
-with style.paper():
-    figure = style.canvas(style.COLUMN_IN, 2.4)
+with style.paper_style():
+    figure = style.new_figure(style.COLUMN_IN, 2.4)
     axes = figure.add_subplot()
     axes.semilogx(ratios, limits, color=style.INK, lw=0.8, label="exact frontier")
     for certified, label, marker, colour in (
@@ -86,12 +86,14 @@ with style.paper():
             [(ratio, rate) for ratio, rate, verdict in verdicts if verdict is certified]
         ).reshape(-1, 2)
         axes.plot(*points.T, marker, color=colour, ls="", ms=3, label=label)
-    style.above(axes, columns=2)
+    style.place_legend_above(axes, columns=2)
     axes.set(
         xlabel="Slope ratio of S$_u$, smallest / largest (–)",
         ylabel="Controller rate, ρ (1/sample)",
     )
-    png, _ = style.save(figure, RESULTS / EXPERIMENT / "figures", "both_sides_of_the_frontier")
+    png, _ = style.save_figure(
+        figure, RESULTS / EXPERIMENT / "figures", "both_sides_of_the_frontier"
+    )
 display(Image(filename=str(png), retina=True))
 
 print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdicts)} refused")

@@ -157,8 +157,8 @@ def on_the_heater(design: st.Design, start: float, samples: int = 100) -> np.nda
     return temperature
 
 
-with style.paper():
-    figure = style.canvas(style.PAGE_IN, 2.2)
+with style.paper_style():
+    figure = style.new_figure(style.PAGE_IN, 2.2)
     first, second = figure.subplots(1, 2, sharey=True)
     for axes, design, title in (
         (first, poor, "From the log of ordinary operation"),
@@ -168,7 +168,7 @@ with style.paper():
             axes.plot(STEP_S * np.arange(100), on_the_heater(design, start), color=style.BLUE)
         axes.set(title=title, xlabel="Time (s)")
     first.set_ylabel("Temperature above rest (K)")
-    png, _ = style.save(figure, RESULTS / "figures", "two_logs")
+    png, _ = style.save_figure(figure, RESULTS / "figures", "two_logs")
 display(Image(filename=str(png), retina=True))
 
 # %% [markdown]

@@ -68,7 +68,7 @@ def __dir__() -> list[str]:
 
 
 def limit_threads() -> None:
-    """Let torch and BLAS use one thread, unless the environment says otherwise.
+    """Set torch and BLAS to one thread each, unless environment variables already set their number.
 
     Before torch is imported: several processes with as many threads as cores are 20 times slower.
     """
@@ -78,11 +78,12 @@ def limit_threads() -> None:
 
 
 def save_as_run(design: Any, folder: Any) -> Any:
-    """Save a design as the run that the command makes from the same words.
+    """Save a design as a run folder, equal to the one that `ssm-study run` writes for the same
+    settings.
 
     The package knows both its Python functions and its command; neither imports the other.
     """
     return import_module(f"{__name__}.cli.from_python").save_run(design, folder)
 
 
-renamed.install()
+renamed.install_import_hook()

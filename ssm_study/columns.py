@@ -67,15 +67,15 @@ class Column:
 
     @property
     def label(self) -> str:
-        """Printed name of the column with its unit. `Mean settling time (s)`."""
+        """Column heading for printed tables: name and unit. `Mean settling time (s)`."""
         word = self.word or self.name.replace("_", " ")
         return f"{word} ({self.unit})" if self.unit else word
 
     @property
     def is_pattern(self) -> bool:
-        """Whether the column's name stands for several columns."""
+        """Whether the name contains a wildcard and so stands for several columns."""
         return "*" in self.name
 
-    def covers(self, name: str) -> bool:
-        """Whether a column of this name belongs to this definition."""
+    def matches_name(self, name: str) -> bool:
+        """Whether this definition describes the column of the given name."""
         return fnmatchcase(name, self.name)

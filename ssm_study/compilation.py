@@ -1,5 +1,5 @@
-"""Compilation of numeric loops by Numba. Compiled loops over numbers: machine code by numba,
-kept on disk where that is possible."""
+"""Just-in-time compilation of numeric loops by Numba. Compiled loops over numbers: machine code by
+numba, kept on disk where that is possible."""
 
 import warnings
 from collections.abc import Callable
@@ -10,12 +10,12 @@ from numba import njit
 
 
 class NoCompiledCode(UserWarning):
-    """Warning that compiled code cannot be cached. Compiled code cannot be kept: every process
-    compiles its own."""
+    """Warning that Numba's machine code cannot be cached on disk. Compiled code cannot be kept:
+    every process compiles its own."""
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of numbers and arrays when it is first called.
+def compile_with_numba(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator that compiles a numeric function with Numba when it is first called.
 
     The code is kept beside the source, in the user's cache, or in `NUMBA_CACHE_DIR`; without a
     folder that may be written to (a read-only installation, no home) it is compiled in each
@@ -26,13 +26,14 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     except RuntimeError as error:  # numba's, for no place to write to
         if "cannot cache" not in str(error):
             raise
-        _warn_once()
+        _warn_of_missing_cache()
         made = njit(error_model="numpy")(function)
     return made
 
 
 @cache
-def _warn_once() -> None:
+def _warn_of_missing_cache() -> None:
+    """Warn once per process that compiled code cannot be cached on disk."""
     problem = "compiled code cannot be kept, so each process compiles for some seconds"
     remedy = "set NUMBA_CACHE_DIR to a folder that may be written to"
     warnings.warn(f"{problem}; {remedy}", NoCompiledCode, stacklevel=3)

@@ -33,7 +33,8 @@ INTEGERS_ARE_NUMBERS = BeartypeConf(is_pep484_tower=True)
 
 
 def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
-    """Construct one group of the configuration; equal settings give the same object.
+    """Construct the object that one configuration group describes; equal settings give the same
+    object.
 
     Raises `BadRequest` for fields that its constructor does not take or refuses.
     """
@@ -51,7 +52,8 @@ def construct_part(name: str, settings: Mapping[str, Any]) -> Any:
 
 
 def construct(path: str, node: Any) -> Any:
-    """Construct a tree of settings: every `_target_` is called on its fields, inner ones first.
+    """Construct objects from a tree of settings: every class named by `_target_` is called with its
+    fields, inner ones first.
 
     `path` names the tree in errors. Raises `BadRequest` for unknown or mistyped fields. A whole
     number given where any number is wanted becomes a float.
@@ -64,13 +66,13 @@ def construct(path: str, node: Any) -> Any:
         return {key: construct(f"{path}.{key}", value) for key, value in node.items()}
     kind = import_target(node["_target_"])
     fields = {key: value for key, value in node.items() if key != "_target_"}
-    arguments = {key: _argument(path, kind, key, value) for key, value in fields.items()}
+    arguments = {key: _checked_argument(path, kind, key, value) for key, value in fields.items()}
     return kind(**arguments)
 
 
 def import_target(target: str) -> Any:
-    """Import the class or function that a dotted name means, `package.module.Class`. Raises
-    `ImportError`."""
+    """Import the class or function that a dotted name such as `package.module.Class` stands for.
+    Raises `ImportError`."""
     module, _, name = target.rpartition(".")
     try:
         return getattr(import_module(module), name)
@@ -80,25 +82,26 @@ def import_target(target: str) -> Any:
 
 @cache
 def constructor_fields(kind: type) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Types of a constructor's parameters by name, and the names in order."""
+    """Types of a constructor's parameters by name, and the parameter names in order."""
     hints = get_type_hints(kind.__init__)  # type: ignore[misc] # of a class
     return hints, tuple(signature(kind).parameters)
 
 
-def _argument(path: str, kind: type, key: str, value: Any) -> Any:
-    """Check one field of a constructor and return its value, constructed where it is a tree."""
+def _checked_argument(path: str, kind: type, key: str, value: Any) -> Any:
+    """Check a setting against the type of its constructor parameter, and return the value to
+    pass."""
     hints, names = constructor_fields(kind)
     field = f"{path}.{key}"
     remedy = f"its fields are {', '.join(names)}"
     require(key in names, field, value, f"{kind.__name__} has no such field", remedy)
     if isinstance(value, dict | list):
-        problem = f"is not {_words_for_type(hints[key])}" if key in hints else ""
+        problem = f"is not {_type_description(hints[key])}" if key in hints else ""
         require(not _is_single_value(hints.get(key)), field, value, problem, "give one value")
         return construct(field, value)
     if key not in hints:
         return value
     hint = hints[key]
-    words = _words_for_type(hint)
+    words = _type_description(hint)
     remedy = "correct the value"
     if PART in words:
         remedy = "choose it by its group, as in training/optimiser=lbfgs"
@@ -112,21 +115,21 @@ def _argument(path: str, kind: type, key: str, value: Any) -> Any:
 
 
 def _is_single_value(hint: Any) -> bool:
-    """Whether a type takes single numbers, texts and truth values alone."""
+    """Whether a type hint allows only numbers, texts and truth values."""
     is_union = get_origin(hint) in (Union, UnionType)
     types = get_args(hint) if is_union else (hint,)
     return hint is not None and all(kind in TYPE_WORDS for kind in types)
 
 
-def _words_for_type(hint: Any) -> str:
-    """Words that a reader would use for a type."""
+def _type_description(hint: Any) -> str:
+    """Plain-English description of a type hint for error messages."""
     is_union = get_origin(hint) in (Union, UnionType)
     types = get_args(hint) if is_union else (hint,)
-    return " or ".join(_words_for_single_type(kind) for kind in types)
+    return " or ".join(_single_type_description(kind) for kind in types)
 
 
-def _words_for_single_type(kind: Any) -> str:
-    """Words for a type that is no union."""
+def _single_type_description(kind: Any) -> str:
+    """Plain-English description of a type hint that is not a union."""
     if kind in TYPE_WORDS:
         return TYPE_WORDS[kind]
     return PART if isinstance(kind, type) else str(kind).replace("typing.", "")

@@ -33,8 +33,9 @@ FICLONE = 0x40049409  # Linux: two files share their blocks until one of them is
 
 
 def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
-    """Write a file so that a reader sees the old or the new content, never a part. Replace `path`
-    by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of the folder.
+    """Write a file atomically, so that readers see the old or the new content, never a part.
+    Replace `path` by `content`: temporary file beside it (never TMPDIR), fsync, rename, fsync of
+    the folder.
 
     Raises `OSError` with the old version untouched and no temporary left behind. Not `durable`:
     survives every kill but not a power loss; for what is synchronised later, or counts as absent
@@ -55,18 +56,18 @@ def write_atomically(path: Path, content: bytes, durable: bool = True) -> None:
         raise
     if durable:
         # The rename itself: without it the old name may come back after a power loss.
-        sync(path.parent)
+        flush_to_disk(path.parent)
 
 
 def write_json_atomically(path: Path, value: Any, durable: bool = True) -> None:
-    """Write a value as strict JSON (no NaN), one key per line, in the manner of
-    `write_atomically`."""
+    """Write a value atomically as strict JSON (no NaN), one key per line."""
     write_atomically(path, json_bytes(value), durable)
 
 
 def link_or_copy(source: Path, target: Path) -> None:
-    """Give a file's content a second name, by a hard link or a copy. `target` has the content of
-    `source`, sharing its bytes where the file system can: cloned, else linked.
+    """Create a second file with the same content, by a hard link where possible, else by a copy.
+    `target` has the content of `source`, sharing its bytes where the file system can: cloned, else
+    linked.
 
     Both are only ever replaced as a whole; whoever writes into one in place breaks the sums of
     both, and that is seen.
@@ -84,8 +85,8 @@ def link_or_copy(source: Path, target: Path) -> None:
 
 
 def json_bytes(value: Any) -> bytes:
-    """Serialise a value as the canonical JSON text of a sealed object. `unsealed` knows no
-    other."""
+    """Serialise a value as canonical JSON, the byte form of all files sealed with a digest.
+    `read_sealed_json` knows no other."""
     strict: dict[str, Any] = {"allow_nan": False, "ensure_ascii": False}
     if isinstance(value, dict) and value and CONTAINERS.isdisjoint(map(type, value.values())):
         # The same text five times as fast: with an indent Python's encoder works, without one that
@@ -97,9 +98,9 @@ def json_bytes(value: Any) -> bytes:
     return f"{text}\n".encode("utf-8", "surrogatepass")
 
 
-def sync(path: Path) -> None:
-    """Flush a file to the disk. `fsync` of a file; of a folder, renames in it become durable
-    where its file system can do that."""
+def flush_to_disk(path: Path) -> None:
+    """Flush a file or folder to disk with `fsync`. `fsync` of a file; of a folder, renames in it
+    become durable where its file system can do that."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -111,8 +112,8 @@ def sync(path: Path) -> None:
 
 
 def open_regular_file(path: Path) -> io.BufferedReader:
-    """Open a regular file for reading. For reading; raises `OSError` for a pipe or a device,
-    which may never end."""
+    """Open a regular file for reading; raises `OSError` for a pipe or a device, which may never
+    end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -120,9 +121,9 @@ def open_regular_file(path: Path) -> io.BufferedReader:
     return os.fdopen(descriptor, "rb")
 
 
-def contents(path: Path, most: int = LARGEST) -> bytes:
-    """Read a whole file as bytes. The whole file; raises `OSError` as
-    `open_regular_file`, and for one of more than `most` bytes before any are read."""
+def read_limited_bytes(path: Path, most: int = LARGEST) -> bytes:
+    """Read a whole file as bytes; raises `OSError` for a pipe, a device, or a file larger than
+    `most` bytes."""
     with open_regular_file(path) as stream:
         if os.fstat(stream.fileno()).st_size > most:
             raise OSError(errno.EFBIG, f"is larger than {most >> 20} MiB", str(path))
@@ -130,30 +131,31 @@ def contents(path: Path, most: int = LARGEST) -> bytes:
 
 
 def sha256_of_file(path: Path) -> str:
-    """Hexadecimal digest, read block by block."""
+    """SHA-256 digest of a file in hexadecimal digits, read block by block."""
     with open_regular_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def sealed(body: dict[str, Any]) -> dict[str, Any]:
-    """Add to a JSON object its own `sha256`. `unsealed` then notices a flipped bit in the text
-    itself."""
-    return {**body, "sha256": _body_digest(body)}
+def add_digest(body: dict[str, Any]) -> dict[str, Any]:
+    """Add to a JSON object its own SHA-256 digest, under the key `sha256`. `read_sealed_json` then
+    notices a flipped bit in the text itself."""
+    return {**body, "sha256": _sha256_of_body(body)}
 
 
-def unsealed(content: bytes) -> dict[str, Any] | None:
-    """Read a sealed JSON object and check its digest. The sealed object that
-    `write_json_atomically` wrote as `content`; None if a single byte differs from that."""
+def read_sealed_json(content: bytes) -> dict[str, Any] | None:
+    """Read a JSON object that carries its own SHA-256 digest; None if a single byte was changed
+    since `write_json_atomically` wrote it."""
     try:
         value = json.loads(content)
         body = {key: item for key, item in value.items() if key != "sha256"}
-        is_intact = content == json_bytes(value) and _body_digest(body) == value["sha256"]
+        is_intact = content == json_bytes(value) and _sha256_of_body(body) == value["sha256"]
     except (ValueError, AttributeError, KeyError, TypeError, RecursionError):
         return None
     return body if is_intact else None
 
 
-def _body_digest(body: dict[str, Any]) -> str:
+def _sha256_of_body(body: dict[str, Any]) -> str:
+    """SHA-256 digest of the canonical JSON text of an object."""
     text = json.dumps(
         body, sort_keys=True, separators=(",", ":"), allow_nan=False, ensure_ascii=False
     )
@@ -161,8 +163,9 @@ def _body_digest(body: dict[str, Any]) -> str:
 
 
 @contextmanager
-def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
-    """Hold the exclusive lock on `path`, waiting for it. Yields whether it was obtained.
+def file_lock(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
+    """Context that holds an exclusive lock on a file, and yields whether the lock was obtained in
+    time. Yields whether it was obtained.
 
     The system releases it when the process dies. It is a flock; on a file system that knows none
     it is a name of this machine, which excludes the processes of this machine.
@@ -173,14 +176,14 @@ def locked(path: Path, patience_s: float = math.inf) -> Iterator[bool]:
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
         with ExitStack() as held_name:
-            yield _obtain(descriptor, patience_s, held_name)
+            yield _acquire_lock(descriptor, patience_s, held_name)
     finally:
         # Releases the flock; the file stays: who removes it may remove a lock that another holds.
         os.close(descriptor)
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a living process holds the lock on `path`."""
+    """Whether a living process holds the exclusive lock on a file."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except FileNotFoundError:
@@ -192,27 +195,29 @@ def is_locked(path: Path) -> bool:
     except OSError as error:
         if isinstance(error, BlockingIOError):
             return True
-        _refuse_other_than_missing_locks(error)
+        _raise_unless_locks_unsupported(error)
         with ExitStack() as held_name:
-            return not _take_name(descriptor, held_name)
+            return not _acquire_socket_lock(descriptor, held_name)
     finally:
         os.close(descriptor)
 
 
-def _obtain(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
-    """Lock an open file within a time limit. Try for `patience_s` to lock the open file; a name
-    is held until `held_name` is closed."""
+def _acquire_lock(descriptor: int, patience_s: float, held_name: ExitStack) -> bool:
+    """Lock an open file within a time limit; return whether that succeeded. Try for `patience_s` to
+    lock the open file; a name is held until `held_name` is closed."""
     try:
         if math.isinf(patience_s):
             fcntl.flock(descriptor, fcntl.LOCK_EX)  # waits in the kernel, without polling
             return True
-        return _poll(lambda: _try_flock(descriptor), patience_s)
+        return _retry_until(lambda: _try_flock(descriptor), patience_s)
     except OSError as error:
-        _refuse_other_than_missing_locks(error)
-    return _poll(lambda: _take_name(descriptor, held_name), patience_s)
+        _raise_unless_locks_unsupported(error)
+    return _retry_until(lambda: _acquire_socket_lock(descriptor, held_name), patience_s)
 
 
-def _poll(attempt: Callable[[], bool], patience_s: float) -> bool:
+def _retry_until(attempt: Callable[[], bool], patience_s: float) -> bool:
+    """Repeat an attempt until it succeeds or the time limit has passed; return whether it
+    succeeded."""
     deadline = time.monotonic() + patience_s
     while not attempt():
         if time.monotonic() >= deadline:
@@ -222,6 +227,7 @@ def _poll(attempt: Callable[[], bool], patience_s: float) -> bool:
 
 
 def _try_flock(descriptor: int) -> bool:
+    """Try once, without waiting, to lock an open file; return whether that succeeded."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -229,15 +235,15 @@ def _try_flock(descriptor: int) -> bool:
     return True
 
 
-def _refuse_other_than_missing_locks(error: OSError) -> None:
+def _raise_unless_locks_unsupported(error: OSError) -> None:
     """Raise the error again unless it says that the file system does not support locks."""
     if error.errno not in (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS):
         raise error
 
 
-def _take_name(descriptor: int, held_name: ExitStack) -> bool:
-    """Acquire a lock by name if no living process has it, where the file system does not support
-    locks.
+def _acquire_socket_lock(descriptor: int, held_name: ExitStack) -> bool:
+    """Lock a file through an abstract socket name, where its file system does not support locks;
+    return whether that succeeded.
 
     The name is an address of Linux' abstract sockets: it lies in no file system and goes when its
     process dies. On another system nobody can have it.
@@ -257,8 +263,8 @@ def _take_name(descriptor: int, held_name: ExitStack) -> bool:
     return True
 
 
-def refuse_link(folder: Path) -> None:
-    """Refuse a folder that is a symbolic link. Raise `BadRequest` for a folder that is a link:
-    what is written into it lands elsewhere."""
+def refuse_symbolic_link(folder: Path) -> None:
+    """Raise an error if a folder is a symbolic link. Raise `BadRequest` for a folder that is a
+    link: what is written into it lands elsewhere."""
     problem = "is a link to another place, where nothing is written"
     require(not folder.is_symlink(), "folder", folder, problem, "remove the link")

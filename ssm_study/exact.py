@@ -21,7 +21,7 @@ BITS = (
 
 
 class Exact:
-    """Matrix of exact rationals, which is what floats are and what their sums and products stay.
+    """Matrix of exact rational numbers, with the arithmetic of NumPy arrays.
 
     `+, -, @, .T, [:, :]` as NumPy has them, with arrays and floats too; `*` scales by a number.
     """
@@ -33,9 +33,9 @@ class Exact:
         self.rational = rational
 
     @classmethod
-    def of(cls, value: Any) -> "Exact":
-        """Convert floats exactly to rationals. Raises `ValueError` or `OverflowError` for NaN or
-        infinity."""
+    def from_floats(cls, value: Any) -> "Exact":
+        """Convert a matrix of floats exactly to rationals. Raises `ValueError` or `OverflowError`
+        for NaN or infinity."""
         if isinstance(value, cls):
             return value
         matrix = np.atleast_2d(np.asarray(value, dtype=float))
@@ -44,43 +44,47 @@ class Exact:
 
     @classmethod
     def block(cls, rows: list[list[Any]]) -> "Exact":
-        """Exact matrix assembled from blocks like `np.block`. Raises `ValueError` where the blocks
-        do not fit."""
-        return cls._of_entries(
-            np.block([[cls.of(block)._entries() for block in row] for row in rows])
+        """Exact matrix assembled from nested rows of blocks, like `np.block`. Raises `ValueError`
+        where the blocks do not fit."""
+        return cls._from_entries(
+            np.block([[cls.from_floats(block)._entries() for block in row] for row in rows])
         )
 
     @classmethod
-    def _of_entries(cls, entries: np.ndarray) -> "Exact":
+    def _from_entries(cls, entries: np.ndarray) -> "Exact":
+        """Exact matrix from a two-dimensional array of rational numbers."""
         return cls(fmpq_mat(len(entries), entries.shape[1], entries.ravel().tolist()))
 
     def _entries(self) -> np.ndarray:  # As an array of objects
+        """Entries of the matrix as a NumPy array of rational numbers."""
         return np.array(self.rational.tolist(), dtype=object).reshape(self.shape)
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Number of rows and of columns."""
         return self.rational.nrows(), self.rational.ncols()
 
     @property
     def T(self) -> "Exact":
+        """Transposed matrix."""
         return Exact(self.rational.transpose())
 
     def __getitem__(self, index: tuple[slice, slice]) -> "Exact":
-        return Exact._of_entries(self._entries()[index])
+        return Exact._from_entries(self._entries()[index])
 
-    def diagonal(self) -> "Exact":
-        """The diagonal matrix of the entries of a row."""
-        return Exact._of_entries(np.diagflat(self._entries()[0]))
+    def diagonal_matrix(self) -> "Exact":
+        """Diagonal matrix that has the entries of this one-row matrix on its diagonal."""
+        return Exact._from_entries(np.diagflat(self._entries()[0]))
 
-    def rounded(self) -> Float[np.ndarray, "r c"]:
-        """Round an exact matrix to floats. Each entry rounded once to the nearest float: the
-        same bits on every machine."""
+    def to_floats(self) -> Float[np.ndarray, "r c"]:
+        """Convert the exact matrix to floats, each entry rounded to the nearest float. Each entry
+        rounded once to the nearest float: the same bits on every machine."""
         return np.array(
             [[int(entry.p) / int(entry.q) for entry in row] for row in self.rational.tolist()]
         )
 
     def __add__(self, other: Any) -> "Exact":
-        return Exact(self.rational + Exact.of(other).rational)
+        return Exact(self.rational + Exact.from_floats(other).rational)
 
     __radd__ = __add__
 
@@ -88,20 +92,22 @@ class Exact:
         return self * -1
 
     def __sub__(self, other: Any) -> "Exact":
-        return self + -Exact.of(other)
+        return self + -Exact.from_floats(other)
 
     def __rsub__(self, other: Any) -> "Exact":
         return -self + other
 
     def __matmul__(self, other: Any) -> "Exact":
-        return Exact(self.rational * Exact.of(other).rational)
+        return Exact(self.rational * Exact.from_floats(other).rational)
 
     def __rmatmul__(self, other: Any) -> "Exact":
-        return Exact.of(other) @ self
+        return Exact.from_floats(other) @ self
 
     def __mul__(self, other: Any) -> "Exact":
         number, matrix = (
-            (self, Exact.of(other)) if self.shape == (1, 1) else (Exact.of(other), self)
+            (self, Exact.from_floats(other))
+            if self.shape == (1, 1)
+            else (Exact.from_floats(other), self)
         )
         if number.shape != (1, 1):
             raise ValueError("only a number scales a matrix")
@@ -111,21 +117,24 @@ class Exact:
 
 
 def is_positive_definite(matrix: Exact) -> bool:
-    """Whether a matrix of rationals is symmetric and positive definite; decided, not estimated."""
+    """Whether an exact rational matrix is symmetric and positive definite, decided without
+    rounding."""
     integer, _ = matrix.rational.numer_denom()  # the common denominator is positive
     if integer != integer.transpose():  # a quadratic form alone would not see it
         return False
     for bits in BITS:
         with ctx.workprec(bits):
-            decided = _definite(arb_mat(integer))
+            decided = _is_definite_in_intervals(arb_mat(integer))
         if decided is not None:
             return decided
     return has_positive_leading_minors(integer)
 
 
-def _definite(
+def _is_definite_in_intervals(
     matrix: arb_mat,
 ) -> bool | None:  # What these balls prove; None where one of them leaves it open
+    """Whether every matrix within these intervals is positive definite; None where interval
+    arithmetic leaves it open."""
     rows = matrix.tolist()
     half = matrix.nrows() // 2
     if not half:
@@ -136,17 +145,17 @@ def _definite(
         arb_mat([row[s] for row in rows[r]])
         for r, s in ((first, first), (first, rest), (rest, rest))
     )
-    if (upper := _definite(a)) is not True:
+    if (upper := _is_definite_in_intervals(a)) is not True:
         return upper
     try:
-        return _definite(c - b.transpose() * a.solve(b))
+        return _is_definite_in_intervals(c - b.transpose() * a.solve(b))
     except ZeroDivisionError:  # A is not seen to be regular
         return None
 
 
 def has_positive_leading_minors(integer: fmpz_mat) -> bool:
-    """Sylvester's criterion through the fraction-free elimination, whose pivots are the leading
-    principal minors."""
+    """Whether all leading principal minors of an integer matrix are positive (Sylvester's
+    criterion)."""
     eliminated, _, order, _ = integer._fflu()
     size = integer.nrows()
     return order == list(range(size)) and all(eliminated[i, i] > 0 for i in range(size))

@@ -24,41 +24,41 @@ OPTION = "--with"
 FOLDER = "SSM_STUDY_WITH"  # holds it for the processes that work on a study, on other machines too
 
 
-def taken_from(arguments: list[str]) -> list[str]:
-    """Remove `--with FOLDER` from command-line arguments and trust the package in that folder.
-    Raises `BadRequest` for another folder."""
+def pop_extension_option(arguments: list[str]) -> list[str]:
+    """Remove `--with FOLDER` from command-line arguments and trust the extension package in that
+    folder. Raises `BadRequest` for another folder."""
     if OPTION not in arguments:
         return arguments
     place = arguments.index(OPTION)
     require(
         len(arguments) > place + 1, OPTION, "", "names no folder", "give the folder of your study"
     )
-    trust(Path(arguments[place + 1]))
+    trust_package(Path(arguments[place + 1]))
     return arguments[:place] + arguments[place + 2 :]
 
 
-def trust(folder: Path) -> None:
-    """Trust the package in this folder, so that it can be imported and a configuration can choose
-    its parts. Raises `BadRequest` for no such package."""
+def trust_package(folder: Path) -> None:
+    """Trust the extension package in a folder, so that it can be imported and configurations can
+    name its classes. Raises `BadRequest` for no such package."""
     folder = folder.resolve()
     whole = folder.name.isidentifier() and (folder / "__init__.py").is_file()
     require(whole, OPTION, folder, "is no study folder", "make one: ssm-study new FOLDER")
     os.environ[FOLDER] = str(folder)
-    packages.cache_clear()
-    packages()
+    trusted_packages.cache_clear()
+    trusted_packages()
 
 
 @cache
-def packages() -> dict[str, Path]:
-    """Name and folder of every trusted package. Raises `BadRequest` where the name of the folder
-    means another one."""
+def trusted_packages() -> dict[str, Path]:
+    """Names and folders of all trusted extension packages. Raises `BadRequest` where the name of
+    the folder means another one."""
     points = sorted(point.module.split(".")[0] for point in entry_points(group=GROUP))
-    found = {name: folder for name in points if (folder := _folder_of(name)) is not None}
+    found = {name: folder for name in points if (folder := _package_folder(name)) is not None}
     if own := os.environ.get(FOLDER):
         folder = Path(own)
         if str(folder.parent) not in sys.path:
             sys.path.append(str(folder.parent))
-        meant = _folder_of(folder.name)
+        meant = _package_folder(folder.name)
         require(
             meant == folder,
             OPTION,
@@ -70,28 +70,29 @@ def packages() -> dict[str, Path]:
     return found
 
 
-def configurations() -> list[Path]:
-    """Folders of yaml files of the trusted packages, searched after ours."""
-    return [folder / "conf" for folder in packages().values() if (folder / "conf").is_dir()]
+def extension_configuration_folders() -> list[Path]:
+    """Folders with yaml files of the trusted extension packages, in the order of Hydra's search."""
+    return [folder / "conf" for folder in trusted_packages().values() if (folder / "conf").is_dir()]
 
 
-def modules(room: str) -> dict[str, str]:
-    """Name and dotted module of every file in the folder `room` of a trusted package, such as
-    `figures`."""
+def extension_modules(room: str) -> dict[str, str]:
+    """Names and dotted modules of all files in one subfolder, such as `figures`, of the trusted
+    extension packages."""
     return {
         module.name: f"{package}.{room}.{module.name}"
-        for package, folder in packages().items()
+        for package, folder in trusted_packages().items()
         for module in iter_modules([str(folder / room)])
         if not module.name.startswith("_")
     }
 
 
-def load() -> None:
-    """Import the trusted packages, so that their classes are registered."""
-    for name in packages():
+def import_trusted_packages() -> None:
+    """Import the trusted extension packages, so that their classes are registered."""
+    for name in trusted_packages():
         import_module(name)
 
 
-def _folder_of(name: str) -> Path | None:
+def _package_folder(name: str) -> Path | None:
+    """Folder of an importable package; None if there is no such package."""
     spec = find_spec(name)
     return Path(spec.origin).parent if spec is not None and spec.origin else None

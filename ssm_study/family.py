@@ -7,7 +7,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any, ClassVar
 
-from ssm_study.extensions import load
+from ssm_study.extensions import import_trusted_packages
 
 
 class Family(ABC):
@@ -37,9 +37,9 @@ class Family(ABC):
 
     @classmethod
     def members(cls, room: ModuleType) -> dict[str, type[Any]]:
-        """Members of the family by name, with those of every file in the room and of trusted
-        packages (`extensions`) among them."""
-        load()
+        """All registered subclasses by name, after importing every file of their folder and the
+        trusted extension packages."""
+        import_trusted_packages()
         for module in pkgutil.iter_modules(room.__path__):
             import_module(f"{room.__name__}.{module.name}")
         return cls.known

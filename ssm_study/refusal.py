@@ -8,7 +8,8 @@ from typing import Any
 
 
 class BadRequest(ValueError):
-    """Error for bad input. `<field> = <value>: <problem>; <remedy>.`
+    """Error that names the field, the value, the problem and the remedy of a bad input. `<field> =
+    <value>: <problem>; <remedy>.`
 
     Raised while specifications are built, before any long work; the command line prints it and
     exits with status 2.
@@ -21,7 +22,9 @@ class BadRequest(ValueError):
         self.remedy = remedy
         # A library may answer in lines, and a foreign name may hold what would command the
         # terminal.
-        shown, reason = (printable(" ".join(str(part).split())) for part in (value, problem))
+        shown, reason = (
+            escape_control_characters(" ".join(str(part).split())) for part in (value, problem)
+        )
         if len(shown) > 80:
             shown = (
                 f"...{shown[-77:]}" if isinstance(value, Path) else f"{shown[:77]}..."
@@ -33,31 +36,32 @@ class BadRequest(ValueError):
         return (type(self), (self.field, self.value, self.problem, self.remedy))
 
 
-def printable(text: str) -> str:
-    """Text with its control characters replaced by their escapes."""
+def escape_control_characters(text: str) -> str:
+    """Replace the control characters of a text by printable escapes."""
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
 
 
 def require(condition: Any, field: str, value: Any, problem: str, remedy: str) -> None:
-    """Raise `BadRequest(field, value, problem, remedy)` unless the condition holds."""
+    """Raise `BadRequest` with this field, value, problem and remedy unless a condition holds."""
     if not condition:
         raise BadRequest(field, value, problem, remedy)
 
 
-def positive(field: str, value: Any, remedy: str) -> None:
-    """Refuse a number, or any number of several, that is not above zero and finite. None passes."""
+def require_positive(field: str, value: Any, remedy: str) -> None:
+    """Raise `BadRequest` unless a number, or each of several, is positive and finite. None
+    passes."""
     values = value if isinstance(value, list | tuple) else (value,)
     good = all(v is None or 0 < v < math.inf for v in values)
     require(good, field, value, "must be positive and finite", remedy)
 
 
-def at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
-    """Refuse a number below `least`, or one that is not finite. None passes."""
+def require_at_least(least: float | int, field: str, value: Any, remedy: str) -> None:
+    """Raise `BadRequest` unless a number is finite and not below a minimum. None passes."""
     problem = "must not be negative" if least == 0 else f"must be at least {least:g}"
     require(value is None or least <= value < math.inf, field, value, problem, remedy)
 
 
-def one_of(known: Iterable[Any], field: str, value: Any) -> None:
-    """Refuse a value outside the allowed ones, and list them."""
+def require_one_of(known: Iterable[Any], field: str, value: Any) -> None:
+    """Raise `BadRequest` unless a value is one of the allowed ones; the message lists them."""
     *others, last = map(str, names := tuple(known))
     require(value in names, field, value, "unknown", f"use {', '.join(others)} or {last}")

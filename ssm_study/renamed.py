@@ -82,15 +82,25 @@ NAMES: Mapping[str, str] = {
     "models.spec.Start": "models.spec.Initialisation",
     "plants.plant.check_signs": "plants.plant.refuse_wrong_signs",
     "plants.plant.stated": "plants.plant.field_property",
+    "refusal.at_least": "refusal.require_at_least",
+    "refusal.one_of": "refusal.require_one_of",
+    "refusal.positive": "refusal.require_positive",
     "robustness.mismatch.mismatch": "robustness.mismatch.measure_mismatch",
     "robustness.prediction.worst": "robustness.prediction.robustness_measure",
     "robustness.sensitivity.frequency_response": "bounds.frequency.frequency_response",
     "robustness.sensitivity.gains": "bounds.frequency.gains",
     "robustness.sensitivity.hinf_norm": "bounds.frequency.hinf_norm",
     "robustness.sensitivity.sizes": "robustness.sensitivity.largest_singular_values",
+    "signals.fit_of_error": "signals.fit_from_relative_error",
+    "signals.lagged": "signals.lagged_inputs",
+    "signals.repetition": "signals.find_repetition",
     "study.preload.warm": "study.preload.preload",
     "study.recordings.read_experiment": "study.loop_recordings.read_experiment",
     "study.recordings.read_rollouts": "study.loop_recordings.read_rollouts",
+    "style.above": "style.place_legend_above",
+    "style.canvas": "style.new_figure",
+    "style.paper": "style.paper_style",
+    "style.save": "style.save_figure",
     "study.stages.ModelRun": "study.stages.free_run.ModelRun",
     "study.stages.Simulated": "study.stages.free_run.ModelRun",
     "study.stages.Trained": "study.stages.model.Trained",
@@ -139,7 +149,10 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "loop.peers.peer.Identified": {"shown": "mismatch"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
+    "exact.Exact": {"of": "from_floats", "rounded": "to_floats"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},
+    "signals.Scale": {"unit": "identity"},
+    "signals.Trajectory": {"joined": "concatenate"},
 }
 
 # Settings of a configuration and of a command, by their dotted path.
@@ -151,9 +164,9 @@ COLUMNS: Mapping[str, str] = {}
 
 @dataclass(frozen=True, kw_only=True)
 class Withdrawn:
-    """Description of a setting or class that was withdrawn: since which version, and what to do
-    instead. `neutral` is the value of a setting that changed nothing: a stored configuration
-    that has it is read without it."""
+    """Description of a setting or class that was removed: since which version, and what to use
+    instead. `neutral` is the value of a setting that changed nothing: a stored configuration that
+    has it is read without it."""
 
     since: str
     remedy: str
@@ -161,6 +174,7 @@ class Withdrawn:
 
     @property
     def sentence(self) -> str:
+        """Text that names the version in which the setting or class was withdrawn."""
         return f"withdrawn in {self.since}"
 
 
@@ -216,8 +230,8 @@ WITHDRAWN_COLUMNS: Mapping[str, Withdrawn] = {
 
 
 @cache
-def present_module(module: str) -> str:
-    """The module that an import of `module` means today, dotted from `ssm_study`."""
+def current_module(module: str) -> str:
+    """Current dotted name of a module that may be imported under an old name."""
     inner = module.removeprefix(f"{OURS}.")
     if inner == module:
         return module
@@ -229,9 +243,9 @@ def present_module(module: str) -> str:
     return module
 
 
-def present_symbol(module: str, name: str) -> tuple[str, str]:
-    """The module and the name that `from module import name` means today."""
-    as_module = present_module(f"{module}.{name}")
+def current_symbol(module: str, name: str) -> tuple[str, str]:
+    """Current module and name of a symbol that may be imported under an old name."""
+    as_module = current_module(f"{module}.{name}")
     dotted = as_module.removeprefix(f"{OURS}.")
     dotted = NAMES.get(dotted, dotted)
     present = f"{OURS}.{dotted}" if module.split(".")[0] == OURS else f"{module}.{name}"
@@ -239,21 +253,22 @@ def present_symbol(module: str, name: str) -> tuple[str, str]:
     return holder, last
 
 
-def present_target(target: Any) -> Any:
-    """The class that a `_target_` names today; whatever is no text is returned as it is."""
+def current_target(target: Any) -> Any:
+    """Current dotted name of the class that a `_target_` names; a value that is no text is returned
+    unchanged."""
     if not isinstance(target, str) or not target.startswith(f"{OURS}."):
         return target
     module, _, name = target.rpartition(".")
-    return ".".join(present_symbol(module, name))
+    return ".".join(current_symbol(module, name))
 
 
 def withdrawn_target(target: Any) -> Withdrawn | None:
-    """Notice for a class of `_target_` that was withdrawn; None for any other."""
+    """Notice for a `_target_` class that has been withdrawn; None for any other class."""
     return WITHDRAWN_TARGETS.get(str(target).removeprefix(f"{OURS}."))
 
 
-def warn(old: str, new: str) -> None:
-    """Warn once that a name is old, with the new one."""
+def warn_of_old_name(old: str, new: str) -> None:
+    """Warn once that a name is out of date, and give the current one."""
     if old not in _WARNED:
         _WARNED.add(old)
         message = f"{old} is now {new}; the old name is read in version 0.2 alone."
@@ -266,13 +281,13 @@ _WARNED: set[str] = set()
 # Settings
 
 
-def present_settings(tree: Any, path: str = "") -> Any:
-    """Plain containers of an earlier version under today's names.
+def current_settings(tree: Any, path: str = "") -> Any:
+    """Settings of an earlier version with every old name replaced by the current one.
 
     Raises `BadRequest` for a withdrawn setting whose value is not the neutral one.
     """
     if isinstance(tree, list):
-        return [present_settings(value, f"{path}[]") for value in tree]
+        return [current_settings(value, f"{path}[]") for value in tree]
     if not isinstance(tree, dict):
         return tree
     present: dict[Any, Any] = {}
@@ -284,14 +299,14 @@ def present_settings(tree: Any, path: str = "") -> Any:
             continue
         name = SETTINGS.get(place, place).rpartition(".")[2]
         is_target = key == "_target_"
-        present[name] = present_target(value) if is_target else present_settings(value, place)
+        present[name] = current_target(value) if is_target else current_settings(value, place)
     return type(tree)(present)
 
 
-def bring_up_to_date(config: Any) -> None:
-    """Give a composed or stored configuration (`DictConfig`) today's names, in place.
+def rename_old_settings(config: Any) -> None:
+    """Replace the old names in a composed or stored configuration by the current ones, in place.
 
-    Raises `BadRequest` as `present_settings` does.
+    Raises `BadRequest` as `current_settings` does.
     """
     from omegaconf import OmegaConf, open_dict
 
@@ -299,7 +314,7 @@ def bring_up_to_date(config: Any) -> None:
     assert isinstance(tree, dict)
     hydra = tree.pop("hydra", None)
     del hydra  # its own section, whose targets are its own
-    present = present_settings(tree)
+    present = current_settings(tree)
     with open_dict(config):
         for key in tree:
             if key not in present:
@@ -310,7 +325,8 @@ def bring_up_to_date(config: Any) -> None:
 
 
 def withdrawn_setting(path: str) -> Withdrawn | None:
-    """The entry of a withdrawn setting; None for any other."""
+    """Notice for a setting that has been withdrawn, by its dotted path; None for any other
+    setting."""
     words = path.split(".")
     for pattern, withdrawn in WITHDRAWN_SETTINGS.items():
         parts = pattern.split(".")
@@ -321,14 +337,15 @@ def withdrawn_setting(path: str) -> Withdrawn | None:
 
 
 def refuse_withdrawn(path: str, value: Any, withdrawn: Withdrawn) -> None:
-    """Raise `BadRequest` unless the value of the withdrawn setting changed nothing."""
+    """Raise `BadRequest` if a withdrawn setting has a value that once had an effect."""
     if value != withdrawn.neutral:
         problem = f"was {withdrawn.sentence} ({CHANGELOG})"
         raise BadRequest(path, value, problem, withdrawn.remedy)
 
 
-def present_override(word: str) -> str:
-    """A word of a command, `model.integrated=true`, under today's name.
+def current_override(word: str) -> str:
+    """Command-line override such as `model.integrated=true` with its old name replaced by the
+    current one.
 
     Raises `BadRequest` with the line of the changelog for what was withdrawn.
     """
@@ -345,22 +362,23 @@ def present_override(word: str) -> str:
             problem = f"was {gone.sentence} ({CHANGELOG})"
             raise BadRequest(path, choice.strip(), problem, gone.remedy)
     if path in SETTINGS:
-        warn(path, SETTINGS[path])
+        warn_of_old_name(path, SETTINGS[path])
         return f"{marks}{SETTINGS[path]}{equals}{value}"
-    return f"{key}={present_target(value)}" if path.endswith("_target_") else word
+    return f"{key}={current_target(value)}" if path.endswith("_target_") else word
 
 
-def present_overrides(words: Sequence[str]) -> list[str]:
-    """The words of a command under today's names; those that say nothing any more are left out."""
-    present = [present_override(word) for word in words]
+def current_overrides(words: Sequence[str]) -> list[str]:
+    """Command-line overrides with old names replaced by current ones; overrides without effect are
+    left out."""
+    present = [current_override(word) for word in words]
     return [word for word in present if word]
 
 
 # Columns
 
 
-def with_both_columns(record: Mapping[str, Any]) -> dict[str, Any]:
-    """A record with every renamed column under its old and its new name."""
+def add_renamed_columns(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Copy of a record in which every renamed column stands under both its old and its new name."""
     both = dict(record)
     for old, new in COLUMNS.items():
         if new in record:
@@ -374,34 +392,38 @@ def with_both_columns(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class OldModules(MetaPathFinder):
-    """Import hook that finds an old module by its new name, and restores old names in it."""
+    """Import hook that redirects imports of renamed modules and restores renamed functions under
+    their old names."""
 
     def find_spec(
         self, fullname: str, path: Any = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
+        """Specification by which Python imports an old module name or a module with renamed
+        contents; None for any other."""
         del target
         if not fullname.startswith(f"{OURS}."):
             return None
-        present = present_module(fullname)
+        present = current_module(fullname)
         if present != fullname:
             return ModuleSpec(fullname, Alias(present), is_package=True)
         inner = fullname.removeprefix(f"{OURS}.")
         if inner not in _modules_with_renames():
             return None
-        spec = _found_by_others(fullname, path)
+        spec = _find_with_other_finders(fullname, path)
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 
             def exec_module(module: ModuleType) -> None:
+                """Run the module's code, then restore the old names in it."""
                 execute(module)
-                _give_old_names(module, inner)
+                _restore_old_names(module, inner)
 
             spec.loader.exec_module = exec_module  # type: ignore[method-assign]
         return spec
 
 
-def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
-    """Module that other import hooks find, that of the tests' shapes among them."""
+def _find_with_other_finders(fullname: str, path: Any) -> ModuleSpec | None:
+    """Module specification that the other import hooks find for a module name."""
     for finder in sys.meta_path:
         if not isinstance(finder, OldModules):
             spec = finder.find_spec(fullname, path)
@@ -411,29 +433,32 @@ def _found_by_others(fullname: str, path: Any) -> ModuleSpec | None:
 
 
 class Alias(Loader):
-    """Module loader that loads a module under its old name: the module of the new name itself."""
+    """Module loader that makes an old module name stand for the module of the new name."""
 
     def __init__(self, present: str) -> None:
         self.present = present
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Module of the new name, imported in place of the old one."""
         del spec
         return None
 
     def exec_module(self, module: ModuleType) -> None:
-        warn(module.__name__, self.present)
+        """Do nothing, as the module of the new name is already loaded."""
+        warn_of_old_name(module.__name__, self.present)
         # The import takes what stands in sys.modules afterwards.
         sys.modules[module.__name__] = importlib.import_module(self.present)
 
 
 @cache
 def _modules_with_renames() -> frozenset[str]:
-    """Names of the modules in which something was renamed."""
+    """Names of all modules that contain a renamed class, function or method."""
     return frozenset(name.rpartition(".")[0] for name in (*NAMES, *METHODS))
 
 
-def _give_old_names(module: ModuleType, inner: str) -> None:
-    """Let a module, just imported, answer to the old names of what it holds."""
+def _restore_old_names(module: ModuleType, inner: str) -> None:
+    """Make the old names of its functions, classes and methods available in a module that was just
+    imported."""
     holder = f"{inner}."
     old_names = {
         old.removeprefix(holder): new
@@ -442,9 +467,10 @@ def _give_old_names(module: ModuleType, inner: str) -> None:
     }
 
     def look_up(name: str) -> Any:
+        """Object of the module that an old name stands for, with a warning."""
         if name not in old_names:
             raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
-        warn(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
+        warn_of_old_name(f"{module.__name__}.{name}", f"{OURS}.{old_names[name]}")
         place, _, present = old_names[name].rpartition(".")
         return getattr(importlib.import_module(f"{OURS}.{place}"), present)
 
@@ -453,19 +479,20 @@ def _give_old_names(module: ModuleType, inner: str) -> None:
     for dotted, methods in METHODS.items():
         place, _, name = dotted.rpartition(".")
         if place == inner:
-            accept_old_methods(getattr(module, name), methods)
+            support_old_methods(getattr(module, name), methods)
 
 
-def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
-    """Let a class and all its subclasses answer to old and new names of these methods."""
-    answer_to_both(base, methods)
+def support_old_methods(base: type, methods: Mapping[str, str]) -> None:
+    """Make renamed methods of a class and all its subclasses callable and overridable by their old
+    names."""
+    add_method_aliases(base, methods)
     for kind in _subclasses(base):
-        answer_to_both(kind, methods)
+        add_method_aliases(kind, methods)
     defined = vars(base).get("__init_subclass__")
 
     def redirect_renamed_overrides(cls: type, **options: Any) -> None:
-        """Give a new subclass the old method names, then do what its base class does."""
-        answer_to_both(cls, methods)
+        """Let a new subclass that overrides a method by its old name override the renamed one."""
+        add_method_aliases(cls, methods)
         if defined is None:
             super(base, cls).__init_subclass__(**options)  # type: ignore[arg-type]
         else:
@@ -475,30 +502,31 @@ def accept_old_methods(base: type, methods: Mapping[str, str]) -> None:
     base.__init_subclass__ = classmethod(redirect_renamed_overrides)  # type: ignore[assignment]
 
 
-def answer_to_both(kind: type, methods: Mapping[str, str]) -> None:
-    """Give each method that the class itself defines its other name as well."""
+def add_method_aliases(kind: type, methods: Mapping[str, str]) -> None:
+    """Give each renamed method that a class defines its other name as well."""
     for old, new in methods.items():
         defined = vars(kind)
         if old in defined and new not in defined:
-            warn(f"{kind.__name__}.{old}", f"{kind.__name__}.{new}")
+            warn_of_old_name(f"{kind.__name__}.{old}", f"{kind.__name__}.{new}")
             setattr(kind, new, defined[old])
         elif new in defined and old not in defined:
             setattr(kind, old, defined[new])
 
 
 def _subclasses(base: type) -> Iterator[type]:
+    """All direct and indirect subclasses of a class."""
     subclasses: list[type] = base.__subclasses__()
     for kind in subclasses:
         yield kind
         yield from _subclasses(kind)
 
 
-def install() -> None:
-    """Make old modules importable; asked once, when the package is imported."""
+def install_import_hook() -> None:
+    """Install the import hook that makes old module names importable."""
     if not any(isinstance(finder, OldModules) for finder in sys.meta_path):
         sys.meta_path.insert(0, OldModules())
     for (
         inner
     ) in _modules_with_renames():  # imported before this, by whatever imports the package in parts
         with suppress(KeyError):
-            _give_old_names(sys.modules[f"{OURS}.{inner}"], inner)
+            _restore_old_names(sys.modules[f"{OURS}.{inner}"], inner)

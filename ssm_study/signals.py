@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import positive, require
+from ssm_study.refusal import require, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Trajectory:
     d: Float[np.ndarray, "T3 k"] | None = None
 
     def __post_init__(self) -> None:
-        positive("step_s", self.step_s, "give it in seconds")
+        require_positive("step_s", self.step_s, "give it in seconds")
         signals = {"u": self.u, "y": self.y}
         if self.d is not None:
             signals["d"] = self.d
@@ -65,14 +65,14 @@ class Trajectory:
         return replace(self, u=self.u[samples], y=self.y[samples], d=d, first=first)
 
     @property
-    def driven_by(self) -> Float[np.ndarray, "T j"]:
-        """Inputs and measured disturbances side by side. Everything measured that moves the
-        system: `u`, and `d` beside it where there is one."""
+    def inputs_and_disturbances(self) -> Float[np.ndarray, "T j"]:
+        """Inputs and measured disturbances side by side, the inputs alone where no disturbance is
+        measured."""
         return self.u if self.d is None else np.hstack([self.u, self.d])
 
     @classmethod
-    def joined(cls, pieces: "Sequence[Trajectory]") -> "Trajectory":
-        """Join records that follow one another into one, which begins where the first does."""
+    def concatenate(cls, pieces: "Sequence[Trajectory]") -> "Trajectory":
+        """Join consecutive records into one record."""
         disturbances = [piece.d for piece in pieces if piece.d is not None]
         return replace(
             pieces[0],
@@ -82,11 +82,12 @@ class Trajectory:
         )
 
     def with_disturbances_as_inputs(self) -> "Trajectory":
-        """Record whose input is `(u, d)`."""
-        return replace(self, u=self.driven_by, d=None)
+        """Record in which the measured disturbances count as further inputs."""
+        return replace(self, u=self.inputs_and_disturbances, d=None)
 
     @property
     def time_s(self) -> Float[np.ndarray, "T"]:
+        """Time of each sample in seconds, from zero."""
         return np.arange(len(self.u)) * self.step_s
 
 
@@ -95,9 +96,9 @@ SHORTEST_PERIOD = (
 )
 
 
-def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
-    """Find where the input begins to repeat, and its period. `(start, period)`: the last two equal
-    pieces `u[start : start + period]` that follow each other; None if none do.
+def find_repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
+    """Start and period of the last stretch over which the input repeats itself; None if it does
+    not. `(start, period)`: two equal pieces of that length follow each other from `start` on.
 
     The inputs must be equal, as commanded ones are; a piece that does not move does not count.
     """
@@ -115,9 +116,9 @@ def repetition(u: Float[np.ndarray, "T m"]) -> tuple[int, int] | None:
     return None
 
 
-def lagged(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
-    """Regression matrix of past inputs. Rows `(u[k], ..., u[k - lags], 1)` from sample `lags`
-    on."""
+def lagged_inputs(u: Float[np.ndarray, "T m"], lags: int) -> Float[np.ndarray, "K d"]:
+    """Regression matrix of present and past inputs, with a column of ones. Rows `(u[k], ..., u[k -
+    lags], 1)` from sample `lags` on."""
     columns = [u[lags - lag : len(u) - lag] for lag in range(lags + 1)]
     return np.concatenate([*columns, np.ones((len(u) - lags, 1))], axis=1)
 
@@ -153,38 +154,45 @@ class Scale:
             )
 
     @classmethod
-    def unit(cls, inputs: int, outputs: int) -> "Scale":
-        """Identity scaling. `v = u`, `w = y`."""
+    def identity(cls, inputs: int, outputs: int) -> "Scale":
+        """Scale that leaves inputs and outputs unchanged. `v = u`, `w = y`."""
         m = np.ones(inputs)
         p = np.ones(outputs)
         return cls(input_scale=m, output_scale=p, input_equilibrium=0 * m, output_equilibrium=0 * p)
 
     @property
     def inputs(self) -> int:
+        """Number of inputs."""
         return len(self.input_scale)
 
     @property
     def outputs(self) -> int:
+        """Number of outputs."""
         return len(self.output_scale)
 
     def scaled_input(self, u: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
+        """Convert an input from physical to scaled units."""
         return (u - self.input_equilibrium) / self.input_scale
 
     def physical_input(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch m"]:
+        """Convert an input from scaled to physical units."""
         return self.input_equilibrium + self.input_scale * v
 
     def scaled_output(self, y: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
+        """Convert an output from physical to scaled units."""
         return (y - self.output_equilibrium) / self.output_scale
 
     @property
     def disturbances(self) -> int:
+        """Number of measured disturbances."""
         return len(self.disturbance_scale)
 
     def scaled_disturbance(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch k"]:
+        """Convert a measured disturbance from physical to scaled units."""
         return (d - self.disturbance_equilibrium) / self.disturbance_scale
 
     def with_disturbances_as_inputs(self) -> "Scale":
-        """Scale of records whose input is `(u, d)`."""
+        """Scale in which the measured disturbances count as further inputs."""
         return replace(
             self,
             input_scale=np.concatenate([self.input_scale, self.disturbance_scale]),
@@ -196,13 +204,13 @@ class Scale:
         )
 
     def physical_output(self, w: Float[np.ndarray, "*batch p"]) -> Float[np.ndarray, "*batch p"]:
+        """Convert an output from scaled to physical units."""
         return self.output_equilibrium + self.output_scale * w
 
-    def with_rest(
+    def append_equilibrium_input(
         self, inputs: Iterable[Float[np.ndarray, "_ m"]]
     ) -> list[Float[np.ndarray, "_ m"]]:
-        """Append to inputs the one that holds the plant at equilibrium, which a log is known to
-        have visited."""
+        """Append the equilibrium input, as a record of one sample, to a list of input records."""
         return [*inputs, self.input_equilibrium[None]]
 
 
@@ -214,8 +222,8 @@ Ends = tuple[Float[np.ndarray, "m"], Float[np.ndarray, "m"]]
 
 
 def input_limits(lower: Limit, upper: Limit, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> Ends:
-    """Limits of each input as given, else the range of records. Raises `BadRequest` for another
-    number than inputs."""
+    """Lower and upper limit of each input: as given, else the range of the recorded inputs. Raises
+    `BadRequest` for another number than inputs."""
     seen = np.concatenate(inputs)
     found = []
     for name, given, end in (
@@ -251,16 +259,17 @@ class DataSet:
     disturbances: tuple[Channel, ...] = ()
 
     @property
-    def applied(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records, with the one that holds the plant at equilibrium."""
-        return self.scale.with_rest(record.u for record in self.training)
+    def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
+        """Inputs of the training records, with the equilibrium input appended."""
+        return self.scale.append_equilibrium_input(record.u for record in self.training)
 
     @property
     def step_s(self) -> float:
+        """Sampling period in seconds."""
         return self.training[0].step_s
 
     def with_disturbances_as_inputs(self) -> "DataSet":
-        """Data set with `(u, d)` as inputs, as a model without a path of its own for d takes it."""
+        """Data set in which the measured disturbances count as further inputs."""
         if not self.disturbances:
             return self
         records: dict[str, Trajectories] = {}
@@ -276,15 +285,16 @@ class DataSet:
         )
 
     def shift_out_dead_time(self, samples: int) -> "DataSet":
-        """Remove a dead time by shifting the outputs. Each output beside the input that many
-        samples before it: the records of a fit without their dead time. Measured disturbances
-        act without it."""
+        """Remove a dead time by pairing each output with the input that many samples before it.
+        Measured disturbances act without it."""
         shortest = min(len(one) for one in (*self.training, *self.validation, *self.test))
         problem = f"the shortest record has {shortest} samples"
         remedy = "log longer records, or a shorter dead time"
         require(samples < shortest, "model.dead_time", samples, problem, remedy)
 
-        def early(records: Trajectories) -> Trajectories:
+        def shift_outputs(records: Trajectories) -> Trajectories:
+            """Records in which each output stands beside the earlier input that the dead time
+            delays."""
             return tuple(
                 replace(one[samples:], u=one.u[: len(one) - samples], first=one.first)
                 for one in records
@@ -292,31 +302,31 @@ class DataSet:
 
         return replace(
             self,
-            training=early(self.training),
-            validation=early(self.validation),
-            test=early(self.test),
+            training=shift_outputs(self.training),
+            validation=shift_outputs(self.validation),
+            test=shift_outputs(self.test),
         )
 
 
 def fit_percent(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """Fit of a simulated output in percent. `100 (1 - ||y - y_hat|| / ||y - mean(y)||)`,
-    Frobenius norms over all channels, after the start-up samples."""
+    """Fit of a simulated output to the measured one in percent. `100 (1 - ||y - y_hat|| / ||y -
+    mean(y)||)`, Frobenius norms over all channels, after the start-up samples."""
     y = y[start_up_samples:]
     y_hat = y_hat[start_up_samples:]
-    return fit_of_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
+    return fit_from_relative_error(np.linalg.norm(y - y_hat) / np.linalg.norm(y - y.mean(axis=0)))
 
 
-def fit_of_error(share: float | np.floating) -> float:
-    """Convert a relative error to a fit in percent. `100 (1 - share)`, percent, of an error that
-    is this share of the output's own deviation from its mean."""
+def fit_from_relative_error(share: float | np.floating) -> float:
+    """Convert a relative error to a fit in percent, `100 (1 - share)`. The error is relative to the
+    output's deviation from its mean."""
     return float(100.0 * (1.0 - share))
 
 
 def rmse(
     y: Float[np.ndarray, "T p"], y_hat: Float[np.ndarray, "T p"], start_up_samples: int = 0
 ) -> float:
-    """Root mean square error. `sqrt(mean((y - y_hat)^2))` in the unit of y, after the start-up
-    samples."""
+    """Root mean square error of a simulated output. `sqrt(mean((y - y_hat)^2))` in the unit of y,
+    after the start-up samples."""
     return float(np.sqrt(np.mean((y[start_up_samples:] - y_hat[start_up_samples:]) ** 2)))

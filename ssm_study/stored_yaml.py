@@ -4,7 +4,7 @@ from pathlib import Path
 
 import yaml  # type: ignore[import-untyped]
 
-from ssm_study.durable import contents
+from ssm_study.durable import read_limited_bytes
 from ssm_study.refusal import BadRequest, require
 
 LARGEST_YAML = 2**22  # bytes of a configuration that is read: a real one has 4,000
@@ -21,7 +21,7 @@ def read_stored_yaml(path: Path) -> str:
     field = "/".join(path.parts[-2:])
     remedy = "run the study again"
     try:
-        text = contents(path, LARGEST_YAML).decode()
+        text = read_limited_bytes(path, LARGEST_YAML).decode()
         loader = yaml.CSafeLoader(text)
         try:
             tree = loader.get_single_node()

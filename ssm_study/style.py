@@ -8,7 +8,7 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ssm_study.durable import refuse_link, write_atomically
+from ssm_study.durable import refuse_symbolic_link, write_atomically
 
 if TYPE_CHECKING:  # a colour is asked for more often than a figure is drawn
     from matplotlib.axes import Axes
@@ -53,15 +53,15 @@ _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
 def is_narrow() -> bool:
-    """Whether figures are drawn as wide as one column of a paper."""
+    """Whether figures are drawn for one column of a paper."""
     return _PAGE.get() == COLUMN_IN
 
 
 @contextmanager
-def paper(width: Width = "page") -> Iterator[None]:
-    """Context in which figures take the style of the project. Everything drawn and saved inside
-    has the look of this project; the caller's own settings come back after. `width="column"`:
-    figures that know how are drawn for one column."""
+def paper_style(width: Width = "page") -> Iterator[None]:
+    """Context in which all figures are drawn and saved in the project's style. Everything drawn and
+    saved inside has the look of this project; the caller's own settings come back after.
+    `width="column"`: figures that know how are drawn for one column."""
     import matplotlib as mpl
     import seaborn as sns
     from cycler import cycler
@@ -80,17 +80,17 @@ def paper(width: Width = "page") -> Iterator[None]:
             _PAGE.reset(asked)
 
 
-def canvas(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
-    """Empty figure without pyplot's global state. Such figures can be drawn anywhere and are
-    freed."""
+def new_figure(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
+    """Empty Matplotlib figure, independent of pyplot's global state. Such figures can be drawn
+    anywhere and are freed."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
-def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
-    """Place the legend in one row above the axes. The legend in one row over the axes, with what
-    only the `others` show: never on top of the data."""
+def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:
+    """Place the legend in one row above the axes, so that it never covers the data. Labels that
+    only the `others` have are included."""
     shown: dict[str, Any] = {}
     for part in (axes, *others):
         handles, labels = part.get_legend_handles_labels()
@@ -99,7 +99,7 @@ def above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> No
     axes.legend(shown.values(), shown.keys(), loc="lower left", ncols=columns, **look)
 
 
-def save(
+def save_figure(
     figure: "Figure", folder: Path, name: str, kinds: tuple[str, ...] = ("png", "pdf")
 ) -> list[Path]:
     """Save a figure as PNG and PDF. Write `folder/name.png` and `folder/name.pdf`, or one of them.
@@ -107,7 +107,7 @@ def save(
     The same data give the same bytes: no creation date is written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    refuse_link(folder)
+    refuse_symbolic_link(folder)
     dated = {"png": "Software", "pdf": "CreationDate"}
     paths = [folder / f"{name}.{kind}" for kind in kinds]
     for path, kind in zip(paths, kinds, strict=True):

@@ -1,5 +1,5 @@
-"""Linear and structured state-space systems, balls of Jacobians and gains. The systems everyone
-shares: a discrete-time linear state space, balls of Jacobians, a pair of gains."""
+"""Linear and structured state-space systems, balls of Jacobians, and controller gains. The systems
+everyone shares: a discrete-time linear state space, balls of Jacobians, a pair of gains."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ AGAIN = "write model.json again"
 
 
 class _Recurrence:
-    """Finite matrices, `a` among them."""
+    """Base class of state-space systems, which checks that all matrices are finite."""
 
     a: Float[np.ndarray, "n n"]
 
@@ -31,6 +31,7 @@ class _Recurrence:
 
     @property
     def order(self) -> int:
+        """Number of states."""
         return self.a.shape[0]
 
 
@@ -49,18 +50,20 @@ class StateSpace(_Recurrence):
 
     @property
     def spectral_radius(self) -> float:
+        """Spectral radius of the state matrix: below one, the system is stable."""
         return float(np.abs(np.linalg.eigvals(self.a)).max())
 
     @property
     def integrates(self) -> bool:
-        """Whether the system has an eigenvalue at one, so that constant inputs hold no state."""
+        """Whether the state matrix has an eigenvalue at one, so that the system integrates its
+        input."""
         return bool(np.linalg.matrix_rank(np.eye(self.order) - self.a) < self.order)
 
-    def held(
+    def steady_states(
         self,
     ) -> tuple[Float[np.ndarray, "n r"], Float[np.ndarray, "m r"], Float[np.ndarray, "p r"]]:
-        """Steady states and outputs under constant inputs. `X = A X + B V` and `C X + D V`: states,
-        inputs and outputs of a basis of all rest points.
+        """Basis of all equilibria: states, inputs and outputs that stay constant. `X = A X + B V`
+        and `C X + D V`: states, inputs and outputs of a basis of all rest points.
 
         `V = I` and `r = m`, one for each constant input, but of a model that integrates.
         """
@@ -77,8 +80,8 @@ class StateSpace(_Recurrence):
     def simulate(
         self, u: Float[np.ndarray, "*batch T m"], x0: Float[np.ndarray, "*batch n"] | None = None
     ) -> tuple[Float[np.ndarray, "*batch T p"], Float[np.ndarray, "*batch n"]]:
-        """Simulate the system for an input sequence. Step through `u` from `x0` (default 0);
-        returns the outputs and the state after the last sample."""
+        """Simulate the system for an input sequence from an initial state. Step through `u` from
+        `x0` (default 0); returns the outputs and the state after the last sample."""
         batch = u.shape[:-2]
         samples = u.shape[-2]
         x = np.zeros((*batch, self.order)) if x0 is None else x0
@@ -90,9 +93,10 @@ class StateSpace(_Recurrence):
             x = x @ turn + forced[..., k, :]
         return states @ self.c.T + u @ self.d.T, x
 
-    def response_samples(self, most: int = 4000, remainder: float = 0.1) -> int:
-        """Length of the impulse response in samples. Samples, at most `most`, after which
-        `remainder` of `sum |C A^k B|` is left: how long the system answers.
+    def impulse_response_length(self, most: int = 4000, remainder: float = 0.1) -> int:
+        """Number of samples after which only a given share of the impulse response remains.
+        Samples, at most `most`, after which `remainder` of `sum |C A^k B|` is left: how long the
+        system answers.
 
         By default the bulk of it, not the tail of a mode that no record filled. One run for each
         input, since the answers to several at once may cancel.
@@ -125,19 +129,20 @@ class StructuredSystem(_Recurrence):
 
     @property
     def neurons(self) -> int:
+        """Number of neurons."""
         return self.e.shape[1]
 
     def corners(self, most: int = 10) -> Float[np.ndarray, "k q"]:
-        """Combinations of neuron slopes that are all zero or one. They are every such choice of up
-        to `most` neurons, else a few, one per row."""
+        """Corners of the cube of neuron slopes: all combinations of zero and one, or a few of them
+        where there are many neurons. They are every such choice of up to `most` neurons, else a
+        few, one per row."""
         q = self.neurons
         if q <= most:
             return np.array(list(product((0.0, 1.0), repeat=q))).reshape(-1, q)
         return np.vstack([np.zeros(q), np.ones(q), np.eye(q), 1 - np.eye(q)])
 
-    def at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
-        """Linear system that results with the neurons' slopes frozen: `a + e S f`, `b + e S g`,
-        `c + h S f`, `d + h S g`."""
+    def linearise_at_slopes(self, slopes: Float[np.ndarray, "q"]) -> StateSpace:
+        """Linear system that results when each neuron is replaced by a gain, its slope."""
         driven = self.e * slopes
         seen = self.h * slopes
         a = self.a + driven @ self.f
@@ -168,27 +173,30 @@ class JacobianBall:
 
     @classmethod
     def from_slopes(cls, lower: float, upper: float) -> "JacobianBall":
+        """Ball of Jacobians of a scalar map from its smallest and largest slope."""
         require(lower <= upper, "slopes", (lower, upper), "lower exceeds upper", "swap them")
         return cls(alpha=(upper + lower) / 2, beta=(upper - lower) / 2)
 
     @property
     def lower(self) -> float:
+        """Smallest slope of a scalar map in the ball."""
         return self.alpha - self.beta
 
     @property
     def upper(self) -> float:
+        """Largest slope of a scalar map in the ball."""
         return self.alpha + self.beta
 
     @property
     def relative_radius(self) -> float:
-        """Radius of the ball relative to its centre. `beta / |alpha|`: what the exact frontier
-        is stated in."""
+        """Radius of the ball divided by the size of its centre. `beta / |alpha|`: what the exact
+        frontier is stated in."""
         return float("inf") if self.alpha == 0 else self.beta / abs(self.alpha)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Balls:
-    """Balls of Jacobians of the input and the output map. The balls that the theorems are
+    """Balls of Jacobians of a model's input map and output map. The balls that the theorems are
     applied with: `input` holds the Jacobians of `S_u`, `output` those of `S_y`."""
 
     input: JacobianBall
@@ -197,8 +205,8 @@ class Balls:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Gains of a controller with its observer. Controller and observer gains of `u = K xh,  xh+ = A
-    xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
+    """Gains of a state-feedback controller with its observer. Controller and observer gains of `u =
+    K xh, xh+ = A xh + B S_u(u) + L (yh - y)`, scaled; many, if batched.
 
     `s` is the model's order, and that of an internal model `z+ = internal z + error_input_matrix(y
     - y*)` where there is one: None
@@ -213,7 +221,7 @@ class Gains:
 
     @property
     def modes(self) -> Float[np.ndarray, "z z"]:
-        """State matrix of the internal model, of width zero where there is none."""
+        """State matrix of the controller's internal model, of size zero where there is none."""
         return (
             np.eye(self.k.shape[-1] - self.l.shape[-2]) if self.internal is None else self.internal
         )
@@ -225,20 +233,20 @@ class Gains:
 
 
 def error_input_matrix(modes: Float[np.ndarray, "z z"], outputs: int) -> Float[np.ndarray, "z p"]:
-    """Input matrix by which the control error drives an internal model. Each output enters every
-    state of its own copy alike."""
+    """Input matrix by which the control error drives the controller's internal model. Each output
+    enters every state of its own copy alike."""
     return np.tile(np.eye(outputs), (len(modes) // outputs, 1))
 
 
 def frozen_modes(modes: Float[np.ndarray, "z z"]) -> Float[np.ndarray, "z z"]:
-    """State matrix of an internal model while a limit of the input acts. Integrators (ones on the
-    diagonal) hold their state, oscillators go on."""
+    """State matrix of the controller's internal model while an input limit is active: integrators
+    hold their state. Integrators (ones on the diagonal) hold their state, oscillators go on."""
     return np.where(np.diagonal(modes)[:, None] == 1, np.eye(len(modes)), modes)
 
 
 def array_from_json(data: Mapping[str, Any], key: str, dimensions: int) -> Float[np.ndarray, "..."]:
-    """Read a numeric array from JSON. `data[key]` as a finite float64 array of that many
-    dimensions; raises `BadRequest` otherwise."""
+    """Read an array from JSON data and check its dimensions and that it is finite. `data[key]` as a
+    finite float64 array of that many dimensions; raises `BadRequest` otherwise."""
     require(key in data, key, "missing", "the stored model lacks this entry", AGAIN)
     try:
         values = np.asarray(data[key], dtype=np.float64)

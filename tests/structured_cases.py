@@ -74,7 +74,7 @@ def controlled_steps(
 ) -> list:
     """`A + E S F + (B + E S G) J K` at both ends and the centre of the ball."""
     ends = (ball.lower, ball.alpha, ball.upper)
-    at = [system.at_slopes(row) for row in slopes]
+    at = [system.linearise_at_slopes(row) for row in slopes]
     return [linear.a + slope * linear.b @ k for linear in at for slope in ends]
 
 
@@ -89,7 +89,7 @@ def observing_steps(
     steps = []
     for row in slopes:
         for slope in (ball.lower, ball.alpha, ball.upper):
-            linear = system.at_slopes(row)
+            linear = system.linearise_at_slopes(row)
             steps.append(linear.a + slope * (l_ @ linear.c + (system.e * row) @ l_z @ system.c))
     return steps
 

@@ -11,7 +11,7 @@ from rehearsal.servo import Servo, fitted, tracked
 from ssm_study.data.experiments import RecordedExperiments, find_record_file
 from ssm_study.data.recorded import RecordedSource
 from ssm_study.data.recording import Recording, decimate_record
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import DataSet, Trajectory
 
 
@@ -38,7 +38,7 @@ class Rehearsal(RecordedSource):
     def __post_init__(self) -> None:
         for name in ("rehearsals", "pulses"):
             value = getattr(self, name)
-            at_least(1, f"data.{name}", value, "use a positive whole number")
+            require_at_least(1, f"data.{name}", value, "use a positive whole number")
         one = (
             len(self.experiments.training[0].inputs)
             == len(self.experiments.training[0].outputs)

@@ -143,7 +143,7 @@ class Design:
             return {}
         data = self.origin.data
         twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
-        loop = self.loop.within(data.applied).fitted(self.model)
+        loop = self.loop.within(data.training_inputs).fitted(self.model)
         runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
         return (
             {"loop_on": "identified model"}
@@ -252,7 +252,7 @@ class Design:
         recorded = self._recorded_inputs
         if recorded:
             scale = self.model.scale
-            loop = loop.within(scale.with_rest(recorded))
+            loop = loop.within(scale.append_equilibrium_input(recorded))
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(

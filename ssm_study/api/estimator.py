@@ -10,7 +10,7 @@ from ssm_study.api.fitting import Signals, fit
 from ssm_study.api.model import Model, Values
 from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.models.metrics import Simulation
-from ssm_study.refusal import BadRequest, at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import Trajectory
 
 FEWEST_SCORED = 2  # samples
@@ -92,7 +92,7 @@ class Estimator:
         before `fit`, and for a record that is no longer than its start.
         """
         model = self._fitted()
-        at_least(0, "start_up_samples", self.start_up_samples, "use 20")
+        require_at_least(0, "start_up_samples", self.start_up_samples, "use 20")
         channels = len(model.data.inputs)
         inputs = signal_columns(u, "u", channels, model.input_names)[1]
         outputs = signal_columns(y, "y", len(model.data.outputs), model.output_names)[1]

@@ -13,7 +13,7 @@ from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import new_folder
 from ssm_study.api.steps import identify
 from ssm_study.data.arrays import write_log_files
-from ssm_study.refusal import BadRequest, positive
+from ssm_study.refusal import BadRequest, require_positive
 
 Signals = Values | Sequence[Values]
 CHOICES = {
@@ -122,5 +122,5 @@ def sampling_time_in_seconds(step_s: Any) -> float:
         seconds = float(step_s)
     except (TypeError, ValueError) as error:
         raise BadRequest("step_s", step_s, "is no sampling time", remedy) from error
-    positive("step_s", seconds, remedy)
+    require_positive("step_s", seconds, remedy)
     return seconds

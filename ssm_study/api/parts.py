@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 import ssm_study
 from ssm_study.construction import construct_part
-from ssm_study.extensions import configurations
+from ssm_study.extensions import extension_configuration_folders
 from ssm_study.refusal import BadRequest, require
 
 Tree = dict[str, Any]
@@ -34,7 +34,7 @@ def configuration_folders() -> list[Path]:
     package = Path(ssm_study.__file__).resolve().parent
     installed = package / "conf"
     ours = installed if installed.is_dir() else package.parent / "conf"
-    return [ours, *configurations()]
+    return [ours, *extension_configuration_folders()]
 
 
 def load_tree(group: str, choice: str) -> Tree:

@@ -91,7 +91,7 @@ def design_controller(
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
     relevant_mismatch = mismatch_for_law(synthesis, model, data, plant_mismatch)
-    lower, upper = input_limits(*limits, data.applied)
+    lower, upper = input_limits(*limits, data.training_inputs)
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.with_largest_margin()

@@ -30,13 +30,13 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
     selections = _selections(network)
     form = selections[0].T @ selections[0]
     for layer, (weight, _, negative, positive) in enumerate(network.hidden()):
-        drive = Exact.of(weight) @ selections[layer]
+        drive = Exact.from_floats(weight) @ selections[layer]
         output = selections[layer + 1]
         above = output - _diagonal(np.minimum(negative, positive)) @ drive
         below = _diagonal(np.maximum(negative, positive)) @ drive - output
         sector = above.T @ (_diagonal(multipliers[layer]) @ below)
         form = form - sector - sector.T
-    response = Exact.of(network.weights[-1]) @ selections[-1]
+    response = Exact.from_floats(network.weights[-1]) @ selections[-1]
     return is_positive_definite(form - response.T @ response)
 
 
@@ -46,8 +46,10 @@ def _selections(network: Network) -> list[Exact]:
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
     ends = np.cumsum(sizes)
     identity = np.eye(ends[-1])
-    return [Exact.of(identity[end - size : end]) for size, end in zip(sizes, ends, strict=True)]
+    return [
+        Exact.from_floats(identity[end - size : end]) for size, end in zip(sizes, ends, strict=True)
+    ]
 
 
 def _diagonal(entries: Float[np.ndarray, "_"]) -> Exact:
-    return Exact.of(entries).diagonal()
+    return Exact.from_floats(entries).diagonal_matrix()

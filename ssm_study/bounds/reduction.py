@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ssm_study.bounds.gramians import BALANCING_FLOOR, balance, hankel_singular_values
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Reduction:
 
     def __post_init__(self) -> None:
         order = self.truncate_to
-        at_least(1, "reduction.truncate_to", order, "one state must stay")
+        require_at_least(1, "reduction.truncate_to", order, "one state must stay")
         share = self.drop_below
         remedy = "1e-6 changes the output by about one part in a million"
         inside = BALANCING_FLOOR <= share < 1

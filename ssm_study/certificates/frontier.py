@@ -60,7 +60,7 @@ def controller_frontier(system: System, ball: JacobianBall) -> Frontier:
         return frontier(system.a, system.b, ball)
     frontiers = []
     for slopes in system.corners():  # each neuron at slope zero or one
-        frozen = system.at_slopes(slopes)
+        frozen = system.linearise_at_slopes(slopes)
         frontiers.append(frontier(frozen.a, frozen.b, ball))
     return max(frontiers, key=lambda limit: limit.contraction_limit)
 

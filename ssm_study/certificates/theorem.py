@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.exact import Exact, is_positive_definite
-from ssm_study.extensions import load
+from ssm_study.extensions import import_trusted_packages
 from ssm_study.refusal import require
 from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 
@@ -70,7 +70,7 @@ def stacked(rows: Blocks) -> Any:
 def diagonal(entries: Any) -> Any:
     """Build a diagonal matrix from a stored vector. The diagonal matrix of a stored vector,
     whose zeros nobody can alter: a multiplier `Lambda`."""
-    return entries.diagonal() if isinstance(entries, Exact) else np.diagflat(entries)
+    return entries.diagonal_matrix() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
 def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
@@ -195,7 +195,7 @@ class Theorem(ABC):
         """The conditions in exact arithmetic. Raises `ValueError` where the shapes do not fit."""
         return {
             label: Exact.block(blocks)
-            for label, blocks in cls._evaluated(Exact.of, numbers).items()
+            for label, blocks in cls._evaluated(Exact.from_floats, numbers).items()
         }
 
     @classmethod
@@ -223,7 +223,7 @@ class Theorem(ABC):
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
         """Exact values of derived fields, each entry rounded once to the nearest float."""
         return {
-            name: (Exact.of(of[left]) @ of[right]).rounded()
+            name: (Exact.from_floats(of[left]) @ of[right]).to_floats()
             for name, (left, right) in cls.products.items()
         }
 
@@ -276,7 +276,7 @@ def theorem_named(name: str) -> type[Theorem]:
     ):
         importlib.import_module(f"{FOLDER}.{name}")
     else:
-        load()
+        import_trusted_packages()
     kinds: list[Any] = [Theorem]
     for kind in kinds:  # grows while it is read: subclasses of subclasses
         kinds += kind.__subclasses__()

@@ -15,7 +15,7 @@ from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
 from ssm_study.cli.new_study import new
 from ssm_study.cli.paper_figures import PAPER_FIGURES
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 
 Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")
@@ -120,7 +120,7 @@ def refine_run(options: argparse.Namespace) -> int:
     from ssm_study.cli.summary import conclude_run
     from ssm_study.study.refine import refine
 
-    at_least(1, "--times", options.times, "use 4 or so")
+    require_at_least(1, "--times", options.times, "use 4 or so")
     last_config = None
     for step in refine(options.run, options.record, options.times):
         print(step.said, flush=True)

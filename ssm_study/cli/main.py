@@ -9,7 +9,7 @@ from ssm_study import limit_threads
 from ssm_study.cli.commands import Command
 from ssm_study.cli.exit_status import DONE, WRONG_REQUEST, describe_error
 from ssm_study.cli.parser import build_parser
-from ssm_study.extensions import taken_from
+from ssm_study.extensions import pop_extension_option
 from ssm_study.refusal import BadRequest
 
 INTERRUPTED = (
@@ -23,7 +23,7 @@ def main(arguments: list[str] | None = None) -> int:
     limit_threads()  # first: the libraries read it once, when they are imported
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
-        arguments = taken_from(arguments)
+        arguments = pop_extension_option(arguments)
         if arguments[:1] == ["run"]:
             from ssm_study.cli.run import run
 

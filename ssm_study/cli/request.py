@@ -15,7 +15,7 @@ from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
 from ssm_study.refusal import require
-from ssm_study.renamed import bring_up_to_date, present_overrides
+from ssm_study.renamed import current_overrides, rename_old_settings
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPEN = "--open"  # shows the page at the end
@@ -50,7 +50,7 @@ def translate(arguments: list[str]) -> list[str]:
     if "--dry-run" in rest:
         rest = [word for word in rest if not word.lstrip("+~").startswith(LAUNCHER)]
     words = [word for argument in rest for word in OPTIONS.get(argument, (argument,))]
-    return ["--multirun"] * many + quote_sines(present_overrides(words))
+    return ["--multirun"] * many + quote_sines(current_overrides(words))
 
 
 def quote_sines(words: Iterable[str]) -> list[str]:
@@ -67,7 +67,7 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     """
     request = Command(arguments, folder, name)
     refuse_no_choices(request)
-    bring_up_to_date(request.config)
+    rename_old_settings(request.config)
     refuse_foreign_targets(request.config)
     refuse_empty(request)
     refuse_unbounded(OmegaConf.to_container(request.config, resolve=False))

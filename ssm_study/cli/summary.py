@@ -13,7 +13,7 @@ from rich.text import Text
 
 from ssm_study import __version__
 from ssm_study.cli.paper_figures import PAPER_FIGURES
-from ssm_study.durable import refuse_link, write_atomically
+from ssm_study.durable import refuse_symbolic_link, write_atomically
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOST, OK, RECORD, read_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import study_folder
@@ -41,7 +41,7 @@ def conclude_run(config: DictConfig) -> bool:
         known = [*about, _outcome(study, record, drawn, figures, width)]
         with suppress(OSError, BadRequest):  # a study that may only be read
             told.parent.mkdir(exist_ok=True)
-            refuse_link(told.parent)
+            refuse_symbolic_link(told.parent)
             # Last: it vouches for tables and figures.
             write_atomically(told, json.dumps(known).encode(), durable=False)
     console.print(Text.from_ansi(known[-1]), soft_wrap=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study.cli.run import configuration_folder
-from ssm_study.extensions import configurations
+from ssm_study.extensions import extension_configuration_folders
 
 
 def folders() -> list[Path]:
     """Folders with yaml files of the configuration groups, ours first, in the order of Hydra's
     search."""
-    return [configuration_folder(), *configurations()]
+    return [configuration_folder(), *extension_configuration_folders()]
 
 
 def choices(group: str) -> list[str]:

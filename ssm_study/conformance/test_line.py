@@ -9,7 +9,7 @@ import pytest
 
 from ssm_study.cli.main import main
 from ssm_study.conformance import choices, folders
-from ssm_study.extensions import configurations, modules
+from ssm_study.extensions import extension_configuration_folders, extension_modules
 from ssm_study.report import figures
 from ssm_study.study.verify import verify
 
@@ -33,7 +33,7 @@ def every_choice() -> list[tuple[str, ...]]:
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in choices(group)]
     words += [(f"synthesis={name}",) for name in choices("synthesis")]
-    for folder in configurations():
+    for folder in extension_configuration_folders():
         words += [(f"experiment={path.stem}",) for path in folder.glob("experiment/*.yaml")]
     return words
 
@@ -70,7 +70,7 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
     if record["status"] == "infeasible":
         assert record["infeasible_reason"]
     assert [finding for finding in verify(path.parent) if not finding.holds] == []
-    for name in modules("figures"):
+    for name in extension_modules("figures"):
         assert figures.caption(name)
         for picture in figures.draw([name], shared_results / study):
             assert picture.stat().st_size > 0
@@ -83,7 +83,7 @@ def test_no_choice_of_another_package_hides_behind_ours() -> None:
     for theirs in others:
         assert not yaml_files(theirs) & our_files
     our_figures = {path.stem for path in Path(figures.__file__).parent.glob("*.py")}
-    assert not set(modules("figures")) & our_figures
+    assert not set(extension_modules("figures")) & our_figures
 
 
 def yaml_files(folder: Path) -> set[Path]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.data.rounded_times import rounded_period_s
-from ssm_study.refusal import BadRequest, at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 
 # Relative difference allowed between the claimed sampling time and the one that the times show.
 AGREEMENT = 1e-3
@@ -43,7 +43,7 @@ def log_length(pieces: EvenRows) -> int:
 def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
     """Mean sampling period of times that are evenly spaced within a tolerance; refuses others.
     Refuses others."""
-    at_least(2, f"{where} (time)", len(time_s), "use a longer record")
+    require_at_least(2, f"{where} (time)", len(time_s), "use a longer record")
     refuse_decreasing_times(time_s, where)
     mean_s, late = period_and_jitter(time_s)
     worst = int(np.argmax(late))
@@ -106,7 +106,7 @@ def resample_to_even_clock(
     known = np.isfinite(time_s)
     time_s = time_s[known]
     values = values[known]
-    at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
+    require_at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     if step_s is not None and (np.diff(time_s) == 0).any():
         return check_rounded_clock(time_s, values, step_s, where)
     rounded = (

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import at_least, require
-from ssm_study.signals import Trajectory, lagged
+from ssm_study.refusal import require, require_at_least
+from ssm_study.signals import Trajectory, lagged_inputs
 
 LAGS = 60  # samples of r that an input answers to
 FEWEST = 10  # samples for each of them
@@ -35,11 +35,13 @@ def project_inputs_on_set_points(
 
     Raises `BadRequest` for logs that are too short.
     """
-    at_least(
+    require_at_least(
         FEWEST * LAGS, "data.reference (samples of the logs)", sum(map(len, logs)), "log longer"
     )
     at_rest = (np.repeat(r[:1], LAGS, axis=0) for r in references)  # before each log
-    past = [lagged(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)]
+    past = [
+        lagged_inputs(np.concatenate(pair), LAGS) for pair in zip(at_rest, references, strict=True)
+    ]
     x = np.concatenate(past)
     u = np.concatenate([log.u for log in logs])
     filtered = np.linalg.lstsq(x, u, rcond=1e-9)[0]

@@ -11,7 +11,7 @@ from ssm_study.data.metrics import SCORES
 from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
 from ssm_study.data.splits import cut_out_fold
-from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.refusal import BadRequest, require, require_one_of
 from ssm_study.signals import DataSet, Trajectory
 
 RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark
@@ -45,7 +45,7 @@ class RecordedExperiments(AroundRest):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one_of(SCORES, "data.score", self.score)
+        require_one_of(SCORES, "data.score", self.score)
         for part in ("training", "validation", "test"):
             require(
                 len(getattr(self, part)) > 0,

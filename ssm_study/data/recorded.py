@@ -24,7 +24,7 @@ from ssm_study.data.splits import (
     split_by_time,
     split_into_blocks,
 )
-from ssm_study.refusal import at_least, one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 from ssm_study.signals import DataSet, Trajectory
 
 Splitter = Callable[[Trajectory], Pieces]
@@ -63,9 +63,9 @@ class AroundRest(RecordedSource):
     output_equilibrium: list[float] | None = None
 
     def __post_init__(self) -> None:
-        at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
-        one_of(("zero", "mean"), "data.equilibrium", self.equilibrium)
-        at_least(2, "data.folds", self.folds, "use 4 or so")
+        require_at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
+        require_one_of(("zero", "mean"), "data.equilibrium", self.equilibrium)
+        require_at_least(2, "data.folds", self.folds, "use 4 or so")
         inside = self.fold is None or 0 <= self.fold < self.folds
         require(
             inside, "data.fold", self.fold, f"there are {self.folds} folds", "count them from 0"
@@ -132,7 +132,7 @@ class RecordedData(Columns, AroundRest):
         total = self.validation_fraction + (self.test_fraction if self.test_path is None else 0.0)
         both = "data.validation_fraction, data.test_fraction"
         require(total < 1, both, total, "nothing is left to train on", "cut less")
-        one_of(("auto", "time", "blocks"), "data.split", self.split)
+        require_one_of(("auto", "time", "blocks"), "data.split", self.split)
         named = (self.validation, self.test)
         tested = self.test is not None or self.test_path is not None
         whole = (self.validation is None and self.test is None) or (

@@ -25,7 +25,7 @@ from ssm_study.data.readers.reader import (
     refuse_equal_columns,
 )
 from ssm_study.data.text_layout import TextSettings
-from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.signals import Channel, Trajectory
 
 Names = str | int | list[str] | list[int] | tuple[str, ...]
@@ -68,8 +68,8 @@ class Columns:
     differentiate: bool = False
 
     def __post_init__(self) -> None:
-        positive("data.step_s", self.step_s, "give it in seconds")
-        at_least(1, "data.decimate", self.decimate, "use 1 to keep every sample")
+        require_positive("data.step_s", self.step_s, "give it in seconds")
+        require_at_least(1, "data.decimate", self.decimate, "use 1 to keep every sample")
         jitter = self.jitter_tolerance
         require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
         _ = self.text_settings  # refuses what is no separator or decimal mark
@@ -171,7 +171,7 @@ class Columns:
             b = min(whole.stop - start, len(values))
             enough = b - a >= 2 * self.decimate + 1
             if enough or len(pieces.values) == 1:
-                at_least(2 * self.decimate + 1, "samples", b - a, "use a longer record")
+                require_at_least(2 * self.decimate + 1, "samples", b - a, "use a longer record")
                 at = (start + a) // self.decimate
                 records.append(
                     replace(self._build_record(values[a:b], pieces.step_s, path), first=at)
@@ -350,7 +350,7 @@ class Recording(Columns):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(0, "data.first", self.first, "count samples from 0")
+        require_at_least(0, "data.first", self.first, "count samples from 0")
 
     @property
     def searches_clock(self) -> bool:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import at_least
+from ssm_study.refusal import require_at_least
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 
 FEWEST_SAMPLES = 20
@@ -81,17 +81,17 @@ class SimulatedData:
     fresh_sets: int = 0
 
     def __post_init__(self) -> None:
-        at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
+        require_at_least(1, "data.trajectories", self.trajectories, "use 8 or so")
         for name in ("samples", "validation_samples", "test_samples"):
-            at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
-        at_least(
+            require_at_least(FEWEST_SAMPLES, f"data.{name}", getattr(self, name), "use 1000 or so")
+        require_at_least(
             0,
             "data.noise_variance",
             self.noise_variance,
             "use 0 for no noise, or null for the plant's own",
         )
-        at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
-        at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
+        require_at_least(0, "data.start_up_samples", self.start_up_samples, "use 0")
+        require_at_least(0, "data.fresh_sets", self.fresh_sets, "use 0 for none")
 
     def build(self, plant: Plant, excitation: Excitation, seed: int) -> DataSet:
         """Simulate the data set of a plant under an excitation. Equal seeds give equal numbers."""

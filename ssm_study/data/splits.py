@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ssm_study.refusal import require
-from ssm_study.signals import Trajectory, repetition
+from ssm_study.signals import Trajectory, find_repetition
 
 Pieces = tuple[list[Trajectory], list[Trajectory], list[Trajectory]]
 Intervals = Sequence[list[float]]
@@ -32,7 +32,7 @@ def split_pieces(
     """
     if len(log_pieces) == 1:
         return split_record(log_pieces[0])
-    whole = replace(Trajectory.joined(log_pieces), first=0)
+    whole = replace(Trajectory.concatenate(log_pieces), first=0)
     ends = np.cumsum([len(piece) for piece in log_pieces])
     starts = ends - [len(piece) for piece in log_pieces]
     parts: Pieces = ([], [], [])
@@ -129,14 +129,14 @@ def periodic_segments(record: Trajectory, start_up_samples: int) -> list[Traject
     between = []
     for (a, b), (_, end) in pairwise(rests):
         between.append(record[(a + b) // 2 : end])
-    inputs = [piece.driven_by[start_up_samples:] for piece in between]
-    return between if all(repetition(u) for u in inputs) else []
+    inputs = [piece.inputs_and_disturbances[start_up_samples:] for piece in between]
+    return between if all(find_repetition(u) for u in inputs) else []
 
 
 def _rest_ranges(record: Trajectory, first: bool = False) -> list[tuple[int, int]]:
     """Index ranges in which the input rests at the value with which the record ends. With `first`,
     one at its beginning counts, too."""
-    moving = record.driven_by
+    moving = record.inputs_and_disturbances
     moved = np.flatnonzero((moving != moving[-1]).any(axis=1))
     if not len(moved) or len(record) - moved[-1] <= SHORTEST_REST:
         return []

@@ -13,7 +13,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ssm_study.refusal import BadRequest, one_of, require
+from ssm_study.refusal import BadRequest, require, require_one_of
 
 SAMPLED_ROWS = 120
 SEPARATORS = ("\t", ";", "|", ",", " ")  # tried in this order: the first of equals is taken
@@ -56,7 +56,7 @@ class TextSettings:
             names = ", ".join(BY_WORD)
             require(known, "data.separator", self.separator, "unknown", f"use one of {names}")
         if self.decimal is not None:
-            one_of((".", ","), "data.decimal", self.decimal)
+            require_one_of((".", ","), "data.decimal", self.decimal)
 
     @property
     def separator_mark(self) -> str | None:

@@ -28,9 +28,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ssm_study.durable import sealed, unsealed, write_json_atomically
+from ssm_study.durable import add_digest, read_sealed_json, write_json_atomically
 from ssm_study.refusal import require
-from ssm_study.renamed import present_module, present_symbol
+from ssm_study.renamed import current_module, current_symbol
 
 # A dotted module and a name in it; `*` is all of it, and a library has no name in it.
 Symbol = tuple[str, str]
@@ -138,12 +138,12 @@ class Code:
         module, name = symbol
         if name in (WHOLE, LIBRARY):
             return (
-                module if self._read_module(module) is not None else present_module(module)
+                module if self._read_module(module) is not None else current_module(module)
             ), name
         read = self._read_module(module)
         if read is not None and (name in read.parts or name in read.imported):
             return symbol
-        return present_symbol(module, name)
+        return current_symbol(module, name)
 
     def _is_followed(self, top: str) -> bool:
         """Whether the sources of a package are read. They are for this package, and for whatever is
@@ -282,7 +282,7 @@ def _scan_module(path: Path, module: str) -> Module:
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
     with suppress(OSError):
-        cached = unsealed(file.read_bytes())
+        cached = read_sealed_json(file.read_bytes())
         if cached is not None and cached["content"] == digest:
             return _module_from_json(cached)
     read = _scan_source(path, module)
@@ -290,7 +290,7 @@ def _scan_module(path: Path, module: str) -> Module:
         CACHE.mkdir(parents=True, exist_ok=True)
         body = {"content": digest, "parts": read.parts, "imported": read.imported}
         as_read_back = json.loads(json.dumps(body))
-        write_json_atomically(file, sealed(as_read_back), durable=False)
+        write_json_atomically(file, add_digest(as_read_back), durable=False)
     return read
 
 

@@ -17,7 +17,7 @@ from hydra.core.utils import JobReturn, JobStatus, configure_log
 from hydra.types import HydraContext
 from omegaconf import open_dict, read_write
 
-from ssm_study.durable import PATIENCE_S, locked
+from ssm_study.durable import PATIENCE_S, file_lock
 from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
 from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
@@ -150,7 +150,7 @@ def note_death(
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.
     """
-    with locked(folder / LOCK, PATIENCE_S) as mine:
+    with file_lock(folder / LOCK, PATIENCE_S) as mine:
         # Under the lock: another sweep may have finished the run in the meantime.
         record = read_record(folder)
         if record is not None and record["status"] in FINAL:

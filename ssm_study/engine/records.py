@@ -8,9 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.durable import contents, is_locked, sealed, unsealed, write_json_atomically
+from ssm_study.durable import (
+    add_digest,
+    is_locked,
+    read_limited_bytes,
+    read_sealed_json,
+    write_json_atomically,
+)
 from ssm_study.refusal import BadRequest
-from ssm_study.renamed import with_both_columns
+from ssm_study.renamed import add_renamed_columns
 
 RECORD = "record.json"
 VERSION = 2  # of what is written
@@ -34,15 +40,15 @@ def write_record(folder: Path, record: Mapping[str, Any], durable: bool = True) 
     and `-inf`."""
     columns = {str(name): value for name, value in record.items() if name not in OF_THE_FILE}
     flat = {name: storable_value(name, value) for name, value in columns.items()}
-    body = {"record_version": VERSION} | with_both_columns(flat)
-    write_json_atomically(folder / RECORD, sealed(body), durable)
+    body = {"record_version": VERSION} | add_renamed_columns(flat)
+    write_json_atomically(folder / RECORD, add_digest(body), durable)
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
     """Record of `folder` with `status` as it is now (`lost`, `corrupt` included). None if there is
     none."""
     try:
-        content = contents(folder / RECORD, LARGEST)
+        content = read_limited_bytes(folder / RECORD, LARGEST)
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError:  # no plain file, or one that no run wrote
@@ -58,7 +64,7 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 def parse_record(content: bytes) -> dict[str, Any]:
     """Parse a record from bytes. Anything that is not exactly a sealed record gives only `status =
     corrupt`."""
-    record = unsealed(content)
+    record = read_sealed_json(content)
     version = None if record is None else record.get("record_version")
     if type(version) is not int or version not in READABLE:
         return {"status": CORRUPT}
@@ -68,7 +74,7 @@ def parse_record(content: bytes) -> dict[str, Any]:
         or not _fit_in_64_bits(*record.values())
     ):
         return {"status": CORRUPT}
-    return with_both_columns(record)
+    return add_renamed_columns(record)
 
 
 def _fit_in_64_bits(*values: Any) -> bool:

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.durable import PATIENCE_S, link_or_copy, locked, write_atomically
+from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy, write_atomically
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult
@@ -88,7 +88,7 @@ def execute(
     raised on, leaving a run that the same command takes up again.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder / LOCK, PATIENCE_S) as mine:
+    with file_lock(folder / LOCK, PATIENCE_S) as mine:
         if not mine:  # two sweeps may share runs: who comes second leaves them to the first
             message = "another process is at this run"
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)

@@ -16,7 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from ssm_study import durable
-from ssm_study.durable import contents, locked, sealed, sha256_of_file, sync, unsealed
+from ssm_study.durable import (
+    add_digest,
+    file_lock,
+    flush_to_disk,
+    read_limited_bytes,
+    read_sealed_json,
+    sha256_of_file,
+)
 from ssm_study.engine.records import storable_value
 from ssm_study.engine.settings import digest
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
@@ -49,7 +56,7 @@ class Store(Stages):
         key = measure_key(output, before)
         folder = output.result.path
         path = folder.with_name(f"{folder.name}.{key[:16]}.json")
-        stored = unsealed(contents(path)) if path.is_file() else None
+        stored = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
         if stored is not None and stored["key"] == key:
             facts: Facts = stored["facts"]
             return facts
@@ -58,7 +65,7 @@ class Store(Stages):
         facts = {name: storable_value(name, value) for name, value in columns.items()}
         seconds = time.process_time() - started
         body = {"key": key, "facts": facts, "processor_seconds": seconds}
-        durable.write_json_atomically(path, sealed(body), durable=False)
+        durable.write_json_atomically(path, add_digest(body), durable=False)
         return facts
 
     def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
@@ -69,7 +76,7 @@ class Store(Stages):
         """
         if intact := self.find(name, key):
             return intact
-        with locked(self.root / ".locks" / f"{name}-{key}.lock"):
+        with file_lock(self.root / ".locks" / f"{name}-{key}.lock"):
             if intact := self.find(name, key):  # another process was faster
                 return intact
             folder = self.folder(name, key)
@@ -134,7 +141,7 @@ def _move_into_place(temporary: Path, final: Path) -> None:
             raise
         # Someone placed the same result without our lock: theirs is as good.
         shutil.rmtree(temporary)
-    sync(final.parent)  # only now does the stage survive a power loss
+    flush_to_disk(final.parent)  # only now does the stage survive a power loss
 
 
 def machine_name() -> str:
@@ -184,17 +191,17 @@ def seal_folder(
             files[place.as_posix()] = sums
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     process = {"made_utc": stamp, "host": socket.gethostname(), "pid": os.getpid()}
-    manifest.write_bytes(durable.json_bytes(sealed(note | process | {"files": files})))
+    manifest.write_bytes(durable.json_bytes(add_digest(note | process | {"files": files})))
     entries = [path for path in paths if path.is_dir() or path.is_file()]
     # The file system commits them together; more than 8 gain nothing.
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(sync, [*entries, manifest, folder]))
+        list(pool.map(flush_to_disk, [*entries, manifest, folder]))
 
 
 def intact_manifest(folder: Path) -> dict[str, Any] | None:
     """Manifest of `folder` if it and all files that it lists are unchanged; else None."""
     try:
-        manifest = unsealed(contents(folder / MANIFEST))
+        manifest = read_sealed_json(read_limited_bytes(folder / MANIFEST))
     except OSError:
         return None
     if manifest is None or damaged_files(folder, manifest):

@@ -57,7 +57,7 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
         past = log_before(case.data, piece)
         if past is None:
             continue
-        log = Trajectory.joined([past, piece])
+        log = Trajectory.concatenate([past, piece])
         carried = free_run(case.model, log, skip)[-len(piece) :]
         sides = (piece.y, piece.y - own, piece.y - carried)
         powers.append([signal_power(side) for side in sides])

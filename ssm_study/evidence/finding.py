@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.structured import Model
-from ssm_study.signals import DataSet, Trajectories, Trajectory, lagged
+from ssm_study.signals import DataSet, Trajectories, Trajectory, lagged_inputs
 
 Level = Literal["note", "doubt", "cannot judge"]
 SOUND = "sound"
@@ -57,7 +57,7 @@ class Case:
         inputs. `scale_record`, with measured disturbances beside the input: all that moves the
         output."""
         scale = self.data.scale.with_disturbances_as_inputs()
-        return scale.scaled_input(record.driven_by), scale.scaled_output(record.y)
+        return scale.scaled_input(record.inputs_and_disturbances), scale.scaled_output(record.y)
 
     def regression_arrays(
         self, records: Trajectories, lags: int
@@ -73,7 +73,7 @@ class Case:
                 u, y = self.scale_record(record)
                 inputs.append(u)
                 outputs.append(y)
-        past = np.concatenate([lagged(u, lags) for u in inputs])
+        past = np.concatenate([lagged_inputs(u, lags) for u in inputs])
         return past, np.concatenate([y[lags:] for y in outputs])
 
     def scored_records(self) -> Iterator[ScoredRecord]:

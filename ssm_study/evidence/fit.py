@@ -7,7 +7,7 @@ from jaxtyping import Float
 from ssm_study.evidence.finding import Case, Finding, doubt, grade_by_size, note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import other_start
-from ssm_study.signals import fit_of_error, fit_percent, lagged
+from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
 NO_FIT = 20.0  # percent: below, two thirds of it are not; the mean, which needs no model, has 0
@@ -112,7 +112,7 @@ def pooled_fit_percent(case: Case) -> float:
         y, error = scaled_output_and_error(case, part)
         missed += float((error**2).sum())
         moved += float(((y - y.mean(axis=0)) ** 2).sum())
-    return fit_of_error(np.sqrt(missed / moved)) if moved else -np.inf
+    return fit_from_relative_error(np.sqrt(missed / moved)) if moved else -np.inf
 
 
 def scaled_output_and_error(
@@ -150,10 +150,10 @@ def unmodelled_input_share(case: Case) -> float:
         half = len(u) // 2
         if half <= 4 * LAGS:
             continue
-        past = lagged(u[:half], LAGS)
+        past = lagged_inputs(u[:half], LAGS)
         weights = np.linalg.lstsq(past, e[LAGS:half], rcond=None)[0]
         rest = e[half + LAGS :]
-        unexplained = rest - lagged(u[half:], LAGS) @ weights
+        unexplained = rest - lagged_inputs(u[half:], LAGS) @ weights
         gained += float((rest**2).sum() - (unexplained**2).sum())
         samples += len(rest)
     outputs = [scaled_output_and_error(case, part)[0] for part in (case.validation, case.test)]

@@ -13,7 +13,7 @@ from ssm_study.evidence import feedback, fit, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, doubt, note
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
-from ssm_study.refusal import one_of, require
+from ssm_study.refusal import require, require_one_of
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
 
@@ -55,7 +55,7 @@ class Judgement:
         for k, entry in enumerate(content if isinstance(content, list) else [content]):
             sound = isinstance(entry, dict) and entry.keys() == {"level", "sentence"}
             require(sound, f"evidence.json [{k}]", entry, "is no finding", "run the study again")
-            one_of(get_args(Level), f"evidence.json [{k}].level", entry["level"])
+            require_one_of(get_args(Level), f"evidence.json [{k}].level", entry["level"])
         return cls(findings=tuple(Finding(**entry) for entry in content))
 
 

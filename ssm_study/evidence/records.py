@@ -191,7 +191,7 @@ def saturated_share(case: Case, output: int, limit: float) -> float:
 def _judge_length(case: Case) -> Iterator[str]:
     """Sentences on training records that are too short for the model or its response."""
     samples = [len(record) for record in case.data.training]
-    response = case.model.linear.response_samples()
+    response = case.model.linear.impulse_response_length()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif (kept := slowest_mode_remainder(case)) > INTEGRATES:
@@ -297,7 +297,7 @@ def _judge_spectrum(case: Case) -> Iterator[str]:
 def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     """Findings on a plant that does not come to rest, or whose records do not show whether it does.
     A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
-    response = case.model.linear.response_samples()
+    response = case.model.linear.impulse_response_length()
     rests = [
         after_motion(*case.scale_with_disturbances(record), response) for record in case.data.test
     ]

@@ -61,7 +61,7 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
     segment = int(np.clip(sum(len(u) for u, _ in parts) // AVERAGES, *SEGMENTS))
     parts = [(u, y) for u, y in parts if len(u) >= segment]
     linear = case.model.linear
-    if not parts or segment < RESPONSES * linear.response_samples():
+    if not parts or segment < RESPONSES * linear.impulse_response_length():
         return  # what outlasts a piece would count as noise
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = gains(linear, angles)
@@ -112,7 +112,7 @@ def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarra
 
 def _judge_sampling(case: Case) -> Iterator[Finding]:
     """Note on a log that was sampled much too slowly or too fast for the model's response."""
-    response = case.model.linear.response_samples()
+    response = case.model.linear.impulse_response_length()
     told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
     if case.data.metadata.get("source") != "recorded":
         return

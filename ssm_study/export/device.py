@@ -20,7 +20,7 @@ from jaxtyping import Float
 from ssm_study.bounds.network import Inverse, PortableMap, inverse_of
 from ssm_study.export.portable import PortableController, Vector, as_floats, times
 from ssm_study.export.rest_points import Curve, Joined, equilibrium_curve, reached
-from ssm_study.refusal import one_of
+from ssm_study.refusal import require_one_of
 from ssm_study.systems import StateSpace
 
 REALS: dict[str, Any] = {"double": np.float64, "float": np.float32}
@@ -75,7 +75,7 @@ class Device:
 
         Missing limits become the largest `real`.
         """
-        one_of(REALS, "real", real)
+        require_one_of(REALS, "real", real)
         kind = REALS[real]
         largest = float(np.finfo(kind).max)
 
@@ -113,7 +113,7 @@ class Device:
     ) -> SetPoints | None:
         """Maps to equilibria of a linear model, as matrices. None where it integrates or cannot
         hold every output."""
-        states, _, gain = model.held()
+        states, _, gain = model.steady_states()
         if model.integrates:
             return None
         tol = IDLE * np.linalg.norm(gain)

@@ -112,7 +112,7 @@ def _equilibrium(
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = phi(neurons.kinds, z) - neurons.phi_bias
         slopes = phi(neurons.kinds, z, "slope")
-        tangent = model.at_slopes(slopes)
+        tangent = model.linearise_at_slopes(slopes)
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
         return following - x, tangent.a - np.eye(len(x))
 

@@ -99,7 +99,7 @@ def limits(run: Path) -> tuple[Range, Range]:
     loop = _loop_settings(run)
     scale = _model(run).scale
     inputs = [np.stack(visited[1:])]
-    around_rest = scale.with_rest(inputs)
+    around_rest = scale.append_equilibrium_input(inputs)
     return input_limits(loop.get("input_lower"), loop.get("input_upper"), around_rest)
 
 

@@ -15,7 +15,7 @@ from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 from ssm_study.plants.plant import Plant
 from ssm_study.plants.wrapper import DelayedInput, SaturatedInput
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 
 LOADS = ("load_step", "load_pulse", "load_periodic")
 SITUATIONS = ("nominal", *LOADS, "noise_free", "noise_4x", "saturation", "delay", "spread")
@@ -55,7 +55,7 @@ class Comparison(ComparisonTable):
         require(0 < rate < 1, "loop.comparison.rate", rate, "a rate lies in (0, 1)", "try 0.05")
         problem = "parameters would change sign"
         require(0 <= share < 1, "loop.comparison.spread_share", share, problem, "use 0.2")
-        at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
+        require_at_least(1, "loop.comparison.spread_plants", self.spread_plants, "use 20")
         is_pi = self.own_pi is None or (len(self.own_pi) == 2 and self.own_pi[1] > 0)
         remedy = "give [gain, integral time in seconds]"
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)

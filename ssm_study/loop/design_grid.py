@@ -14,7 +14,7 @@ from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.loop.rollout import motions, settling_times_s
 from ssm_study.plants.plant import Plant
-from ssm_study.refusal import at_least
+from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict
 from ssm_study.synthesis.auto import Auto
 from ssm_study.synthesis.candidates import Candidates
@@ -46,7 +46,7 @@ class DesignGrid(ComparisonTable):
     auto: Auto = field(default_factory=partial(Auto, **WIDE))
 
     def __post_init__(self) -> None:
-        at_least(1, "loop.comparison.designs", self.designs, "use 150")
+        require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
     def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
         """Rows of the table, one for each drawn design."""

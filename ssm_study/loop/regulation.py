@@ -17,7 +17,7 @@ from ssm_study.loop.trajectory import equilibrium, inverse
 from ssm_study.models.structured import Model, StructuredSSM, at_rest
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
-from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.signals import Channel, input_limits
 
 Channels = tuple[Channel, ...]
@@ -214,10 +214,12 @@ class Loop:
     def __post_init__(self) -> None:
         bound = self.bound_in_initial_ranges
         variance = self.measurement_noise_variance
-        at_least(1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does")
-        positive("loop.horizon_s", self.horizon_s, "give it in seconds")
-        at_least(0, "loop.measurement_noise_variance", variance, "use 0 for no noise")
-        at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
+        require_at_least(
+            1, "loop.initial_conditions", self.initial_conditions, "use 10, as the paper does"
+        )
+        require_positive("loop.horizon_s", self.horizon_s, "give it in seconds")
+        require_at_least(0, "loop.measurement_noise_variance", variance, "use 0 for no noise")
+        require_at_least(0, "loop.noise_factor", self.noise_factor, "use 0 for no noise")
         problem = "cases would start outside the bound"
         require(bound > 1, "loop.bound_in_initial_ranges", bound, problem, "use more than 1")
         low, high = self.limits
@@ -304,7 +306,7 @@ class Loop:
         `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
-        response = at_rest(model).response_samples(SAMPLES[1], REMAINDER)
+        response = at_rest(model).impulse_response_length(SAMPLES[1], REMAINDER)
         samples = int(np.clip(RESPONSES * response, *SAMPLES))
         horizon_s = samples * model.step_s
         return replace(self, horizon_s=horizon_s)

@@ -67,7 +67,7 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         start = np.zeros(n + model.b.shape[1])
         point = _solve_newton(residual, jacobian, start, INVERSION_TOLERANCE * size)
     else:
-        states, inputs, outputs = model.linear.held()
+        states, inputs, outputs = model.linear.steady_states()
         least_squares = np.linalg.lstsq(outputs, y_bar, rcond=None)
         share = least_squares[0]
         point = np.concatenate([states @ share, inputs @ share])
@@ -91,7 +91,7 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     """
     system = model.linear
     n, m = system.b.shape
-    _, inputs, outputs = system.held()
+    _, inputs, outputs = system.steady_states()
     # Directions of inputs that move no output: at no cost of their own these would drift.
     idle = (inputs @ scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)).T
     target = inverse(model.scaffold_out, model.scale.scaled_output(reference))

@@ -12,7 +12,7 @@ from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.family import Family
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.scaffold import Explicit, Scaffold
-from ssm_study.refusal import positive, require
+from ssm_study.refusal import require, require_positive
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, System
 
@@ -72,7 +72,7 @@ class ScaffoldedModel(Simulator):
             f"the channels must be {needed}",
             "rewire them",
         )
-        positive("step_s", self.step_s, "give it in seconds")
+        require_positive("step_s", self.step_s, "give it in seconds")
 
     @property
     def order(self) -> int:
@@ -228,7 +228,7 @@ class SSM(ScaffoldedModel):
         p = len(linear.c)
         inward = LinearScaffold.identity(m)
         outward = LinearScaffold.identity(p)
-        scale = scale or Scale.unit(m, p)
+        scale = scale or Scale.identity(m, p)
         return cls(
             linear=linear, scaffold_in=inward, scaffold_out=outward, scale=scale, step_s=step_s
         )

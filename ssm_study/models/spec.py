@@ -11,7 +11,7 @@ import scipy
 from jaxtyping import Complex, Float, Inexact
 
 from ssm_study.models.scaffolds.trainable import Frame, Trainable
-from ssm_study.refusal import at_least, one_of, positive, require
+from ssm_study.refusal import require, require_at_least, require_one_of, require_positive
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
@@ -224,7 +224,7 @@ class ModelSpec(ABC):
 
     def __post_init__(self) -> None:
         for name in self.sizes:
-            at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
+            require_at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
@@ -266,7 +266,7 @@ class SSMSpec(ModelSpec):
         require_whole_number(1, "order", self.order, "a model has at least one state, use 8 or so")
         require_whole_number(1, "hidden_width", self.hidden_width, "use 32 or so")
         check_slopes(self.slope_lower, self.slope_upper)
-        one_of(("data", "ring"), "model.start", self.start)
+        require_one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
             require_whole_number(0, "real_modes", self.real_modes, "use 2")
             pairs = self.order - self.real_modes
@@ -335,7 +335,7 @@ def require_whole_number(least: int, name: str, value: object, remedy: str) -> N
 
 def check_slopes(lower: float, upper: float) -> None:
     """Refuse a sector of slopes that is empty, or reaches zero."""
-    positive("model.slope_lower", lower, "use 0.01 or so")
+    require_positive("model.slope_lower", lower, "use 0.01 or so")
     fits = lower < upper < np.inf
     problem = "the lower slope must lie below the upper one"
     require(

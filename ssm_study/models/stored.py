@@ -6,7 +6,7 @@ from typing import Any
 from ssm_study.models import baselines
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.refusal import one_of
+from ssm_study.refusal import require_one_of
 
 
 def model_from_json(data: Mapping[str, Any]) -> Simulator:
@@ -14,5 +14,5 @@ def model_from_json(data: Mapping[str, Any]) -> Simulator:
     kind is refused."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
-    one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
+    require_one_of(kinds := Simulator.members(baselines), "kind", data["kind"])
     return kinds[data["kind"]].from_json(data)

@@ -166,7 +166,7 @@ class StructuredSSM(ScaffoldedModel):
     def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
         """Linearise the recurrence at one state and input. The recurrence's derivative at one
         state and lifted input: neurons replaced by their slopes there."""
-        return self._structured.at_slopes(
+        return self._structured.linearise_at_slopes(
             phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
         )
 

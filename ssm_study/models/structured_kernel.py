@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, no_type_check
 import numpy as np
 from jaxtyping import Float, Int
 
-from ssm_study.compilation import compiled
+from ssm_study.compilation import compile_with_numba
 from ssm_study.models.matrix_shapes import shapes
 
 
@@ -44,7 +44,7 @@ class Matrices(NamedTuple):
         return cls._make((*arrays, kinds))
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def activation_and_slope(code, z):
     """Value and slope of one activation function. `(phi(z), phi'(z))` of the neuron with that
@@ -65,7 +65,7 @@ def activation_and_slope(code, z):
     return min(max(z, -1.0), 1.0), 1.0 if -1.0 <= z < 1.0 else 0.0
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _neurons(
     k, still, x, v, w, slope
@@ -80,7 +80,7 @@ def _neurons(
         w[i] = value - still[i]
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + inner w
     for i in range(out.shape[0]):
@@ -94,7 +94,7 @@ def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + i
         out[i] = total
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def free_run(k, v, x0):
     """Simulate the recurrence in compiled code. `(ybar (N, T, p), states (N, T + 1, n))`: the
@@ -130,7 +130,7 @@ def split(
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
     """Add one sample's contribution to the sensitivity of one state or output to all parameters. It
@@ -195,7 +195,7 @@ def sensitivities(
     return ybar, split(sizes, j)
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _sensitivities(k, v, x0, basis, channel, places):
     """Compiled loop of `sensitivities` over the samples. A state parameter keeps `dx` in one row of
@@ -268,7 +268,7 @@ def _sensitivities(k, v, x0, basis, channel, places):
     return ybar, out
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _closed(state, through, inner, f, g, slope, scaled, by_state, by_input):
     """Linearise the recurrence at frozen slopes S, in place: `scaled = inner S, by_state = state +

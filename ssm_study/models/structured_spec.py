@@ -13,7 +13,7 @@ from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, require_whole_number
 from ssm_study.models.structured import codes
-from ssm_study.refusal import at_least, one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 
 AUTO = "auto"  # chosen from the records
 # Settings that the records may choose, and what they are where records are too short to choose.
@@ -175,12 +175,12 @@ class StructuredSpec(ModelSpec):
                 continue
             alternative = f", or {AUTO}" if name in AUTOMATIC else ""
             require_whole_number(least, name, getattr(self, name), f"use 4 or so{alternative}")
-        one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
-        one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
+        require_one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
+        require_one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
         if self.neurons != AUTO:
             codes(self.each)
-        one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
-        one_of(("none", "free"), "model.output_path", self.output_path)
+        require_one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
+        require_one_of(("none", "free"), "model.output_path", self.output_path)
         check_slopes(self.slope_lower, self.slope_upper)
         inside = self.rate is None or 0 < self.rate <= 1
         require(
@@ -190,7 +190,7 @@ class StructuredSpec(ModelSpec):
             "must lie in (0, 1]",
             "use 0.999, or null for a free model",
         )
-        at_least(0, "model.ridge", self.ridge, "use 1e-6")
+        require_at_least(0, "model.ridge", self.ridge, "use 1e-6")
         three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
         require(
             three,

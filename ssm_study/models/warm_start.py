@@ -159,7 +159,7 @@ def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
         before = holders[0]
         joined.insert(0, before[: first - before.first])
         first = before.first
-    return Trajectory.joined(joined) if joined else None
+    return Trajectory.concatenate(joined) if joined else None
 
 
 def log_stretches(data: DataSet) -> list[Trajectory]:
@@ -178,7 +178,7 @@ def log_stretches(data: DataSet) -> list[Trajectory]:
             stretches[-1].append(record)
         else:
             stretches.append([record])
-    return [Trajectory.joined(stretch) for stretch in stretches]
+    return [Trajectory.concatenate(stretch) for stretch in stretches]
 
 
 def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:

@@ -12,7 +12,7 @@ from typing import no_type_check
 
 import numpy as np
 
-from ssm_study.compilation import compiled
+from ssm_study.compilation import compile_with_numba
 
 # A substep's error falls with its fifth power.
 ORDER = 4
@@ -20,7 +20,7 @@ SWITCHES_PER_SUBSTEP = 16  # a guard against endless switching; met twice at mos
 BISECTIONS = 60  # below the spacing of doubles for any substep
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _torques_without_coulomb(p, i, wm, wl, th, load):
     """Torques on the motor's shaft and the load without Coulomb friction, in N m."""
@@ -28,7 +28,7 @@ def _torques_without_coulomb(p, i, wm, wl, th, load):
     return p.k * i - shaft - p.motor_viscous * wm, shaft - p.load_viscous * wl - load
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
     """Fill in the Taylor coefficients of the motor's motion over time. Row 0 is the state.
@@ -52,7 +52,7 @@ def _fill_taylor_series(p, c, v, load, motor_mode, load_mode):
         c[q + 1, 3] = (wm - wl) * part
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _evaluate_series(c, j, t):
     """Evaluate the Taylor series of one state at a given time."""
@@ -62,7 +62,7 @@ def _evaluate_series(c, j, t):
     return value
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _mode_margin(p, c, t, load, body, mode):
     """Margin by which a body stays in its friction mode (stuck or sliding); negative after it has
@@ -80,7 +80,7 @@ def _mode_margin(p, c, t, load, body, mode):
     return p.coulomb - abs(tm if body == 0 else tl)
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _mode_switch_time(p, c, h, load, body, mode):
     """Time at which a body leaves its friction mode (stuck or sliding), by bisection. Larger than h
@@ -98,7 +98,7 @@ def _mode_switch_time(p, c, h, load, body, mode):
     return high
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _friction_mode(speed, torque, coulomb):
     """Friction mode of a body: 0 stuck, otherwise the sign of its motion or of the motion about to
@@ -110,7 +110,7 @@ def _friction_mode(speed, torque, coulomb):
     return 1 if torque > 0.0 else -1
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _advance_substep(p, c, h, v, load):
     """Advance the motor's state by one substep, across switches of the friction modes."""
@@ -137,7 +137,7 @@ def _advance_substep(p, c, h, v, load):
             load_mode = _friction_mode(0.0, tl, p.coulomb if load_mode != 0 else 0.0)
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def advance_batch(p, x, u, d, h, substeps):
     """States of all simulated motors after a number of substeps under constant voltage and load

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import at_least, positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 Signal = Float[np.ndarray, "T"]
 
@@ -58,7 +58,7 @@ class PeriodicDisturbance(Disturbance):
     frequency_hz: float
 
     def __post_init__(self) -> None:
-        positive("frequency_hz", self.frequency_hz, "use a step instead")
+        require_positive("frequency_hz", self.frequency_hz, "use a step instead")
 
     def signal(self, time_s: Signal) -> Signal:
         return self.amplitude * np.sin(2 * np.pi * self.frequency_hz * time_s)
@@ -95,8 +95,8 @@ class RandomDisturbance(Disturbance):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        positive("hold_s", self.hold_s, "give seconds")
-        at_least(0, "seed", self.seed, "use 0")
+        require_positive("hold_s", self.hold_s, "give seconds")
+        require_at_least(0, "seed", self.seed, "use 0")
 
     def signal(self, time_s: Signal) -> Signal:
         hold_of_sample = np.floor(time_s / self.hold_s + 1e-9).astype(np.int64)

@@ -169,6 +169,6 @@ def refuse_wrong_signs(
     if positive is None:
         positive = tuple(name for name in vars(plant) if name not in not_negative)
     for name in positive:
-        refusal.positive(name, getattr(plant, name), "give it in the unit of its name")
+        refusal.require_positive(name, getattr(plant, name), "give it in the unit of its name")
     for name in not_negative:
-        refusal.at_least(0, name, getattr(plant, name), "use 0 to leave the effect out")
+        refusal.require_at_least(0, name, getattr(plant, name), "use 0 to leave the effect out")

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import Channel
 
 Limit = float | tuple[float, ...] | list[float]
@@ -119,7 +119,7 @@ class DelayedInput(Wrapper):
     samples: int
 
     def __post_init__(self) -> None:
-        at_least(1, "samples", self.samples, "leave the wrapper out for none")
+        require_at_least(1, "samples", self.samples, "leave the wrapper out for none")
 
     @property
     def memory(self) -> tuple[Channel, ...]:  # type: ignore[override]  # nothing elsewhere

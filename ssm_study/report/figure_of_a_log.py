@@ -14,7 +14,7 @@ def draw_log(seen: "LogLook") -> "Figure":
     """Draw the output above and the input below, over the time of the log. A hole is left white."""
     from matplotlib.figure import Figure
 
-    with style.paper():
+    with style.paper_style():
         figure = Figure(figsize=(style.PAGE_IN, 3.6), layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True)
         for record in seen.records:

@@ -114,7 +114,7 @@ def show_set_point(run: RunFolder) -> Picture:
         raise NothingToDraw("There is no loop to move to a set point.")
     plant = _identified_plant(model, test)
     recorded = [signal.values for signal in excitation.signals("input")]
-    loop = Loop().within(model.scale.with_rest(recorded)).fitted(model)
+    loop = Loop().within(model.scale.append_equilibrium_input(recorded)).fitted(model)
     place = "the identified model"
     return set_point_picture(plant, design, model, loop, recorded, place)
 

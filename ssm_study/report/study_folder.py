@@ -15,7 +15,7 @@ import pandas as pd
 import yaml  # type: ignore[import-untyped]
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.durable import contents
+from ssm_study.durable import read_limited_bytes
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import Model, StructuredSSM
@@ -45,7 +45,7 @@ class RunFolder:
         names a damaged one."""
         path = self.path / name
         try:
-            return parse(contents(path).decode()) if path.is_file() else None
+            return parse(read_limited_bytes(path).decode()) if path.is_file() else None
         except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
             cause = " ".join(str(error).split())[:200]
             raise BadRequest(

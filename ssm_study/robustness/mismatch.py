@@ -145,7 +145,7 @@ def measure_mismatch(
         views = [
             view_of_periods(errors, errors.strength() == strength, noise) for errors in periodic
         ]
-    response = model.linear.response_samples()
+    response = model.linear.impulse_response_length()
     returns = [trial for trial in mismatch_records if is_return(trial)]
     still, offsets = after_returns(model.scale, returns, response)
     own_offsets, swings = _offsets_and_swings_at_rest(moving, response)

@@ -15,7 +15,7 @@ from ssm_study.models.metrics import free_run
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES, band_means, bands_of, power, safe_ratio, welch
 from ssm_study.robustness.return_to_rest import SURE, is_return, swing
-from ssm_study.signals import Trajectories, Trajectory, repetition
+from ssm_study.signals import Trajectories, Trajectory, find_repetition
 
 # A band with less than this share of the input's mean power is not excited: g is measured there,
 # and uncertain.
@@ -70,8 +70,10 @@ class RecordErrors:
         """Simulate the model on a record and collect its scaled errors."""
         simulated = free_run(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
-        start, period = repetition(record.driven_by[scored]) or (0, None)
-        moving = model.scale.with_disturbances_as_inputs().scaled_input(record.driven_by)
+        start, period = find_repetition(record.inputs_and_disturbances[scored]) or (0, None)
+        moving = model.scale.with_disturbances_as_inputs().scaled_input(
+            record.inputs_and_disturbances
+        )
         scaled_input = model.scale.scaled_input(record.u)
         error = (record.y - simulated) / model.scale.output_scale
         return cls(

@@ -30,7 +30,7 @@ def is_return(record: Trajectory) -> bool:
     disturbances are, too (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
-    moving = record.driven_by
+    moving = record.inputs_and_disturbances
     moves_once = bool((moving[0] != moving[1]).any())
     is_held = not np.ptp(moving[1:], axis=0).any()
     return moves_once and is_held
@@ -78,7 +78,7 @@ def _by_input(
     """Scaled outputs of the records that return to a constant input, grouped by that input."""
     groups: dict[bytes, list[Float[np.ndarray, "T p"]]] = {}
     for record in records:
-        held = scale.with_disturbances_as_inputs().scaled_input(record.driven_by[-1])
+        held = scale.with_disturbances_as_inputs().scaled_input(record.inputs_and_disturbances[-1])
         level = np.round(held, SAME_INPUT) + 0.0  # no negative zero
         output = scale.scaled_output(record.y[1:])
         groups.setdefault(level.tobytes(), []).append(output)

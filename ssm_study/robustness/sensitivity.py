@@ -63,7 +63,7 @@ def _at_frozen_neurons(
         if pair.l_z is not None:
             injected = (system.e * row) @ pair.l_z
             own_gains = replace(pair, l=pair.l + injected)
-        yield system.at_slopes(row), own_gains
+        yield system.linearise_at_slopes(row), own_gains
 
 
 def sensitivity(linear: StateSpace, pair: Gains, slope_in: float, slope_out: float) -> StateSpace:

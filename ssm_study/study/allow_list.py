@@ -9,7 +9,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.engine.settings import plain_settings, walk_nodes
-from ssm_study.extensions import packages
+from ssm_study.extensions import trusted_packages
 from ssm_study.refusal import require
 from ssm_study.renamed import withdrawn_target
 
@@ -120,7 +120,7 @@ def is_ours(target: Any) -> bool:
     """Whether `target` names a class that a configuration may instantiate."""
     if not isinstance(target, str):
         return False
-    trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, packages())])
+    trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, trusted_packages())])
     if not re.fullmatch(rf"({trusted})(\.[a-z]\w*)+\.[A-Z]\w*", target):
         return False
     module, _, name = target.rpartition(".")

@@ -15,7 +15,7 @@ from typing import Any
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.columns import ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
-from ssm_study.durable import contents, unsealed
+from ssm_study.durable import read_limited_bytes, read_sealed_json
 from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.settings import plain_settings, run_name
 from ssm_study.engine.stages import Stage
@@ -72,7 +72,7 @@ NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 def files(run: RunFiles) -> Claims:
     """Check that every file such a run leaves exists, is sealed and is unchanged."""
     path = run.path / MANIFEST
-    manifest = unsealed(contents(path)) if path.is_file() else None
+    manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
     changed = f"changed since: {', '.join(damaged)}"
     found = changed if damaged else "as they were written"
@@ -135,7 +135,7 @@ def requested(run: RunFiles) -> Claims:
     # As it was stored: a record names the parts by what they were called then.
     configuration = plain_settings(run.config)
     specification = replace(run.specification, configuration=configuration)
-    further_settings = [setting_of(column) for column in run.record if FURTHER.covers(column)]
+    further_settings = [setting_of(column) for column in run.record if FURTHER.matches_name(column)]
     settings = STUDY.parameters(specification) | undeclared_settings(
         configuration, further_settings
     )

@@ -104,7 +104,7 @@ def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
 def limits_claim(run: RunFiles) -> Iterator[Checked]:
     """Claim that the input limits in the certificates are those of the loop, or of the records."""
     loop = run.specification.loop
-    physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.applied))
+    physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.training_inputs))
     limits = run.model.scale.scaled_input(physical).T
     pairs = {}
     for label, part in run.design.extra_certificates.items():

@@ -19,7 +19,7 @@ from ssm_study.engine.settings import Settings, value_at
 from ssm_study.engine.stages import Facts, StageOutput, Stages
 from ssm_study.engine.task import Task, folder_of, store_of
 from ssm_study.refusal import require
-from ssm_study.renamed import bring_up_to_date
+from ssm_study.renamed import rename_old_settings
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Study(Task["Specification"]):
     )
 
     def refuse(self, config: DictConfig) -> None:
-        bring_up_to_date(config)
+        rename_old_settings(config)
         refuse_foreign_targets(config)
         known_keys = {*KEYS, *PARTS}
         remedy = "leave it out, or name its part"

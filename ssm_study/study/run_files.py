@@ -13,12 +13,12 @@ from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.durable import contents
+from ssm_study.durable import read_limited_bytes
 from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
-from ssm_study.renamed import bring_up_to_date
+from ssm_study.renamed import rename_old_settings
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import DataSet, Trajectories, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
@@ -63,7 +63,7 @@ class RunFiles:
         """Parts of the run, built from its configuration. Targets that are not allowed are refused
         first, and old names are read."""
         config = self.config.copy()
-        bring_up_to_date(config)
+        rename_old_settings(config)
         refuse_foreign_targets(config)
         return Specification.from_config(config)
 
@@ -128,7 +128,7 @@ class RunFiles:
     def stored(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Refuses one that repeats a key."""
         as_object = partial(object_without_repeats, name)
-        content = json.loads(contents(self.path / name), object_pairs_hook=as_object)
+        content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
         kind = type(content).__name__
         require(is_object, name, kind, "is no object", "run the study again")
@@ -158,10 +158,10 @@ class RunFiles:
         return [case["disturbance"].values for case in cases if "disturbance" in case]
 
     @property
-    def applied(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records with the equilibrium input (`DataSet.applied`), from the
+    def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
+        """Inputs of the training records with the equilibrium input (`DataSet.training_inputs`), from the
         files of the run."""
-        return self.model.scale.with_rest(self.inputs)
+        return self.model.scale.append_equilibrium_input(self.inputs)
 
     @property
     def excitation(self) -> dict[str, float]:
@@ -170,15 +170,15 @@ class RunFiles:
         problem = "has several inputs"
         remedy = "give --lower and the others for each"
         require(self.model.scale.inputs == 1, "--after", self.path, problem, remedy)
-        (lower,), (upper,) = input_limits(None, None, self.applied)
+        (lower,), (upper,) = input_limits(None, None, self.training_inputs)
         model = self.model
-        response_samples = model.linear.response_samples(remainder=LEFT_AT_REST)
+        impulse_response_length = model.linear.impulse_response_length(remainder=LEFT_AT_REST)
         return {
             "lower": float(lower),
             "upper": float(upper),
             "rest": float(model.scale.input_equilibrium[0]),
             "step_s": float(model.step_s),
-            "settle_s": float(response_samples * model.step_s),
+            "settle_s": float(impulse_response_length * model.step_s),
         }
 
     @property
@@ -188,7 +188,7 @@ class RunFiles:
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts:
             return loop
-        return loop.within(self.applied)
+        return loop.within(self.training_inputs)
 
     @property
     def plant(self) -> Plant:

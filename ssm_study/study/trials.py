@@ -19,7 +19,7 @@ from ssm_study.data.recording import Columns, as_name_list
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.study.recordings import LOOPS, write_records
 from ssm_study.study.stages.dataset import read_dataset, write_dataset
@@ -109,7 +109,7 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
     problem = f"the model's sampling time is {step_s:g} s"
     remedy = "log the trial at that sampling time"
     require(is_in_step, f"{path} (step_s)", record.step_s, problem, remedy)
-    at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
+    require_at_least(FEWEST, f"{path} (samples)", len(record), "log a longer trial")
     moves = bool(np.ptp(record.u, axis=0).any())
     problem = "the input never moves, so nothing was tried"
     remedy = "log the controller's own input"

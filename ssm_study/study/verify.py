@@ -22,7 +22,7 @@ from ssm_study.engine.records import (
     read_record,
     storable_value,
 )
-from ssm_study.refusal import printable, require
+from ssm_study.refusal import escape_control_characters, require
 from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
@@ -229,5 +229,5 @@ def _agrees(stored: Any, value: Any, column: Column) -> bool:
 
 def _short(value: Any) -> str:
     """Value as a short text."""
-    text = printable(" ".join(str(value).split()))
+    text = escape_control_characters(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import frequencies
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.refusal import positive, require
+from ssm_study.refusal import require, require_positive
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -88,7 +88,7 @@ class Auto:
             self._check_grid(name, below=np.inf, allowed="positive numbers")
         frequencies(self.internal_model)
         if self.cover is not None:
-            positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
+            require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
     def _check_grid(self, name: str, below: float, allowed: str) -> None:
         """Raise `BadRequest` for a grid that is empty where it must not be, or that holds a value

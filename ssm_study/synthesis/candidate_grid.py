@@ -203,7 +203,7 @@ class CandidateGrid:
         side = "rate_observer" if observes else "rate_controller"
         proved_candidates = []
         for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
-            frozen = system.at_slopes(slopes)
+            frozen = system.linearise_at_slopes(slopes)
             solved_side = self.solve_side(specification, frozen, ball, observes)
             for request, solution in solved_side.candidates:
                 try:

@@ -143,7 +143,7 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     S_y couples there is no such box: None.
     """
     inverse = inverse_of(model.scaffold_out.portable())
-    rest, _, gain = model.linear.held()
+    rest, _, gain = model.linear.steady_states()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
     linear_d = model.linear.d

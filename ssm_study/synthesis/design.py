@@ -38,7 +38,7 @@ from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.refusal import BadRequest, at_least, positive, require
+from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
@@ -279,9 +279,9 @@ class Synthesis(ABC):
             "output_noise",
             "integral_weight",
         ):
-            positive(f"synthesis.{name}", getattr(self, name), "try 1")
+            require_positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
-            at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
+            require_at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
         frequencies(self.internal_model)
 
     @property

@@ -13,13 +13,13 @@ from typing import no_type_check
 
 import numpy as np
 
-from ssm_study.models.structured_kernel import compiled
+from ssm_study.models.structured_kernel import compile_with_numba
 
 DOUBLINGS = 40
 CONVERGED = 1e-11
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def transpose(a):
     """Transpose `a'` of a matrix."""
@@ -30,7 +30,7 @@ def transpose(a):
     return out
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def multiply(a, b):
     """Matrix product `a b`."""
@@ -43,7 +43,7 @@ def multiply(a, b):
     return out
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def weighted_sum(a, b, share):
     """Weighted sum `a + share b` of two matrices."""
@@ -54,7 +54,7 @@ def weighted_sum(a, b, share):
     return out
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def join_columns(a, b):
     """Block matrix `[a, b]`."""
@@ -67,7 +67,7 @@ def join_columns(a, b):
     return out
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def solve_linear(a, b):
     """Solution `a^{-1} b` of a linear system by elimination with partial pivots. Raises for a
@@ -92,7 +92,7 @@ def solve_linear(a, b):
     return rows[:, n:].copy()
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def log_det(a):
     """Logarithm of the determinant of a positive definite matrix, by Cholesky's factor. Raises for
@@ -114,7 +114,7 @@ def log_det(a):
     return total
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _add_step(total, step):
     """Add a symmetrised step to a sum, in place. Returns 1 where the step no longer counts, -1
@@ -131,7 +131,7 @@ def _add_step(total, step):
     return 1 if change <= CONVERGED * largest else 0
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def riccati_limit(a, g, h):
     """Limit of the Riccati iteration `H <- H + A'H (I + G H)^{-1} A`, by doubling. Raises where
@@ -156,7 +156,7 @@ def riccati_limit(a, g, h):
     return h
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def solve_lyapunov(a, source):
     """Solution of the Lyapunov equation `P = a P a' + source`. Raises unless a is stable. The
@@ -172,7 +172,7 @@ def solve_lyapunov(a, source):
     return source
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
     """Cost matrices `Q, R, S'` of the equation with inputs `(u, p, v)`, at these log
@@ -202,7 +202,7 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
     return cost, own, s
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _constraint(h, m, inputs, injects):
     """Matrix `T` with `T'H T < 0`, the order of play: (p, v) after u; or, where the gain answers v,
@@ -220,7 +220,7 @@ def _constraint(h, m, inputs, injects):
     return t
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     """Gradient of the goal, from the saddle point `(u, p, v)`, the loop's Gramian and `T
@@ -255,7 +255,7 @@ def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
     return gradient
 
 
-@compiled
+@compile_with_numba
 @no_type_check
 def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
     """Saddle point of the game at these log multipliers: `goal, gradient, X, H = R + B'X B, B'X A +

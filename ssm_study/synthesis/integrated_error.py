@@ -68,7 +68,7 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
         response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
         held = response[1]
     else:
-        held = linear.held()[0].T
+        held = linear.steady_states()[0].T
     no_input = np.zeros((len(held), linear.b.shape[1]))
     scaled = model.read_scaled(held, no_input)
     reach = np.linalg.norm(scaled, axis=1)
@@ -100,7 +100,7 @@ def relative_areas(
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
     lies beyond the horizon. Observers start from zero. Gains with an internal model are also judged
     by how soon they remove loads that it makes, constant ones with integrators. No noise, scaled
-    units, inputs within `limits`, where it is `held`. Below one is faster than none.
+    units, inputs within `limits`, where it is `steady_states`. Below one is faster than none.
     """
     loaded = len(gains.modes) > 0
     x0, load, horizon = release(model, validation, loaded=loaded)

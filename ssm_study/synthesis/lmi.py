@@ -23,7 +23,7 @@ from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmet
 from ssm_study.certificates.semidefinite import SOLVERS, solve_program
 from ssm_study.certificates.theorem import Blocks, full
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.refusal import BadRequest, one_of
+from ssm_study.refusal import BadRequest, require_one_of
 from ssm_study.synthesis.design import DesignAttempt, Synthesis
 from ssm_study.synthesis.objectives import Goal, goal_and_constraints
 from ssm_study.systems import JacobianBall, StateSpace
@@ -130,8 +130,8 @@ class LmiSynthesis(Synthesis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one_of(OBJECTIVES, "synthesis.objective", self.objective)
-        one_of(SOLVERS, "synthesis.solver", self.solver)
+        require_one_of(OBJECTIVES, "synthesis.objective", self.objective)
+        require_one_of(SOLVERS, "synthesis.solver", self.solver)
 
     def solve(self, problem: Problem) -> Solution:
         if problem.neurons is None:

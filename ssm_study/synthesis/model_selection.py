@@ -13,7 +13,7 @@ import numpy as np
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, StateSpace, System
 
@@ -37,7 +37,7 @@ class LargestCertifiableRate:
     def __post_init__(self) -> None:
         remedy = "use 0.3 and 1, or model.among_starts=null for the best fit"
         for name in ("within_percent", "one_layer_within_percent"):
-            at_least(0, f"model.among_starts.{name}", getattr(self, name), remedy)
+            require_at_least(0, f"model.among_starts.{name}", getattr(self, name), remedy)
         if (rate := self.rate_enough) is not None:
             between = (
                 "must lie between 0 and 1",

@@ -46,7 +46,7 @@ def declaration_of(name: str) -> Column | None:
     """Declaration of the column of this name. None where no room declares it."""
     if name in BY_NAME:
         return BY_NAME[name]
-    return next((column for column in PATTERNS if column.covers(name)), None)
+    return next((column for column in PATTERNS if column.matches_name(name)), None)
 
 
 def label(name: str) -> str:
@@ -62,7 +62,7 @@ def label(name: str) -> str:
 def setting_of(name: str) -> str:
     """Entry of the configuration that a column holds, such as `plant.step_s`. Empty where it holds
     none."""
-    if FURTHER.covers(name):
+    if FURTHER.matches_name(name):
         return name.replace("__", ".")
     return BY_NAME[name].setting if name in BY_NAME else ""
 
@@ -71,7 +71,7 @@ def settings(table: pd.DataFrame) -> list[str]:
     """Names of the columns that hold settings of the configuration, those without a declared column
     last. `rates_chosen` is left out. `rates_chosen` is left out."""
     declared_names = [column.name for column in SETTINGS]
-    further = sorted(name for name in map(str, table) if FURTHER.covers(name))
+    further = sorted(name for name in map(str, table) if FURTHER.matches_name(name))
     names = [*declared_names, *further]
     return [name for name in names if name in table and name != "rates_chosen"]
 
@@ -110,7 +110,7 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
     undeclared: list[str] = []
     if table is not None:
         filled = [str(name) for name in table if table[name].notna().any()]
-        with_values = tuple(column for column in DECLARED if any(map(column.covers, filled)))
+        with_values = tuple(column for column in DECLARED if any(map(column.matches_name, filled)))
         undeclared = [str(name) for name in table if declaration_of(str(name)) is None]
     for column in with_values:
         unchecked = column.unchecked and f"not checked: {column.unchecked}"

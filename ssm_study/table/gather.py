@@ -13,10 +13,10 @@ from pandas.api.types import infer_dtype
 
 from ssm_study.columns import Column, Kind
 from ssm_study.durable import (
-    contents,
-    sealed,
+    add_digest,
+    read_limited_bytes,
+    read_sealed_json,
     sha256_of_file,
-    unsealed,
     write_atomically,
     write_json_atomically,
 )
@@ -84,7 +84,7 @@ def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
     names = (PARQUET, CSV)
     checksums = {name: sha256_of_file(study / name) for name in names}
     body = checksums | {"marks": marks}
-    write_json_atomically(study / MARKS, sealed(body))
+    write_json_atomically(study / MARKS, add_digest(body))
 
 
 def record_marks(study: Path) -> Marks:
@@ -104,7 +104,7 @@ def record_marks(study: Path) -> Marks:
 def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
     """Last gathered table and its marks; no rows where its files were changed since."""
     with suppress(OSError):
-        index = unsealed(contents(study / MARKS))
+        index = read_sealed_json(read_limited_bytes(study / MARKS))
         if index is not None:
             files = (PARQUET, CSV)
             if all(sha256_of_file(study / name) == index[name] for name in files):

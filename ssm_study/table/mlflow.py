@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.durable import locked
+from ssm_study.durable import file_lock
 from ssm_study.engine.records import FAILED, FINAL
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import BY_NAME
@@ -33,7 +33,9 @@ def export_mlflow(study: Path, store: str | None = None) -> int:
         raise BadRequest("export-mlflow", study, "MLflow is not installed", remedy) from None
     address = store or f"sqlite:///{study.absolute() / 'mlflow.db'}"
     table = gather(study)  # the files are the truth, the tracker a copy
-    with locked(study / ".mlflow.lock"):  # two processes on a new database crash in its migration
+    with file_lock(
+        study / ".mlflow.lock"
+    ):  # two processes on a new database crash in its migration
         client = MlflowClient(tracking_uri=address)
         experiment = _experiment_id(client, study)
         runs = client.search_runs([experiment], max_results=MOST)

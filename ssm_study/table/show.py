@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ssm_study.engine.plan import format_duration
-from ssm_study.refusal import printable
+from ssm_study.refusal import escape_control_characters
 from ssm_study.table.columns import (
     BY_NAME,
     RESULTS,
@@ -254,7 +254,7 @@ def cell(value: object) -> str:
         return "-"
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else printable(str(value))
+    return f"{value:.4g}" if isinstance(value, float) else escape_control_characters(str(value))
 
 
 def summary(table: pd.DataFrame, shown: int) -> list[str]:
@@ -311,7 +311,7 @@ def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
     for row in rows[columns].to_dict("records"):
         recorded = (str(row[name]) for name in REASONS if not pd.isna(row.get(name)))
         reason = AGAIN.get(status) or next(recorded, "no reason was recorded")
-        reason = printable(reason)
+        reason = escape_control_characters(reason)
         without_numbers = NUMBER.sub("#", reason)
         run = str(row["run"])
         runs.setdefault(without_numbers, []).append((run, reason))

@@ -16,7 +16,7 @@ from ssm_study.models.metrics import initial_state
 from ssm_study.models.torch_recurrence import forward_derivatives
 from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
-from ssm_study.signals import DataSet, fit_of_error
+from ssm_study.signals import DataSet, fit_from_relative_error
 from ssm_study.training.optimisers import Levenberg, trainable
 from ssm_study.training.windows import Cut, Windows, padded
 
@@ -50,7 +50,10 @@ class Records(nn.Module):
         self.integrated_share = share
         scale = data.scale.with_disturbances_as_inputs()
         u, y = padded(
-            [(scale.scaled_input(r.driven_by), scale.scaled_output(r.y)) for r in cut.pieces]
+            [
+                (scale.scaled_input(r.inputs_and_disturbances), scale.scaled_output(r.y))
+                for r in cut.pieces
+            ]
         )
         scored = np.zeros((*u.shape[:2], 1))
         for e, (piece, unscored) in enumerate(zip(cut.pieces, cut.unscored, strict=True)):
@@ -252,7 +255,8 @@ class Fit(pl.LightningModule):
         ):
             loss = float(records.loss(records.simulate(self.model, x0)))
             self.log(
-                f"fit_{name}_percent", fit_of_error(loss**0.5) if np.isfinite(loss) else -np.inf
+                f"fit_{name}_percent",
+                fit_from_relative_error(loss**0.5) if np.isfinite(loss) else -np.inf,
             )
 
     def _validation_starts(self) -> States:

@@ -29,7 +29,7 @@ def joined_pieces(records: Sequence[Trajectory]) -> list[Trajectory]:
     for record in records:
         before = joined[-1] if joined else None
         if before is not None and before.log == record.log > 0 and follows(record, before):
-            joined[-1] = Trajectory.joined([before, record])
+            joined[-1] = Trajectory.concatenate([before, record])
         else:
             joined.append(record)
     return joined

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ssm_study.models.lazy_torch import torch
-from ssm_study.refusal import at_least, positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 if TYPE_CHECKING:
     from torch import nn
@@ -25,7 +25,7 @@ class OptimiserSpec(ABC):
     steps_per_epoch: int
 
     def __post_init__(self) -> None:
-        at_least(1, "optimiser.steps_per_epoch", self.steps_per_epoch, "use 10 or so")
+        require_at_least(1, "optimiser.steps_per_epoch", self.steps_per_epoch, "use 10 or so")
 
     @property
     def calls_per_epoch(self) -> int:
@@ -44,7 +44,7 @@ class Lbfgs(OptimiserSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, "optimiser.history", self.history, "use 20 or so")
+        require_at_least(1, "optimiser.history", self.history, "use 20 or so")
 
     @property
     def calls_per_epoch(self) -> int:
@@ -70,8 +70,8 @@ class Levenberg(OptimiserSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("optimiser.damping", self.damping, "use 0.01")
-        positive("optimiser.longest_step", self.longest_step, "use 0.5")
+        require_positive("optimiser.damping", self.damping, "use 0.01")
+        require_positive("optimiser.longest_step", self.longest_step, "use 0.5")
 
     def build(self, fit: "Fit") -> "torch.optim.Optimizer":
         from ssm_study.training.levenberg import LevenbergMarquardt
@@ -90,7 +90,7 @@ class Adam(OptimiserSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("optimiser.learning_rate", self.learning_rate, "use 0.01 or so")
+        require_positive("optimiser.learning_rate", self.learning_rate, "use 0.01 or so")
         final = self.final_fraction
         require(
             0 < final <= 1,

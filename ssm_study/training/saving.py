@@ -221,7 +221,7 @@ def fingerprint(spec: object, settings: object, data: DataSet) -> str:
         f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
     )
     for record in (*data.training, *data.validation):
-        digest.update(np.ascontiguousarray(record.driven_by).tobytes())
+        digest.update(np.ascontiguousarray(record.inputs_and_disturbances).tobytes())
         digest.update(np.ascontiguousarray(record.y).tobytes())
     return digest.hexdigest()
 

@@ -14,7 +14,7 @@ from ssm_study.models.matrix_shapes import shapes
 from ssm_study.models.spec import scaled_with_disturbances
 from ssm_study.models.structured import Model, StructuredSSM, phi
 from ssm_study.models.structured_spec import StructuredSpec
-from ssm_study.signals import DataSet, Trajectories, fit_of_error
+from ssm_study.signals import DataSet, Trajectories, fit_from_relative_error
 from ssm_study.training.metrics import mean_fit
 from ssm_study.training.structured_problem import (
     CORE,
@@ -202,7 +202,7 @@ class StructuredFit(pl.LightningModule):
         """Compute the fits in percent. That of training is from the states that were fitted, of
         validation as a score has them."""
         r = self.problem.residual(self.theta)
-        self.log("fit_training_percent", fit_of_error(np.sqrt(r @ r)))
+        self.log("fit_training_percent", fit_from_relative_error(np.sqrt(r @ r)))
         self.log("fit_validation_percent", mean_fit(self.stored(), self.data.validation, self.data))
 
     def configure_optimizers(self) -> None:

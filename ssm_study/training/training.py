@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssm_study.refusal import at_least, one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 from ssm_study.signals import DataSet
 from ssm_study.training.loggers import NoLogger
 from ssm_study.training.optimisers import OptimiserSpec
@@ -55,16 +55,18 @@ class Training:
             "use 0 to 1",
         )
         for name in ("max_epochs", "patience", "starts"):
-            at_least(1, f"training.{name}", getattr(self, name), "use a positive whole number")
+            require_at_least(
+                1, f"training.{name}", getattr(self, name), "use a positive whole number"
+            )
         for name in (
             "min_gain_percent",
             "validation_tolerance_percent",
             "checkpoint_every_s",
             "roughness_weight",
         ):
-            at_least(0, f"training.{name}", getattr(self, name), "use 0")
-        one_of((32, 64), "training.precision", self.precision)
-        one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
+            require_at_least(0, f"training.{name}", getattr(self, name), "use 0")
+        require_one_of((32, 64), "training.precision", self.precision)
+        require_one_of(("auto", "zero", "estimated"), "training.initial_state", self.initial_state)
 
     def identify(
         self,

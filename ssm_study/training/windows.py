@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import at_least, positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 from ssm_study.signals import Trajectories, Trajectory
 
 if TYPE_CHECKING:
@@ -33,8 +33,8 @@ class Windows:
     def __post_init__(self) -> None:
         field = "training.windows"
         if self.samples is not None:
-            at_least(2, f"{field}.samples", self.samples, "use 200 or so")
-            positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
+            require_at_least(2, f"{field}.samples", self.samples, "use 200 or so")
+            require_positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
     def cut(self, records: Sequence[Trajectory], start_up_samples: int) -> "Cut":
         """Cut the training records into windows. Raises `BadRequest` where a record is shorter than

@@ -169,7 +169,7 @@ def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
     study = SimpleNamespace(of_best=lambda *_, **__: (loop,))
     widths = {}
     for width in ("page", "column"):
-        with style.paper(width):
+        with style.paper_style(width):
             size_inches = closed_loop_responses.draw(study).get_size_inches()
             widths[width] = size_inches[0]
     expected = {"page": style.PAGE_IN, "column": style.COLUMN_IN}

@@ -101,10 +101,10 @@ def _here(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     path = list(sys.path)
     monkeypatch.setattr(sys, "path", path)
     monkeypatch.setenv(extensions.FOLDER, "")
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
     yield
     monkeypatch.undo()
-    extensions.packages.cache_clear()  # what a command trusted by `--with`
+    extensions.trusted_packages.cache_clear()  # what a command trusted by `--with`
 
 
 def test_there_are_commands_of_every_kind() -> None:
@@ -235,7 +235,7 @@ def executed(command: str, clone: Path, written: Path | None = None) -> None:
         word for word in shlex.split(command) if "=" not in word or not word.split("=")[0].isupper()
     ]
     program, *arguments = words
-    arguments = extensions.taken_from(arguments)
+    arguments = extensions.pop_extension_option(arguments)
     if "--retry-failed" in arguments:  # of a study that is there
         executed(command.replace(" --retry-failed", ""), clone, written)
     if program == "ssm-study" and arguments[0] == "run":

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.durable import json_bytes, link_or_copy, sealed
+from ssm_study.durable import add_digest, json_bytes, link_or_copy
 from ssm_study.engine.jobs import Job, kill_group, note_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, error_facts, execute
@@ -257,7 +257,7 @@ def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path
     execute(study / "good", {"seed": 1}, lambda _: {})
     execute(study / "huge", {"seed": 1}, lambda _: {})
     body = {"record_version": 1, "status": "ok", "seed": 10**30}
-    huge = json_bytes(sealed(body))
+    huge = json_bytes(add_digest(body))
     (study / "huge" / RECORD).write_bytes(huge)
     expected = {"status": "corrupt"}
     assert parse_record(huge) == expected

@@ -222,7 +222,7 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
 
     from ssm_study.engine import store as module
 
-    monkeypatch.setattr(module, "locked", lambda _: nullcontext())
+    monkeypatch.setattr(module, "file_lock", lambda _: nullcontext())
 
     def overtaken(folder: Path) -> None:
         (folder / "last.ckpt").write_text("half way")

@@ -41,10 +41,10 @@ def trusting(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv(extensions.FOLDER, "")
     path = list(sys.path)
     monkeypatch.setattr(sys, "path", path)
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
     yield
     monkeypatch.undo()
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -169,10 +169,10 @@ def test_no_other_folder_is_trusted(tmp_path: Path, name: str, made: bool, said:
         init_path = tmp_path / name / "__init__.py"
         init_path.touch()
     with pytest.raises(BadRequest, match=said):
-        extensions.trust(tmp_path / name)
+        extensions.trust_package(tmp_path / name)
     arguments = ["verify", "run", "--with"]
     with pytest.raises(BadRequest, match="names no folder"):
-        extensions.taken_from(arguments)
+        extensions.pop_extension_option(arguments)
 
 
 def test_new_refuses(tmp_path: Path) -> None:
@@ -195,7 +195,7 @@ def test_what_is_found_by_its_kind_is_found_in_a_trusted_package(tmp_path: Path)
         "    def read(self, path, names): raise NotImplementedError\n"
     )
     assert ".mine" not in Reader.members(readers)
-    extensions.trust(tmp_path / "logs_of_mine")
+    extensions.trust_package(tmp_path / "logs_of_mine")
     try:
         reader = Reader.members(readers)
         assert reader[".mine"].__module__ == "logs_of_mine"

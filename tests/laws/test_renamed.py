@@ -13,7 +13,12 @@ from omegaconf import OmegaConf
 
 from ssm_study import renamed
 from ssm_study.cli.request import translate
-from ssm_study.durable import contents, sealed, unsealed, write_json_atomically
+from ssm_study.durable import (
+    add_digest,
+    read_limited_bytes,
+    read_sealed_json,
+    write_json_atomically,
+)
 from ssm_study.engine.records import CORRUPT, parse_record, read_record, write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.renamed import OldName, Withdrawn
@@ -126,7 +131,7 @@ def test_a_method_that_a_stranger_overrides_by_its_old_name_is_called() -> None:
             return "ours"
 
     methods = {"old_present": "present"}
-    renamed.accept_old_methods(Base, methods)
+    renamed.support_old_methods(Base, methods)
     with pytest.warns(OldName, match=r"Theirs\.old_present is now Theirs\.present"):
 
         class Theirs(Ours):
@@ -147,7 +152,7 @@ def test_an_abstract_method_is_answered_by_its_old_name() -> None:
         def present() -> str: ...
 
     methods = {"old": "present"}
-    renamed.accept_old_methods(Base, methods)
+    renamed.support_old_methods(Base, methods)
 
     class Theirs(Base):
         @staticmethod
@@ -164,12 +169,12 @@ def test_stored_targets_are_read_under_their_new_names() -> None:
     among_starts = {"_target_": old, "at": "${seed}"}
     model = {"among_starts": among_starts}
     config = OmegaConf.create({"model": model, "seed": 3})
-    renamed.bring_up_to_date(config)
+    renamed.rename_old_settings(config)
     chosen = config.model.among_starts
     assert chosen._target_ == "ssm_study.synthesis.model_selection.LargestCertifiableRate"
     assert chosen.at == 3
     for foreign in ("os.system", "ssm_study.cli.main.main", "another.synthesis.among_starts.Foo"):
-        assert renamed.present_target(foreign) == foreign
+        assert renamed.current_target(foreign) == foreign
 
 
 @pytest.fixture
@@ -194,12 +199,12 @@ def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
     model = {"integrating": True, "order": 2}
     training = {"starts": 1}
     expected = {"model": model, "training": training}
-    assert renamed.present_settings(tree) == expected
+    assert renamed.current_settings(tree) == expected
     tree["training"]["old_weight"] = 0.5
     with pytest.raises(
         BadRequest, match=r"training.old_weight = 0.5: was withdrawn in 0.2 \(CHANGE"
     ):
-        renamed.present_settings(tree)
+        renamed.current_settings(tree)
     with pytest.raises(BadRequest, match=r"training.old_weight = 0.1: was withdrawn in 0.2"):
         translate(["training.old_weight=0.1"])
     with pytest.raises(
@@ -224,14 +229,14 @@ def test_a_renamed_column_has_both_names_in_a_record(tmp_path: Path) -> None:
 
 def written(folder: Path, record: dict[str, object]) -> bytes:
     """A record as another version would have sealed it."""
-    write_json_atomically(folder / "other.json", sealed(record))
-    return contents(folder / "other.json")
+    write_json_atomically(folder / "other.json", add_digest(record))
+    return read_limited_bytes(folder / "other.json")
 
 
 @pytest.mark.parametrize("version", [0, 3, "2", True, None, 1.0])
 def test_a_record_of_an_unknown_version_is_corrupt(tmp_path: Path, version: object) -> None:
     stored = written(tmp_path, {"record_version": version, "status": "ok"})
-    assert unsealed(stored) is not None
+    assert read_sealed_json(stored) is not None
     expected = {"status": CORRUPT}
     assert parse_record(stored) == expected
     content = written(tmp_path, {"record_version": 1, "status": "ok"})

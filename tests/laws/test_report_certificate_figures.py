@@ -26,9 +26,9 @@ def test_the_figure_draws_the_same_bytes_twice_with_a_unit_on_every_axis(
 ) -> None:
     files = []
     for folder in (tmp_path / "once", tmp_path / "again"):
-        with style.paper():
+        with style.paper_style():
             figure = getattr(synthesis_figures, name)(table(name))
-            paths = style.save(figure, folder, name)
+            paths = style.save_figure(figure, folder, name)
             files.append([path.read_bytes() for path in paths])
     assert files[0] == files[1]
     (axes,) = figure.axes

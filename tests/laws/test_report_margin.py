@@ -65,7 +65,7 @@ def test_the_score_puts_what_nothing_else_refuses_first_and_then_the_larger_marg
 
 def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
     table = designs()
-    with style.paper():
+    with style.paper_style():
         roc = loop_margin_figures.roc(table)
         settling = loop_margin_figures.settling(table)
     drawn = sum(len(dots.get_offsets()) for axes in settling.axes for dots in axes.collections)
@@ -79,7 +79,7 @@ def test_every_design_is_in_the_scatter_and_every_plant_in_the_curve():
 
 def test_a_plant_on_which_all_settle_has_no_curve_but_its_dots():
     table = designs().assign(kind="settled")
-    with style.paper():
+    with style.paper_style():
         roc = loop_margin_figures.roc(table)
         settling = loop_margin_figures.settling(table)
     lines = roc.axes[0].lines

@@ -72,7 +72,7 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     idle = drawn(seed=3, size=1e-6)
     assert isinstance(idle, StructuredSystem)
     slopes = np.zeros(idle.neurons)
-    system = idle.at_slopes(slopes)
+    system = idle.linearise_at_slopes(slopes)
     exact = largest_rate_of(system, BALL)
     assert largest_rate_of(idle, BALL) == pytest.approx(exact, abs=2e-3)
     assert largest_rate_of(idle, BALL) <= exact

@@ -42,7 +42,7 @@ def random_ssm(seed: int, channels: int = 1, output_floor: float = 0.6) -> SSM:
     linear = StateSpace(a=a / spectral_radius, b=b, c=c, d=d)
     scaffold_in = kinked(rng, channels, 0.3)
     scaffold_out = kinked(rng, channels, output_floor)
-    scale = Scale.unit(channels, channels)
+    scale = Scale.identity(channels, channels)
     return SSM(
         linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out, scale=scale, step_s=0.1
     )

@@ -236,7 +236,7 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
     input_scale = data.scale.input_scale
     output_scale = np.full(1, 0.5)
     scale = dataclasses.replace(
-        Scale.unit(1, 1), input_scale=input_scale, output_scale=output_scale
+        Scale.identity(1, 1), input_scale=input_scale, output_scale=output_scale
     )
     data = dataclasses.replace(data, **parts, scale=scale)
     settings = training(roughness_weight=1e-3)

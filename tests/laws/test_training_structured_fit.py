@@ -27,7 +27,7 @@ def recorded(model: StructuredSSM, seed: int) -> DataSet:
         trajectory = Trajectory(u=u, y=y, step_s=0.1, name=part)
         records.append((trajectory,))
     channel = (Channel(name="a", unit="V"),)
-    scale = Scale.unit(1, 1)
+    scale = Scale.identity(1, 1)
     return DataSet(
         training=records[0],
         validation=records[1],
@@ -52,7 +52,7 @@ def data() -> DataSet:
     blocks |= {"d": d, "f": f, "g": g, "h": h, "bias": [0.3]}
     scaffold_in = LinearScaffold.identity(1)
     scaffold_out = LinearScaffold.identity(1)
-    scale = Scale.unit(1, 1)
+    scale = Scale.identity(1, 1)
     true = StructuredSSM(
         **{name: np.array(block) for name, block in blocks.items()},
         neurons=("tanh",),

@@ -30,7 +30,7 @@ def two_channel(inner, outer=None) -> SSM:
     d = rng.normal(size=(2, 2))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     scaffold_out = outer or LinearScaffold.identity(2)
-    scale = Scale.unit(2, 2)
+    scale = Scale.identity(2, 2)
     return SSM(linear=linear, scaffold_in=inner, scaffold_out=scaffold_out, scale=scale, step_s=0.1)
 
 

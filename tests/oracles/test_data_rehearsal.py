@@ -26,10 +26,10 @@ GAINS = (160.0, 243.0)
 def _trusted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Trust the rehearsal package for one test, as `--with benchmarks/rehearsal` does."""
     monkeypatch.setenv(extensions.FOLDER, str(FOLDER))
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
     yield
     monkeypatch.undo()
-    extensions.packages.cache_clear()
+    extensions.trusted_packages.cache_clear()
 
 
 @pytest.fixture

@@ -317,7 +317,7 @@ def test_inputs_that_oppose_each_other_have_their_own_response():
     for b in ([[1.0]], [[1.0, -1.0]]):
         d = np.zeros((1, len(b[0])))
         linear = StateSpace(a=a, b=np.array(b), c=c, d=d)
-        assert linear.response_samples() == 23  # the first answers at sample 1
+        assert linear.impulse_response_length() == 23  # the first answers at sample 1
 
 
 def test_a_short_record_is_said_to_have_the_lags_it_has():

@@ -198,7 +198,7 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     u = np.eye(41, 1)
     y = start * np.eye(41, 1, -1)
     record = Trajectory(u=u, y=y, step_s=0.1)
-    scale = Scale.unit(1, 1)
+    scale = Scale.identity(1, 1)
     still, offsets = after_returns(scale, [record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
@@ -210,7 +210,7 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     y = np.where(np.arange(41) < 2, start, 1.0)[:, None]
     u = 1.0 + np.eye(41, 1)
     record = Trajectory(u=u, y=y, step_s=0.1)
-    scale = Scale.unit(1, 1)
+    scale = Scale.identity(1, 1)
     records = [record, record]
     still, offsets = after_returns(scale, records, 1000)
     assert still == pytest.approx(said)

@@ -48,13 +48,13 @@ def linear_model(seed: int, order: int = 3) -> SSM:
     d = rng.standard_normal((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     gain = np.eye(1)
-    unit = LinearScaffold(gain=gain)
+    identity = LinearScaffold(gain=gain)
     return replace(
         motor_model(),
         linear=linear,
-        scaffold_in=unit,
-        scaffold_out=unit,
-        scale=Scale.unit(1, 1),
+        scaffold_in=identity,
+        scaffold_out=identity,
+        scale=Scale.identity(1, 1),
         step_s=0.01,
     )
 

@@ -38,7 +38,7 @@ def drive_model() -> SSM:
     slip = np.exp(-h * plant.viscous_nms_per_rad / plant.inertia_kgm2)
     pushed = plant.torque_constant_nm_per_a * h / plant.inertia_kgm2
     gain = np.eye(1)
-    unit = LinearScaffold(gain=gain)
+    identity = LinearScaffold(gain=gain)
     a = np.array([[lag, 0.0], [pushed, slip]])
     b = np.array([[1 - lag], [0.0]])
     c = np.array([[0.0, 1.0]])
@@ -47,7 +47,7 @@ def drive_model() -> SSM:
     return replace(
         motor_model(),
         linear=linear,
-        scaffold_in=unit, scaffold_out=unit, scale=Scale.unit(1, 1),
+        scaffold_in=identity, scaffold_out=identity, scale=Scale.identity(1, 1),
     )  # fmt: skip
 
 

@@ -23,7 +23,7 @@ from ssm_study.models.identified import SSM
 from ssm_study.robustness.mismatch import BAND, Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.return_to_rest import AT_REST
-from ssm_study.signals import Trajectory, repetition
+from ssm_study.signals import Trajectory, find_repetition
 from ssm_study.study.stages.mismatch import read_mismatch, write_mismatch
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains
@@ -36,18 +36,18 @@ def test_two_equal_pieces_are_found_wherever_they_are(seed, period, before, afte
     white_noise = rng.standard_normal((before, 1))
     u = np.concatenate([white_noise, piece, piece, np.zeros((after, 1))])
     expected = (before, period)
-    assert repetition(u) == expected
+    assert find_repetition(u) == expected
     u[before + period // 2] += 1e-3
-    assert repetition(u) is None
+    assert find_repetition(u) is None
 
 
 def test_a_signal_that_rests_or_holds_its_levels_does_not_repeat():
     u = np.zeros((500, 1))
-    assert repetition(u) is None
+    assert find_repetition(u) is None
     rng = np.random.default_rng(0)
     levels = rng.uniform(-1, 1, 40)
     u = np.repeat(levels, 20)[:, None]
-    assert repetition(u) is None
+    assert find_repetition(u) is None
 
 
 def twice(model: SSM, missed, noise: float, amplitude: float = 1.0, seed: int = 0) -> Trajectory:
@@ -258,7 +258,7 @@ def test_trials_are_two_periods_at_each_amplitude_then_rest_then_free_decays_and
     assert largest <= upper_limit  # none goes beyond it
     for record, share in zip(records, SHARES, strict=False):
         expected = (LEAD_IN, PERIOD)
-        assert repetition(record.u) == expected
+        assert find_repetition(record.u) == expected
         largest = np.abs(record.u).max()
         input_amplitude = motor().input_amplitude
         upper_limit = share * input_amplitude[0]

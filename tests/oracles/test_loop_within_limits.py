@@ -308,7 +308,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
 
 def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
     """Largest input that the law asks for from rest at this output, the estimate exact."""
-    rest, _, gain = model.linear.held()
+    rest, _, gain = model.linear.steady_states()
     linear = model.scaffold_out.portable().linear
     solution = np.linalg.solve(linear @ gain, output)
     x = rest @ solution
@@ -337,7 +337,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     assert 0.4 < max(requests) <= 0.6
     np.testing.assert_allclose(found.lower, -found.upper)
 
-    rest, _, gain = model.linear.held()
+    rest, _, gain = model.linear.steady_states()
     inverse = np.linalg.inv(gain)
     mapped = rest @ inverse @ np.array([[1.0, 1.0], [-1.0, 1.0]])
     limits = np.stack(ends, axis=1)

@@ -31,7 +31,7 @@ class _Model:
     def __init__(self, system: StateSpace | StructuredSystem) -> None:
         self.system = system
         neurons = isinstance(system, StructuredSystem)
-        self.linear = system.at_slopes(np.zeros(system.neurons)) if neurons else system
+        self.linear = system.linearise_at_slopes(np.zeros(system.neurons)) if neurons else system
 
 
 def one_layer(seed: int, order: int = 3) -> StateSpace:

@@ -32,7 +32,7 @@ ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.
 class _Model:
     def __init__(self, system: StructuredSystem) -> None:
         slopes = np.zeros(system.neurons)
-        state_space = system.at_slopes(slopes)
+        state_space = system.linearise_at_slopes(slopes)
         self.system, self.linear = system, state_space
 
 
@@ -68,7 +68,7 @@ def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndar
     still = StructuredSystem(**{**vars(system), "e": e, "h": h})
     known, proved = found(still, weight)
     slopes = np.zeros(3)
-    linear = still.at_slopes(slopes)
+    linear = still.linearise_at_slopes(slopes)
     names = ("k", "l")
     gains = {name: known.gains[name] for name in names}
     verification_context = VerificationContext(
@@ -91,7 +91,7 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
     for slopes in system.corners():
         injected = l + (system.e * slopes) @ l_z
         for slope in (0.6, 0.8, 1.0):
-            linear = system.at_slopes(slopes)
+            linear = system.linearise_at_slopes(slopes)
             pair = Gains(k=k, l=injected)
             state_space = sensitivity(linear, pair, slope, 0.8)
             peaks.append(hinf_norm(state_space))

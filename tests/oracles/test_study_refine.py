@@ -57,7 +57,9 @@ def failing(run: Path) -> set[str]:
 def _benchmarks_trusted():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            allow_list, "packages", lambda: {"benchmarks": Path(__file__).parents[2] / "benchmarks"}
+            allow_list,
+            "trusted_packages",
+            lambda: {"benchmarks": Path(__file__).parents[2] / "benchmarks"},
         )
         yield
 

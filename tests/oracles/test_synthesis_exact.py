@@ -64,9 +64,9 @@ def test_the_exact_routes_agree_with_textbook_elimination(
     difference = shift - eigenvalues[0]
     matrix = gram + difference * np.eye(size)
     fractions = [[Fraction(float(value)) for value in row] for row in matrix]
-    verdict = exact.is_positive_definite(Exact.of(matrix))
+    verdict = exact.is_positive_definite(Exact.from_floats(matrix))
     assert verdict == plain_ldl_is_positive(fractions)
-    rational = Exact.of(matrix).rational
+    rational = Exact.from_floats(matrix).rational
     integer = rational.numer_denom()[0]
     expected = exact.has_positive_leading_minors(integer)
     assert verdict == expected
@@ -148,7 +148,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
     )
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
     exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
-    actual = exactly["inequality"].rounded()
+    actual = exactly["inequality"].to_floats()
     np.testing.assert_allclose(actual, one, atol=1e-13)
     c = b.T.copy()
     gain = k.T.copy()
@@ -163,7 +163,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
         ]
     )
     exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
-    actual = exactly["inequality"].rounded()
+    actual = exactly["inequality"].to_floats()
     np.testing.assert_allclose(actual, two, atol=1e-13)
 
 
@@ -211,7 +211,7 @@ def test_what_floats_cannot_see_needs_no_elimination(
     """`L diag(1, ..., smallest) L^T`, exact: definite or not by its last pivot, far below the
     resolution of floats."""
     rng = np.random.default_rng(size)
-    lower = Exact.of(np.tril(0.1 * rng.normal(size=(size, size)), -1) + np.eye(size))
+    lower = Exact.from_floats(np.tril(0.1 * rng.normal(size=(size, size)), -1) + np.eye(size))
     matrix = lower @ np.diag([*np.geomspace(1, 1e-3, size - 1), smallest]) @ lower.T
     monkeypatch.setattr(exact, "has_positive_leading_minors", lambda _: pytest.fail("eliminated"))
     assert exact.is_positive_definite(matrix) is (smallest > 0)
@@ -223,8 +223,8 @@ def test_a_factor_whose_inverse_is_beyond_the_floats_is_decided() -> None:
     floats = factor @ factor.T
     actual = np.linalg.cholesky(floats)
     np.testing.assert_array_equal(actual, factor)
-    matrix = Exact.of(floats)
+    matrix = Exact.from_floats(floats)
     assert exact.is_positive_definite(matrix)
     floats[-1, -1] = 1.0  # the last pivot is zero
-    matrix = Exact.of(floats)
+    matrix = Exact.from_floats(floats)
     assert not exact.is_positive_definite(matrix)

@@ -44,14 +44,14 @@ def test_the_figures_replace_links_and_a_linked_folder_is_refused(
     folder = study / "figures"
     folder.mkdir(exist_ok=True)
     (folder / "a.png").symlink_to(victim)
-    style.save(style.canvas(), folder, "a")
+    style.save_figure(style.new_figure(), folder, "a")
     assert victim.read_text() == INTACT
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     linked = study / "linked"
     linked.symlink_to(elsewhere)
     with pytest.raises(BadRequest, match="link"):
-        style.save(style.canvas(), linked, "a")
+        style.save_figure(style.new_figure(), linked, "a")
     paths = list(elsewhere.iterdir())
     assert paths == []
 

@@ -21,7 +21,7 @@ def stored() -> dict[str, Any]:
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     identity = LinearScaffold.identity(1)
-    scale = Scale.unit(1, 1)
+    scale = Scale.identity(1, 1)
     ssm = SSM(linear=linear, scaffold_in=identity, scaffold_out=identity, scale=scale, step_s=0.01)
     return ssm.to_json()
 

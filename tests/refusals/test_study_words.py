@@ -92,7 +92,7 @@ def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
     program = (
         "import sys, ssm_study.cli.main as cli\n"
         "def interrupted(_): raise KeyboardInterrupt\n"
-        "cli.taken_from = interrupted\n"
+        "cli.pop_extension_option = interrupted\n"
         "sys.exit(cli.main(['run']))"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

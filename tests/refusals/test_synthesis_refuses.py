@@ -122,11 +122,11 @@ def test_an_indefinite_matrix_whose_rounded_picture_is_definite() -> None:
 def test_one_unit_in_the_last_place_decides() -> None:
     """`P = [[1, p], [p, 1]]` with p one ulp below one is positive definite; at one it is not."""
     below = np.nextafter(1.0, 0.0)
-    matrix = Exact.of(np.array([[1.0, below], [below, 1.0]]))
+    matrix = Exact.from_floats(np.array([[1.0, below], [below, 1.0]]))
     assert exact.is_positive_definite(matrix)
-    matrix = Exact.of(np.array([[1.0, 1.0], [1.0, 1.0]]))
+    matrix = Exact.from_floats(np.array([[1.0, 1.0], [1.0, 1.0]]))
     assert not exact.is_positive_definite(matrix)
-    matrix = Exact.of(np.array([[1.0, below], [1.0, 1.0]]))
+    matrix = Exact.from_floats(np.array([[1.0, below], [1.0, 1.0]]))
     assert not exact.is_positive_definite(matrix)  # not symmetric
 
 
@@ -375,4 +375,4 @@ def test_slopes_in_the_wrong_order() -> None:
 
 def test_exact_arithmetic_takes_no_nan() -> None:
     with pytest.raises((ValueError, OverflowError)):
-        Exact.of(np.array([[np.nan]]))
+        Exact.from_floats(np.array([[np.nan]]))

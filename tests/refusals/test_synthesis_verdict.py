@@ -251,7 +251,7 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     ours, exactly = (
         conditions(**numbers)["inequality"] for conditions in (as_floats, type(part).exactly)
     )
-    expected = unit_diagonal(exactly.rounded())
+    expected = unit_diagonal(exactly.to_floats())
     np.testing.assert_allclose(ours, expected, atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
     margin = type(part).proved(numbers, **known).margin

@@ -26,7 +26,7 @@ FEW_DECADES = 200  # ratio of the ends of a logarithmic axis below which more ti
 
 def draw_picture(picture: Picture) -> "Figure":
     """Draw a picture in the style of the paper. Returns the figure; nothing is shown."""
-    with style.paper():
+    with style.paper_style():
         return draw_unstyled(picture)
 
 
@@ -39,7 +39,7 @@ def draw_unstyled(picture: Picture) -> "Figure":
     heights = [row[0].height for row in rows]
     width = style.PAGE_IN if picture.wide or picture.columns > 1 else style.COLUMN_IN
     height_in = 0.35 + ROW_IN * sum(heights)
-    figure = style.canvas(width, height_in)
+    figure = style.new_figure(width, height_in)
     grid = figure.subplots(len(rows), picture.columns, squeeze=False, height_ratios=heights)
     for axes_of_row, panels in zip(grid, rows, strict=True):
         for axes, panel in zip(axes_of_row, panels, strict=False):
@@ -79,7 +79,7 @@ def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
     legend_handles_labels = axes.get_legend_handles_labels()
     if legend_handles_labels[1] and not panel.title:
         columns = MOST_LEGEND_COLUMNS if _is_wide(axes) else 2
-        style.above(axes, columns=columns)
+        style.place_legend_above(axes, columns=columns)
     elif axes.get_legend_handles_labels()[1]:
         axes.legend(loc="best")
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,8 +67,8 @@ class Staircase(Excitation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(3, "excitation.levels", self.levels, "use 11 or so")
-        at_least(1, "excitation.hold_clocks", self.hold_clocks, "use 5 or so")
+        require_at_least(3, "excitation.levels", self.levels, "use 11 or so")
+        require_at_least(1, "excitation.hold_clocks", self.hold_clocks, "use 5 or so")
 
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import at_least, positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 Amplitude = float | tuple[float, ...] | list[float] | None
 
@@ -55,8 +55,8 @@ class Excitation(ABC):
     clock_s: float | None = None
 
     def __post_init__(self) -> None:
-        positive("excitation.amplitude", self.amplitude, "give it in the input's unit")
-        positive("excitation.clock_s", self.clock_s, "give seconds")
+        require_positive("excitation.amplitude", self.amplitude, "give it in the input's unit")
+        require_positive("excitation.clock_s", self.clock_s, "give seconds")
 
     @property
     @abstractmethod
@@ -97,8 +97,8 @@ class Excitation(ABC):
 
 def check_frequency_band(low_hz: float | None, high_hz: float | None, name: str = "") -> None:
     """Refuse a frequency band whose ends are not positive and in increasing order."""
-    positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
-    positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
+    require_positive(f"excitation.{name}low_hz", low_hz, "give hertz, or null")
+    require_positive(f"excitation.{name}high_hz", high_hz, "give hertz, or null")
     ordered = low_hz is None or high_hz is None or low_hz < high_hz
     require(
         ordered,
@@ -164,7 +164,9 @@ class APRBS(Excitation):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(1, "excitation.longest_hold_clocks", self.longest_hold_clocks, "use 5 or so")
+        require_at_least(
+            1, "excitation.longest_hold_clocks", self.longest_hold_clocks, "use 5 or so"
+        )
 
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator

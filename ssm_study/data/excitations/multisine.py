@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 
 FEWEST_LINES = 2
 # of the peak: deep enough to make progress, shallow enough to converge (Van der Ouderaa et al.
@@ -36,7 +36,9 @@ class Multisine(Excitation):
     def __post_init__(self) -> None:
         super().__post_init__()
         check_frequency_band(self.band_low_hz, self.band_high_hz, "band_")
-        at_least(0, "excitation.crest_iterations", self.crest_iterations, "use 0 for random phases")
+        require_at_least(
+            0, "excitation.crest_iterations", self.crest_iterations, "use 0 for random phases"
+        )
 
     def unit_signal(
         self, request: SignalRequest, rng: np.random.Generator

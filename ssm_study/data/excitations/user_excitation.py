@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import APRBS, SignalRequest
-from ssm_study.refusal import positive, require
+from ssm_study.refusal import require, require_positive
 
 AMPLITUDES = (
     1.0,
@@ -45,8 +45,8 @@ class OwnPlantRecord:
         remedy = "give --lower < --rest < --upper"
         between = -np.inf < self.lower < self.rest < self.upper < np.inf
         require(between, "lower, rest, upper", limits, problem, remedy)
-        positive("step_s", self.step_s, "give it in seconds")
-        positive("settle_s", self.settle_s, "give it in seconds")
+        require_positive("step_s", self.step_s, "give it in seconds")
+        require_positive("settle_s", self.settle_s, "give it in seconds")
         enough = self.settle_s >= 2 * HOLDS_PER_SETTLING * self.step_s
         problem = "the plant comes to rest in fewer than twenty samples, too few to see how"
         require(enough, "settle_s", self.settle_s, problem, "sample faster: a smaller --step-s")

@@ -12,7 +12,7 @@ from ssm_study.models.identified import Inputs, Outputs, Simulator
 from ssm_study.models.scaffolds.scaffold import numbers
 from ssm_study.models.spec import ModelSpec
 from ssm_study.models.torch_ssm import Signals, States, TorchModel
-from ssm_study.refusal import at_least, one_of
+from ssm_study.refusal import require_at_least, require_one_of
 from ssm_study.signals import DataSet, Scale
 
 
@@ -87,8 +87,8 @@ class RecurrentSpec(ModelSpec):
     hidden: int
 
     def __post_init__(self) -> None:
-        one_of(("gru", "lstm"), "model.cell", self.cell)
-        at_least(1, "model.hidden", self.hidden, "use 16 or so")
+        require_one_of(("gru", "lstm"), "model.cell", self.cell)
+        require_at_least(1, "model.hidden", self.hidden, "use 16 or so")
 
     def build(self, data: DataSet, seed: int) -> TorchRecurrent:
         with torch.random.fork_rng(devices=[]):

@@ -17,7 +17,7 @@ from ssm_study.models.baselines.regression import (
 )
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.spec import ModelSpec, Pairs, scaled
-from ssm_study.refusal import BadRequest, at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 
@@ -54,7 +54,7 @@ class N4SID(SolvedSpec):
     block_rows: int
 
     def __post_init__(self) -> None:
-        at_least(1, "model.order", self.order, "use 8 or so")
+        require_at_least(1, "model.order", self.order, "use 8 or so")
         fits = self.block_rows > self.order
         require(
             fits,
@@ -122,9 +122,9 @@ class NARX(SolvedSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
+        require_at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
         if self.terms is not None:
-            at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
+            require_at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
 
     def solve(self, data: DataSet) -> Polynomial:
         _refuse_several_outputs(data, "NARX")
@@ -147,7 +147,7 @@ class OutputError(SolvedSpec):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
+        require_at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
 
     def solve(self, data: DataSet) -> Polynomial:
         _refuse_several_outputs(data, "OutputError")

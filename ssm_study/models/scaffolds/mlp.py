@@ -12,7 +12,7 @@ from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
 from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, numbers
 from ssm_study.models.scaffolds.trainable import Frame, Trainable
-from ssm_study.refusal import at_least
+from ssm_study.refusal import require_at_least
 
 # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
 JUMP_UNIT = 0.3
@@ -81,7 +81,7 @@ class Mlp(Trainable):
     certified: bool
 
     def __post_init__(self) -> None:
-        at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
+        require_at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
 
     def build(self, frame: Frame, rng: np.random.Generator) -> Any:
         if self.certified and frame.samples.shape[1] == 1:

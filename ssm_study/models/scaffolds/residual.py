@@ -13,7 +13,7 @@ from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square, numbers
 from ssm_study.models.scaffolds.trainable import Frame, Trainable
-from ssm_study.refusal import at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.systems import JacobianBall
 
 
@@ -41,7 +41,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
             "as many outputs as inputs are needed",
             "use kind mlp",
         )
-        at_least(0, "beta", self.beta, "write model.json again")
+        require_at_least(0, "beta", self.beta, "write model.json again")
         fits = [t.shape for t in self.multipliers] == [b.shape for b in self.network.biases]
         fits = fits and all(bool((t > 0).all()) for t in self.multipliers)
         require(
@@ -87,7 +87,7 @@ class Residual(Trainable):
     depth: int
 
     def __post_init__(self) -> None:
-        at_least(1, "scaffold.depth", self.depth, "use 1 or 2")
+        require_at_least(1, "scaffold.depth", self.depth, "use 1 or 2")
 
     def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
         m = frame.samples.shape[1]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from ssm_study import style
 from ssm_study.durable import write_atomically
-from ssm_study.extensions import modules
+from ssm_study.extensions import extension_modules
 from ssm_study.refusal import require
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 def names() -> list[str]:
     """Names of all figures."""
     ours = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
-    return sorted({*modules("figures"), *ours})
+    return sorted({*extension_modules("figures"), *ours})
 
 
 def _module(name: str) -> ModuleType:
     """Module of a figure by its name; ours where another package has one of the same name."""
     ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
-    return import_module(f"{__name__}.{name}" if ours else modules("figures")[name])
+    return import_module(f"{__name__}.{name}" if ours else extension_modules("figures")[name])
 
 
 def caption(name: str) -> str:
@@ -40,7 +40,7 @@ def caption(name: str) -> str:
 
 def drawn(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
     """The figure in the style of the paper. Raises `NothingToDraw` with the reason."""
-    with style.paper(width):
+    with style.paper_style(width):
         figure: Figure = _module(name).draw(study)
     return figure
 
@@ -71,10 +71,10 @@ def draw(
             f"choose among {', '.join(names())}",
         )
     for name in wanted or names():
-        with style.paper(width):  # what is saved asks for the settings once more
+        with style.paper_style(width):  # what is saved asks for the settings once more
             try:
                 figure = drawn(name, study, width)
-                paths += style.save(figure, study.folder / "figures", name)
+                paths += style.save_figure(figure, study.folder / "figures", name)
             except NothingToDraw as reason:
                 tell(f"not drawn: {name}. {reason}")
     if paths:

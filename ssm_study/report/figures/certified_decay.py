@@ -25,7 +25,7 @@ def draw(study: StudyFolder) -> Figure:
     model, certificate = study.of_best(
         "model", "certificate", otherwise="No run left a certificate for a model without neurons."
     )
-    fig = style.canvas(style.PAGE_IN, 2.3)
+    fig = style.new_figure(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
     feedback = part_of(certificate, "state_feedback")
     observer = part_of(certificate, "observer")
@@ -99,4 +99,4 @@ def draw_decay(axes: Axes, d: Float[np.ndarray, "N T"], part: Mapping[str, Any])
 def label_axes(axes: Axes, title: str) -> None:
     """Label the axes with the sample and the relative distance, and place the legend above."""
     axes.set(xlabel="Sample", ylabel=f"{title}:\ndistance / its start (–)")
-    style.above(axes)
+    style.place_legend_above(axes)

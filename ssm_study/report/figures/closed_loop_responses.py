@@ -12,10 +12,10 @@ from ssm_study.report.study_folder import StudyFolder
 def draw(study: StudyFolder) -> Figure:
     (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
     if style.is_narrow():
-        fig = style.canvas(style.COLUMN_IN, 4.6)
+        fig = style.new_figure(style.COLUMN_IN, 4.6)
         controlled, alone, given = fig.subplots(3, 1)
     else:
-        fig = style.canvas(style.PAGE_IN, 2.2)
+        fig = style.new_figure(style.PAGE_IN, 2.2)
         controlled, alone, given = fig.subplots(1, 3)
     rank = (
         loop["output"][:, 0, 0].argsort().argsort()

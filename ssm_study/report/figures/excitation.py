@@ -23,7 +23,7 @@ def draw(study: StudyFolder) -> Figure:
     kept, record = study.of_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )
-    fig = style.canvas(style.PAGE_IN, 2.2)
+    fig = style.new_figure(style.PAGE_IN, 2.2)
     amplitude, spectrum = fig.subplots(1, 2)
     inputs = kept.signals("input")
     label = kept.label("input")

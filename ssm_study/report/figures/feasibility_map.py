@@ -26,7 +26,7 @@ def draw(study: StudyFolder) -> Figure:
     if known.sum() < 2:
         raise NothingToDraw(f"It takes two runs with slopes and a rate ({counts(table)}).")
     spreads_far = ratio.max() > 20 * ratio[ratio > 0].min()
-    fig = style.canvas(style.COLUMN_IN, 2.8)
+    fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log" if spreads_far else "linear")
     certified = flag(table, "controller_certified")
     feasible = flag(table, "controller_feasible")
@@ -40,7 +40,7 @@ def draw(study: StudyFolder) -> Figure:
             look: dict[str, Any] = {"c": colour, "marker": marker, "s": 16, "lw": 0.9, "zorder": 3}
             axes.scatter(ratio[here], rate[here], label=label, **look)
     draw_frontier(axes, ratio, column(table, LIMIT))
-    style.above(axes, columns=2)
+    style.place_legend_above(axes, columns=2)
     axes.set_xlabel("Certified slope ratio of S$_u$, smallest / largest (–)")
     axes.set_ylabel(words(RATE))
     return fig

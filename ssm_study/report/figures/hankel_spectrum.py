@@ -18,7 +18,7 @@ def draw(study: StudyFolder) -> Figure:
     values = hankel_singular_values(model.linear)
     relative = values / values[0]
     state = np.arange(1, len(values) + 1)
-    fig = style.canvas(style.COLUMN_IN, 2.1)
+    fig = style.new_figure(style.COLUMN_IN, 2.1)
     axes = fig.add_subplot(yscale="log")
     axes.vlines(
         state, relative.min() / 3, relative, color=style.SKY, lw=2.5

@@ -30,7 +30,7 @@ def draw(study: StudyFolder) -> Figure:
     )
     if model.scaffold_in.inputs != 1:
         raise NothingToDraw("S$_u$ has several inputs: there is no curve to draw.")
-    fig = style.canvas(style.PAGE_IN, 2.5)
+    fig = style.new_figure(style.PAGE_IN, 2.5)
     value, slope = fig.subplots(1, 2)
     (threshold, held), scale = known_dead_zone(config), float(model.scale.input_scale[0])
     voltage = _around_rest(
@@ -51,7 +51,7 @@ def draw(study: StudyFolder) -> Figure:
         widened = _dead_zone(voltage, threshold + held)
         value.plot(voltage, widened, color=style.GREY, lw=0.9, ls=":", label="with friction")
     for axes in (value, slope):
-        style.above(axes)
+        style.place_legend_above(axes)
         axes.set_xlabel("Input (physical unit)" if threshold is None else "Armature voltage (V)")
     value.set_ylabel(
         "S$_u$ (scaled units, –)" if threshold is None else "S$_u$ scaled to the true gain (V)"

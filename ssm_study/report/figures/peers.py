@@ -41,7 +41,7 @@ def draw(study: StudyFolder) -> Figure:
     methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
     if panels[0].values[known].nunique() < 2:  # the share that settles is the same for all
         panels = panels[1:]
-    fig = style.canvas(style.PAGE_IN, 0.9 + 0.2 * len(methods))
+    fig = style.new_figure(style.PAGE_IN, 0.9 + 0.2 * len(methods))
     for axes, panel in zip(fig.subplots(1, len(panels), sharey=True), panels, strict=True):
         for row, name in enumerate(methods):
             draw_row(axes, row, panel.values[method == name].dropna())

@@ -34,7 +34,7 @@ def draw(study: StudyFolder) -> Figure:
     times = _table(compared, "settling_time_mean_s")
     alone_s = float(column(compared, "settling_time_open_loop_s").dropna().iloc[0])
     ratios = (times / alone_s).where(shares > WHOLE)
-    fig = style.canvas(style.PAGE_IN, 1.1 + 0.3 * len(shares))
+    fig = style.new_figure(style.PAGE_IN, 1.1 + 0.3 * len(shares))
     axes = fig.add_subplot()
     axes.grid(False)
     norm = LogNorm(vmin=FASTEST, vmax=1.0, clip=True)

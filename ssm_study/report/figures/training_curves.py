@@ -13,7 +13,7 @@ def draw(study: StudyFolder) -> Figure:
     """Draw the columns of the curve that start with `fit_` (%), or else those of a loss, against
     `epoch`."""
     (curve,) = study.of_best("curve", otherwise="No run left a training curve.")
-    fig = style.canvas(style.COLUMN_IN, 2.3)
+    fig = style.new_figure(style.COLUMN_IN, 2.3)
     axes = fig.add_subplot()
     fits = [name for name in map(str, curve) if name.startswith("fit_")]
     for name in fits or [name for name in map(str, curve) if "loss" in name]:
@@ -28,5 +28,5 @@ def draw(study: StudyFolder) -> Figure:
     axes.set_yscale("linear" if fits else "log")
     axes.set(xlabel="Epoch", ylabel="Fit (%)" if fits else "Loss (scaled output units²)")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    style.above(axes)
+    style.place_legend_above(axes)
     return fig

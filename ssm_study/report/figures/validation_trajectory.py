@@ -18,7 +18,7 @@ def draw(study: StudyFolder) -> Figure:
     test, validation, record = study.of_best(
         "test", "validation", "record", otherwise="No run left a validation record."
     )
-    fig = style.canvas(style.COLUMN_IN, 5.0)
+    fig = style.new_figure(style.COLUMN_IN, 5.0)
     free_run, error, other_run, applied = fig.subplots(4, 1, height_ratios=[1.6, 0.8, 1.6, 1.1])
     draw_free_run(free_run, test, "test", record.get("fit_test_percent"))
     draw_error(error, test)
@@ -49,7 +49,7 @@ def draw_free_run(axes: Axes, part: RecordedCases, name: str, fit: float | None)
     measured = first_channel(part, "measured")
     axes.plot(time_s, measured, ".", ms=1.5, color=style.GREY, label=f"{name} record")
     axes.plot(time_s, first_channel(part, "simulated"), color=style.BLUE, lw=1.0, label=label)
-    style.above(axes, columns=2)
+    style.place_legend_above(axes, columns=2)
     label_axes(axes, time_s, part.label("measured"))
 
 

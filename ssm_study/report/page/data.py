@@ -169,7 +169,7 @@ def question(table: pd.DataFrame) -> str:
         for name in swept_settings(table)
     )
     varied = [
-        word if FURTHER.covers(name) else f"the {word}" for name, word in said
+        word if FURTHER.matches_name(name) else f"the {word}" for name, word in said
     ]  # a setting's key is a name
     varied = (
         varied[:-1] if len(varied) > 1 and varied[-1] == "the seed" else varied

@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ssm_study.durable import contents
+from ssm_study.durable import read_limited_bytes
 
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file."""
-    return json.loads(contents(path))
+    return json.loads(read_limited_bytes(path))
 
 
 def write_json(path: Path, content: Any) -> None:

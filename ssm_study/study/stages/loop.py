@@ -49,7 +49,7 @@ def compute_loop(
     on = plant or twin
     loop_on = loop_subject(plant)
     stays_within_records = plant is None or design.inverts
-    limited = loop.within(data.applied) if stays_within_records else loop
+    limited = loop.within(data.training_inputs) if stays_within_records else loop
     experiment = limited.fitted(model)
     closed = experiment.run(on, model, design, loop_seed)
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}

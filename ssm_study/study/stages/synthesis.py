@@ -32,7 +32,7 @@ def compute_synthesis(
     """Design controller and observer from the model and the records alone.
 
     Certificates are decided in exact arithmetic. Without evidence `auto` takes the largest margin;
-    within `limits` that are `applied` (given, or a log's) it scores.
+    within `limits` that are `training_inputs` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import decays_of
@@ -43,7 +43,7 @@ def compute_synthesis(
     balls = certified_balls(model)
     premise = measured_premise(model, data, shown)
     mismatch = mismatch_for_law(synthesis, model, data, shown)
-    ends = input_limits(limits["input_lower"], limits["input_upper"], data.applied)
+    ends = input_limits(limits["input_lower"], limits["input_upper"], data.training_inputs)
     method: Any = synthesis
     if isinstance(synthesis, Auto):
         judgeable = synthesis.with_largest_margin() if judged.level == CANNOT_JUDGE else synthesis
