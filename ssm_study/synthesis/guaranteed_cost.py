@@ -148,8 +148,9 @@ def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
     if tried[index][1] is None:
         raise NoSolution("no admissible tau")
     span = float(grid[max(index - 1, 0)]), float(grid[min(index + 1, COARSE_STEPS - 1)])
-    options = {"xatol": LOG_TAU_TOLERANCE}
-    scipy.optimize.minimize_scalar(cost, bounds=span, method="bounded", options=options)
+    scipy.optimize.minimize_scalar(
+        cost, bounds=span, method="bounded", options={"xatol": LOG_TAU_TOLERANCE}
+    )
     best = min(tried, key=lambda point: point[0])[1]
     assert best is not None  # one of the grid is
     return best

@@ -103,8 +103,7 @@ def _is_wide(axes: "Axes") -> bool:
     columns = axes.get_subplotspec()
     assert columns is not None
     across = columns.get_gridspec().ncols
-    figwidth = figure.get_figwidth()
-    return bool(figwidth / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
+    return bool(figure.get_figwidth() / across > style.COLUMN_IN + 0.5)  # type: ignore[union-attr]
 
 
 def _draw_series(axes: "Axes", series: Series) -> None:
