@@ -159,8 +159,7 @@ class RunFiles:
 
     @property
     def training_inputs(self) -> list[Float[np.ndarray, "_ m"]]:
-        """Inputs of the training records with the equilibrium input (`DataSet.training_inputs`), from the
-        files of the run."""
+        """Inputs of the training records with the equilibrium input, from the files of the run."""
         return self.model.scale.append_equilibrium_input(self.inputs)
 
     @property
