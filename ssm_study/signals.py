@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require_positive, require
+from ssm_study.refusal import require, require_positive
 
 
 @dataclass(frozen=True, kw_only=True)

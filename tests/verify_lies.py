@@ -12,7 +12,7 @@ from ssm_study.certificates.certificate import digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.models.warm_start import PAST, choose_piece_starts, start_facts
 from ssm_study.study.loop_recordings import read_experiment
@@ -54,7 +54,7 @@ def edited(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 def loop_again(run: Path) -> dict[str, Any]:
     """The columns that the altered recordings would give."""
     kept, _ = read_experiment(run)
-    return behaviour(kept) | certificate_columns(kept, RunFiles(path=run, record={}).design)
+    return behaviour_columns(kept) | certificate_columns(kept, RunFiles(path=run, record={}).design)
 
 
 def fits_again(run: Path) -> dict[str, Any]:

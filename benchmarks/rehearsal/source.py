@@ -11,7 +11,7 @@ from rehearsal.servo import Servo, fitted, tracked
 from ssm_study.data.experiments import RecordedExperiments, find_record_file
 from ssm_study.data.recorded import RecordedSource
 from ssm_study.data.recording import Recording, decimate_record
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import DataSet, Trajectory
 
 

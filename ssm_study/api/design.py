@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.data.mcap import SignalGroup, write_mcap
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import StructuredSSM
@@ -157,18 +157,18 @@ class Design:
 
     def _loop_facts(self) -> dict[str, Any]:
         """Columns of the loop, closed on the identified model."""
-        from ssm_study.loop.metrics import behaviour, certificate_columns
+        from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 
         assert self.origin is not None
-        if self.loop is None or not self.certificate.feasible or answers_at_once(self.model):
+        if self.loop is None or not self.certificate.feasible or has_direct_feedthrough(self.model):
             return {}
         data = self.origin.data
-        twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
-        loop = self.loop.within(data.training_inputs).fitted(self.model)
-        runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
+        twin = IdentifiedPlant.from_model(self.model, data.inputs, data.outputs)
+        loop = self.loop.with_default_limits(data.training_inputs).with_fixed_horizon(self.model)
+        runs = loop.run_design(twin, self.model, self.certificate, self.loop_seed)
         return (
             {"loop_on": "identified model"}
-            | behaviour(runs)
+            | behaviour_columns(runs)
             | certificate_columns(runs, self.certificate)
         )
 
@@ -285,7 +285,7 @@ class Design:
         if y0 is None:
             y0 = scale.output_equilibrium + np.outer(STARTS, scale.output_scale)
         controlled = close_loop(self, y0, on)
-        uncontrolled = close_loop(self, y0, on, controller=Uncontrolled.of(on))
+        uncontrolled = close_loop(self, y0, on, controller=Uncontrolled.for_plant(on))
         return draw_picture(
             initial_response_picture(
                 controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
@@ -303,10 +303,10 @@ class Design:
         from ssm_study.api.pictures.loop_response import set_point_picture
 
         on = plant or identified_plant(self)
-        loop = Loop().fitted(self.model)
+        loop = Loop().with_fixed_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:
-            loop = loop.within(self.model.scale.append_equilibrium_input(recorded))
+            loop = loop.with_default_limits(self.model.scale.append_equilibrium_input(recorded))
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(

@@ -10,7 +10,7 @@ from ssm_study.api.fitting import Signals, fit
 from ssm_study.api.model import Model, Values
 from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.models.metrics import Simulation
-from ssm_study.refusal import BadRequest, require_at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import Trajectory
 
 FEWEST_SCORED = 2  # samples

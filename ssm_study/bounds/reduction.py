@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ssm_study.bounds.gramians import BALANCING_FLOOR, balance, hankel_singular_values
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 
 
 @dataclass(frozen=True, kw_only=True)

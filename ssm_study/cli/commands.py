@@ -15,7 +15,7 @@ from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
 from ssm_study.cli.new_study import new
 from ssm_study.cli.paper_figures import PAPER_FIGURES
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 
 Command = Callable[[argparse.Namespace], int | None]
 EXPORTED = (".h", ".c", ".json", ".py", ".onnx")

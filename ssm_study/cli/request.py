@@ -15,7 +15,7 @@ from ssm_study.engine.jobs import jobs_of
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
 from ssm_study.refusal import require
-from ssm_study.renamed import rename_old_settings, current_overrides
+from ssm_study.renamed import current_overrides, rename_old_settings
 from ssm_study.study.allow_list import refuse_foreign_targets
 
 OPEN = "--open"  # shows the page at the end

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.data.rounded_times import rounded_period_s
-from ssm_study.refusal import BadRequest, require_at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 
 # Relative difference allowed between the claimed sampling time and the one that the times show.
 AGREEMENT = 1e-3

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import Trajectory, lagged_inputs
 
 LAGS = 60  # samples of r that an input answers to

@@ -11,7 +11,7 @@ from ssm_study.data.metrics import SCORES
 from ssm_study.data.recorded import AroundRest
 from ssm_study.data.recording import Recording
 from ssm_study.data.splits import cut_out_fold
-from ssm_study.refusal import BadRequest, require_one_of, require
+from ssm_study.refusal import BadRequest, require, require_one_of
 from ssm_study.signals import DataSet, Trajectory
 
 RECORDS_VARIABLE = "SSM_STUDY_DATA"  # a folder with one folder per benchmark

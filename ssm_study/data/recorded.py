@@ -24,7 +24,7 @@ from ssm_study.data.splits import (
     split_by_time,
     split_into_blocks,
 )
-from ssm_study.refusal import require_at_least, require_one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 from ssm_study.signals import DataSet, Trajectory
 
 Splitter = Callable[[Trajectory], Pieces]

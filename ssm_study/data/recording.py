@@ -25,7 +25,7 @@ from ssm_study.data.readers.reader import (
     refuse_equal_columns,
 )
 from ssm_study.data.text_layout import TextSettings
-from ssm_study.refusal import BadRequest, require_at_least, require_positive, require
+from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.signals import Channel, Trajectory
 
 Names = str | int | list[str] | list[int] | tuple[str, ...]

@@ -13,7 +13,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ssm_study.refusal import BadRequest, require_one_of, require
+from ssm_study.refusal import BadRequest, require, require_one_of
 
 SAMPLED_ROWS = 120
 SEPARATORS = ("\t", ";", "|", ",", " ")  # tried in this order: the first of equals is taken

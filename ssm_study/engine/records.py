@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ssm_study.durable import (
-    read_limited_bytes,
-    is_locked,
     add_digest,
+    is_locked,
+    read_limited_bytes,
     read_sealed_json,
     write_json_atomically,
 )

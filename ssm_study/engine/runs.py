@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ssm_study.durable import PATIENCE_S, link_or_copy, file_lock, write_atomically
+from ssm_study.durable import PATIENCE_S, file_lock, link_or_copy, write_atomically
 from ssm_study.engine import records
 from ssm_study.engine.records import CORRUPT, FAILED, INFEASIBLE, LOCK, LOST, OK, RECORD, RUNNING
 from ssm_study.engine.stages import StageResult

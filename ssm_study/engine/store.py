@@ -17,12 +17,12 @@ from typing import Any
 
 from ssm_study import durable
 from ssm_study.durable import (
-    read_limited_bytes,
-    file_lock,
     add_digest,
-    sha256_of_file,
+    file_lock,
     flush_to_disk,
+    read_limited_bytes,
     read_sealed_json,
+    sha256_of_file,
 )
 from ssm_study.engine.records import storable_value
 from ssm_study.engine.settings import digest

@@ -13,7 +13,7 @@ from ssm_study.evidence import feedback, fit, records, response
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, doubt, note
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
-from ssm_study.refusal import require_one_of, require
+from ssm_study.refusal import require, require_one_of
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet
 

@@ -12,7 +12,7 @@ from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.family import Family
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.scaffold import Explicit, Scaffold
-from ssm_study.refusal import require_positive, require
+from ssm_study.refusal import require, require_positive
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, System
 

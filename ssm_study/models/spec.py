@@ -11,7 +11,7 @@ import scipy
 from jaxtyping import Complex, Float, Inexact
 
 from ssm_study.models.scaffolds.scaffold import Frame, Trainable
-from ssm_study.refusal import require_at_least, require_one_of, require_positive, require
+from ssm_study.refusal import require, require_at_least, require_one_of, require_positive
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 

@@ -13,7 +13,7 @@ from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, require_whole_number
 from ssm_study.models.structured import codes
-from ssm_study.refusal import require_at_least, require_one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 
 AUTO = "auto"  # chosen from the records
 # Settings that the records may choose, and what they are where records are too short to choose.

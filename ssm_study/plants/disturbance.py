@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require_at_least, require_positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 Signal = Float[np.ndarray, "T"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.plants.plant import Disturbances, Equilibrium, Inputs, Outputs, Plant, States
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import Channel
 
 Limit = float | tuple[float, ...] | list[float]

@@ -19,7 +19,7 @@ from ssm_study.data.recording import Columns, as_name_list
 from ssm_study.engine.settings import run_name
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.rollout import Rollouts
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 from ssm_study.study.recordings import LOOPS, write_records
 from ssm_study.study.stages.dataset import read_dataset, write_dataset
@@ -72,7 +72,7 @@ def records_of_loops(run: Rollouts) -> Trajectories:
 
     Cases with fewer than `FEWEST` samples are left out.
     """
-    ends = np.where(run.stayed, run.y.shape[1], run.left_at_sample)
+    ends = np.where(run.stayed_within_bound, run.y.shape[1], run.left_at_sample)
     records = []
     for i, end in enumerate(ends):
         if end >= FEWEST:
@@ -127,7 +127,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
         logs: Any = request.refine
         data: Any = request.data
         return read_logs(logs, data, model.step_s)
-    experiment = request.loop.fitted(model)
+    experiment = request.loop.with_fixed_horizon(model)
     trials: list[Trajectory] = []
     for content in read_json(run / TRIED):
         design = Design.from_json(content)

@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import frequencies
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
-from ssm_study.refusal import require_positive, require
+from ssm_study.refusal import require, require_positive
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict

@@ -38,7 +38,7 @@ from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.refusal import BadRequest, require_at_least, require_positive, require
+from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectories
 from ssm_study.synthesis.input_inversion import design_with_inverted_input

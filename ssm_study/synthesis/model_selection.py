@@ -13,7 +13,7 @@ import numpy as np
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import JacobianBall, StateSpace, System
 

@@ -13,10 +13,10 @@ from pandas.api.types import infer_dtype
 
 from ssm_study.columns import Column, Kind
 from ssm_study.durable import (
-    read_limited_bytes,
     add_digest,
-    sha256_of_file,
+    read_limited_bytes,
     read_sealed_json,
+    sha256_of_file,
     write_atomically,
     write_json_atomically,
 )

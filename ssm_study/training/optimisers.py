@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ssm_study.models.lazy_torch import torch
-from ssm_study.refusal import require_at_least, require_positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 if TYPE_CHECKING:
     from torch import nn

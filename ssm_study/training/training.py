@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ssm_study.refusal import require_at_least, require_one_of, require
+from ssm_study.refusal import require, require_at_least, require_one_of
 from ssm_study.signals import DataSet
 from ssm_study.training.loggers import NoLogger
 from ssm_study.training.optimisers import OptimiserSpec

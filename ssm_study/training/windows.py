@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.refusal import require_at_least, require_positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 from ssm_study.signals import Trajectories, Trajectory
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorems.integral_action import with_modes
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
@@ -127,7 +127,7 @@ def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
     result = Loop(horizon_s=1.5, measurement_noise_variance=0.02).run(
         motor(), motor_model(), chosen, seed=0
     )
-    columns = behaviour(result) | certificate_columns(result, chosen)
+    columns = behaviour_columns(result) | certificate_columns(result, chosen)
     assert columns["stable_count"] == 10
     assert columns["settling_time_mean_s"] < 0.6 * columns["settling_time_open_loop_s"]
     assert columns["certified_bound_violations"] == 0

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from ssm_study.durable import json_bytes, link_or_copy, add_digest
+from ssm_study.durable import add_digest, json_bytes, link_or_copy
 from ssm_study.engine.jobs import Job, kill_group, note_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
 from ssm_study.engine.runs import Run, error_facts, execute

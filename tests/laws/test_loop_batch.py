@@ -8,17 +8,17 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.rollout import STAYED, close_loop
+from ssm_study.loop.rollout import STAYED, simulate_closed_loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
 
 def controller() -> ObserverFeedback:
-    return ObserverFeedback.of(motor_model(), motor_design())
+    return ObserverFeedback.from_design(motor_model(), motor_design())
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_batch_is_its_rows(reference):
     loop = Loop(
         horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
     )
-    y0, noise = loop.draw(motor(), seed=1)
+    y0, noise = loop.draw_conditions(motor(), seed=1)
     together = loop.simulate(motor(), controller(), y0, noise)
     for i in range(len(y0)):
         alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
@@ -49,7 +49,7 @@ def test_the_loop_is_the_equations_written_out():
     design = motor_design()
     k = design.state_feedback.k
     observer_gain = design.observer.l
-    y0, noise = LOOP.draw(motor(), seed=3)
+    y0, noise = LOOP.draw_conditions(motor(), seed=3)
     run = LOOP.simulate(motor(), controller(), y0[:1], noise[:1])
     x = motor().states_at(y0[:1])
     x_hat = np.zeros(model.order)
@@ -66,7 +66,7 @@ def test_the_loop_is_the_equations_written_out():
 
 
 def test_the_seed_decides_the_draw_and_nothing_else_does():
-    first, again, other = (LOOP.draw(motor(), seed=s) for s in (4, 4, 5))
+    first, again, other = (LOOP.draw_conditions(motor(), seed=s) for s in (4, 4, 5))
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
@@ -76,9 +76,9 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 
 def test_noise_has_the_stated_variance():
-    noise = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100).draw(
-        motor(), seed=0
-    )[1]
+    noise = Loop(
+        horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100
+    ).draw_conditions(motor(), seed=0)[1]
     assert noise.var() == pytest.approx(0.02, rel=0.02)
 
 
@@ -105,7 +105,9 @@ def test_the_disturbance_reaches_the_plant_and_not_the_model():
         disturbance=StepDisturbance(size=0.02, at_s=0.3),
     )
     quiet = Loop(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
-    a, b = (loop.run(motor(), motor_model(), motor_design(), seed=2) for loop in (pushed, quiet))
+    a, b = (
+        loop.run_design(motor(), motor_model(), motor_design(), seed=2) for loop in (pushed, quiet)
+    )
     np.testing.assert_array_equal(a.controlled.y[:, :31], b.controlled.y[:, :31])
     assert (a.controlled.y[:, 40] < b.controlled.y[:, 40] - 0.05).all()
     np.testing.assert_array_equal(a.on_model.y, b.on_model.y)
@@ -113,7 +115,7 @@ def test_the_disturbance_reaches_the_plant_and_not_the_model():
 
 def test_the_model_in_the_plants_place_replays_itself():
     model = random_model(0, inputs=2, outputs=2)
-    plant = IdentifiedPlant.of(model)
+    plant = IdentifiedPlant.from_model(model)
     u = model.scale.input_equilibrium + np.random.default_rng(0).standard_normal((3, 40, 2))
     np.testing.assert_allclose(plant.simulate(u)[1], model.simulate(u), rtol=1e-12, atol=1e-12)
     y0 = model.scale.output_equilibrium + np.array([[0.3, -0.2], [1.0, 1.0]])
@@ -132,10 +134,10 @@ def test_the_units_of_input_and_output_change_nothing():
                 scale, input_scale=unit * scale.input_scale, output_scale=unit * scale.output_scale
             ),
         )
-        plant = IdentifiedPlant.of(model)
+        plant = IdentifiedPlant.from_model(model)
         loop = Loop(initial_conditions=3, horizon_s=1.0)
-        law = ObserverFeedback.of(model, motor_design())
-        kept = loop.on_plant(plant, law, 0).controlled
+        law = ObserverFeedback.from_design(model, motor_design())
+        kept = loop.run_on_plant(plant, law, 0).controlled
         assert (kept.left_at_sample == STAYED).all()
         ends.append(kept.y / unit)
     for other in ends[1:]:
@@ -145,7 +147,7 @@ def test_the_units_of_input_and_output_change_nothing():
 def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     model = random_model(0, order=3)
     model = replace(model, scale=replace(model.scale, input_equilibrium=np.array([0.7])))
-    plant = IdentifiedPlant.of(model)
+    plant = IdentifiedPlant.from_model(model)
     x0 = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.full((2, 5, 1), 0.01)
     asked = {
@@ -154,7 +156,9 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
         "noise": noise,
         "disturbance": np.zeros((2, 5, 1)),
     }
-    run = close_loop(plant, Uncontrolled.of(plant), **asked, bound=np.full(1, 10.0))
+    run = simulate_closed_loop(
+        plant, Uncontrolled.for_plant(plant), **asked, bound=np.full(1, 10.0)
+    )
     assert run.left_at_sample.tolist() == [0, STAYED]
     start = plant.output(x0)
     assert np.abs(start[0] - plant.equilibrium().y) > 10
@@ -169,7 +173,7 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
-    columns = behaviour(result) | certificate_columns(result, motor_design())
+    columns = behaviour_columns(result) | certificate_columns(result, motor_design())
     assert all(value is None or np.isfinite(value) for value in columns.values())
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0

@@ -14,8 +14,8 @@ from omegaconf import OmegaConf
 from ssm_study import renamed
 from ssm_study.cli.request import translate
 from ssm_study.durable import (
-    read_limited_bytes,
     add_digest,
+    read_limited_bytes,
     read_sealed_json,
     write_json_atomically,
 )

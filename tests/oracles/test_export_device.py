@@ -21,7 +21,7 @@ from ssm_study.export.c import c_files, harmless
 from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, load
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.trajectory import set_points
+from ssm_study.loop.trajectory import set_point_equilibria
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 
@@ -104,10 +104,10 @@ def test_the_law_is_the_python_loop(
     limits act in both."""
     made = device(tmp_path, kind=kind, channels=channels, integral=integral)
     model = SSM.from_json(json.loads((tmp_path / "run" / "model.json").read_text()))
-    law = ObserverFeedback.of(model, Design.load(tmp_path / "run" / "certificate.json"))
+    law = ObserverFeedback.from_design(model, Design.load(tmp_path / "run" / "certificate.json"))
     y, r = signals(model, channels)
     targets = law.targets(r)
-    points = set_points(model, r)
+    points = set_point_equilibria(model, r)
     targets[:, : points.shape[1]] = points
     targets[:, points.shape[1] :] = r
     memory = made.start(y[0])[None]

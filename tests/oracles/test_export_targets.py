@@ -20,7 +20,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.export.device import Device
 from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import NEURONS, StructuredSSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -55,7 +55,7 @@ def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     model = model_from_json(json.loads((run / "model.json").read_text()))
     design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
-    memory = law.start(1)
+    memory = law.initial_memory(1)
     m = model.scale.inputs
     target = np.concatenate([np.zeros(model.order + m), model.scale.output_equilibrium])
     u = np.empty((len(y), m))
@@ -188,7 +188,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     assert 1e-6 < missed < 1e-2
     lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
     for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
-        x, u = equilibrium(model, r)
+        x, u = scaled_equilibrium(model, r)
         aimed = device.nearest_equilibrium(r)
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
         assert np.abs(aimed["x"] - x).max() < 20 * missed

@@ -10,15 +10,15 @@ from loop_cases import random_model
 from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.loop.certified_bound import (
-    certified_bound,
-    decay_rate,
-    distances,
-    excess,
-    violations,
+    count_bound_violations,
+    distance_bound,
+    estimation_decay_rate,
+    metric_distances,
+    relative_bound_excess,
 )
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
-from ssm_study.loop.rollout import Rollouts, close_loop
+from ssm_study.loop.rollout import Rollouts, simulate_closed_loop
 from ssm_study.models.identified import SSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains, JacobianBall
@@ -42,8 +42,8 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
 def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
     m = model.scale.inputs
     p = model.scale.outputs
-    return close_loop(
-        IdentifiedPlant.of(model),
+    return simulate_closed_loop(
+        IdentifiedPlant.from_model(model),
         ObserverFeedback(model=model, gains=Gains(k=feedback.k, l=observer.l)),
         x0=np.random.default_rng(seed).standard_normal((20, model.order)),
         reference=np.tile(model.scale.output_equilibrium, (120, 1)),
@@ -58,8 +58,8 @@ def test_measured_is_within_certified(seed):
     model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
-    assert violations(run.states, run.estimate, feedback, observer) == 0
-    d, e = distances(run.states, run.estimate, feedback, observer)
+    assert count_bound_violations(run.states, run.estimate, feedback, observer) == 0
+    d, e = metric_distances(run.states, run.estimate, feedback, observer)
     floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
     assert (e[:, 1:] <= observer.contraction * e[:, :-1] * (1 + 1e-9) + floor).all()
     assert d[:, -1].max() < 1e-3 * d[:, 0].max()
@@ -70,9 +70,9 @@ def test_the_estimate_decays_at_least_as_certified_and_stays_within_its_bound(se
     model = random_model(seed, inputs=1 + seed % 2, outputs=1 + seed // 2 % 2, order=3 + seed % 4)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
-    measured = decay_rate(run.states, run.estimate, feedback, observer)
+    measured = estimation_decay_rate(run.states, run.estimate, feedback, observer)
     assert observer.rate * (1 - 1e-9) <= measured <= 1.0
-    assert excess(run.estimate, run.states[:, 0], feedback, observer) == 0.0
+    assert relative_bound_excess(run.estimate, run.states[:, 0], feedback, observer) == 0.0
 
 
 def test_decay_of_a_known_error_is_that_decay():
@@ -81,10 +81,10 @@ def test_decay_of_a_known_error_is_that_decay():
     x = np.zeros((2, 200, 4))
     direction = np.random.default_rng(0).standard_normal(4)
     shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
-    assert decay_rate(x, shrink[:, :, None] * direction, feedback, observer) == pytest.approx(
-        1 - 0.64, rel=1e-9
-    )
-    assert decay_rate(x, x, feedback, observer) is None
+    assert estimation_decay_rate(
+        x, shrink[:, :, None] * direction, feedback, observer
+    ) == pytest.approx(1 - 0.64, rel=1e-9)
+    assert estimation_decay_rate(x, x, feedback, observer) is None
 
 
 def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
@@ -94,14 +94,14 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     run = rollouts(model, feedback, observer, 3)
     pushed = np.zeros_like(run.estimate)
     x0 = run.states[:, 0]
-    d, e = distances(run.states[:, :1], pushed[:, :1], feedback, observer)
+    d, e = metric_distances(run.states[:, :1], pushed[:, :1], feedback, observer)
     root_p, root_q = (np.linalg.cholesky(matrix) for matrix in (feedback.p, observer.q))
     kappa = np.linalg.norm(np.linalg.inv(root_p) @ np.linalg.inv(root_q).T, 2)
-    bound = certified_bound(d[:, 0], e[:, 0], 120, feedback, observer)
+    bound = distance_bound(d[:, 0], e[:, 0], 120, feedback, observer)
     bound = bound + kappa * e * observer.contraction ** np.arange(120)
     pushed[7, 40] = root_p[:, 0] * (bound[7, 40] + 0.3 * bound[7, 0])
-    assert excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
-    assert excess(pushed, np.zeros_like(x0), feedback, observer) is None
+    assert relative_bound_excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
+    assert relative_bound_excess(pushed, np.zeros_like(x0), feedback, observer) is None
 
 
 def test_a_rate_that_is_not_certified_is_caught():
@@ -110,8 +110,8 @@ def test_a_rate_that_is_not_certified_is_caught():
     run = rollouts(model, feedback, observer, 0)
     boast = replace(feedback, rate=0.9)
     boast_observer = replace(observer, rate=0.99)
-    assert violations(run.states, run.estimate, boast, boast_observer) > 0
-    assert decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
+    assert count_bound_violations(run.states, run.estimate, boast, boast_observer) > 0
+    assert estimation_decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
 
 
 def test_the_bound_is_the_sum_it_says():
@@ -126,6 +126,4 @@ def test_the_bound_is_the_sum_it_says():
     c = float(model.scaffold_in.slopes.max()) * into * out
     k = 7
     expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
-    assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(
-        expected, rel=1e-9
-    )
+    assert distance_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(expected, rel=1e-9)

@@ -85,13 +85,13 @@ def test_a_map_that_may_turn_gives_no_claim(made: tuple) -> None:
 def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     """Sample by sample, from the same states: the same estimates and outputs."""
     stand, _, design = made
-    law = ObserverFeedback.of(stand, design)
+    law = ObserverFeedback.from_design(stand, design)
     other = ObserverFeedback(model=model_behind_map(stand), gains=design.pair)
     asked = Loop(initial_conditions=3, horizon_s=60 * stand.step_s, measurement_noise_variance=0.0)
     runs = []
     for controller in (law, other):
-        plant = IdentifiedPlant.of(controller.model)
-        y0, noise = asked.draw(plant, 0)
+        plant = IdentifiedPlant.from_model(controller.model)
+        y0, noise = asked.draw_conditions(plant, 0)
         runs.append(
             asked.simulate(replace(plant, initial_range=(-1.0, 1.0)), controller, y0, noise)
         )

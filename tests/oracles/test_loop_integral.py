@@ -12,12 +12,12 @@ from ssm_study.bounds.frequency import gains
 from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.theorems.integral_action import controlled_system, with_modes
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.loop.certified_bound import excess
+from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -95,14 +95,14 @@ def _pair(model):
 
 
 def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
-    columns = behaviour(LOADED.run(motor(), motor_model(), design, seed=0))
+    columns = behaviour_columns(LOADED.run(motor(), motor_model(), design, seed=0))
     assert columns["stable_count"] == 10
     assert columns["final_error_worst"] < 1e-3
 
 
 def test_without_integral_action_the_load_leaves_an_error():
     plain = inner().design(motor_model(), BALLS)
-    columns = behaviour(LOADED.run(motor(), motor_model(), plain, seed=0))
+    columns = behaviour_columns(LOADED.run(motor(), motor_model(), plain, seed=0))
     assert columns["final_error_worst"] > 0.2
 
 
@@ -111,7 +111,12 @@ def test_the_certified_bound_holds_with_integrators(design):
     columns = certificate_columns(result, design)
     assert columns["certified_bound_violations"] == 0
     assert columns["estimate_decay_rate"] >= design.observer.rate * (1 - 1e-9)
-    assert excess(result.on_model.estimate, result.on_model.states[:, 0], *design.parts()) == 0.0
+    assert (
+        relative_bound_excess(
+            result.on_model.estimate, result.on_model.states[:, 0], *design.parts()
+        )
+        == 0.0
+    )
     assert (
         columns["certified_bound_excess_plant"] is None
     )  # the plant follows a reference, the model none
@@ -127,7 +132,8 @@ def test_limits_do_not_wind_the_integrator_up(design):
     )
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     run, other = (
-        loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free)
+        loop.run_design(motor(), motor_model(), design, seed=0).controlled
+        for loop in (limited, free)
     )
     assert run.u.min() == -0.8
     assert other.u.min() < -1.0
@@ -140,12 +146,13 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     step = StepReference(before=0.0, after=8.0, at_s=1.0)
     free = Loop(initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step)
     held = (
-        float(equilibrium(motor_model(), np.array([8.0]))[1][0])
+        float(scaled_equilibrium(motor_model(), np.array([8.0]))[1][0])
         * motor_model().scale.input_scale[0]
     )
     limited = replace(free, input_lower=-1.2 * held, input_upper=1.2 * held)
     run, other = (
-        loop.run(motor(), motor_model(), design, seed=0).controlled for loop in (limited, free)
+        loop.run_design(motor(), motor_model(), design, seed=0).controlled
+        for loop in (limited, free)
     )
     assert other.u.max() > 1.3 * held
     assert (run.u[:, 100:] == 1.2 * held).sum() > 3
@@ -182,7 +189,7 @@ def test_auto_chooses_with_integral_action():
     assert chosen.state_feedback.k.shape == (1, 3)
     shown = measure_mismatch(motor_model(), (motor_record(),))
     assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
-    columns = behaviour(LOADED.run(motor(), motor_model(), chosen, seed=0))
+    columns = behaviour_columns(LOADED.run(motor(), motor_model(), chosen, seed=0))
     assert columns["final_error_worst"] < 1e-2
 
 

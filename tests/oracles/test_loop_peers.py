@@ -11,10 +11,10 @@ from structured_cases import model as with_neurons
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.metrics import behaviour
-from ssm_study.loop.peers.lqg import lqg
-from ssm_study.loop.peers.peer import Identified, compared
-from ssm_study.loop.peers.pi import tyreus_luyben, ultimate
+from ssm_study.loop.metrics import behaviour_columns
+from ssm_study.loop.peers.lqg import lqg_controller
+from ssm_study.loop.peers.peer import Identified, build_compared_controller
+from ssm_study.loop.peers.pi import tyreus_luyben_pi, ultimate_gain
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import StepDisturbance
@@ -39,20 +39,20 @@ SMALL = Auto(
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
     model = motor_model()
-    limit = ultimate(motor_model())
-    plain = lqg(model, RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)).model
+    limit = ultimate_gain(motor_model())
+    plain = lqg_controller(model, RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)).model
     b = plain.linear.b @ plain.scaffold_in.jacobian(np.zeros(1))
     scaled = limit.gain * model.scale.output_scale[0] / model.scale.input_scale[0]
     for factor, stable in ((0.999, True), (1.001, False)):
         poles = np.linalg.eigvals(model.linear.a - factor * scaled * b @ model.linear.c)
         assert (np.abs(poles).max() < 1) == stable
-    rule = tyreus_luyben(model)
+    rule = tyreus_luyben_pi(model)
     assert rule.gain == pytest.approx(limit.gain / 3.2)
     assert rule.integral_s == pytest.approx(2.2 * limit.period_s)
 
 
 def test_pi_leaves_no_error_under_a_load():
-    plant = replace(IdentifiedPlant.of(motor_model()), initial_range=(-4.0, 4.0))
+    plant = replace(IdentifiedPlant.from_model(motor_model()), initial_range=(-4.0, 4.0))
     loop = Loop(
         horizon_s=6.0,
         measurement_noise_variance=0.0,
@@ -60,7 +60,9 @@ def test_pi_leaves_no_error_under_a_load():
         disturbance=StepDisturbance(size=-0.2, at_s=2.0),
     )
     assert (
-        behaviour(loop.on_plant(plant, tyreus_luyben(motor_model()), seed=0))["final_error_worst"]
+        behaviour_columns(loop.run_on_plant(plant, tyreus_luyben_pi(motor_model()), seed=0))[
+            "final_error_worst"
+        ]
         < 1e-3
     )
 
@@ -76,17 +78,17 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
     moved = (
         model.advance(points[:, :n], points[:, n:]) - model.advance(-points[:, :n], -points[:, n:])
     ).T / 2e-6
-    seen = known.without_neurons.linear
+    seen = known.linear_model.linear
     assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
-    built, _ = compared("lqg", motor(), known)
-    without = compared(
+    built, _ = build_compared_controller("lqg", motor(), known)
+    without = build_compared_controller(
         "lqg",
         motor(),
-        Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),)),
+        Identified(model=known.linear_model, balls=BALLS, validation=(motor_record(),)),
     )
     assert built.gains.k == pytest.approx(without[0].gains.k)
-    plain = replace(known.without_neurons, linear=model.linear)
-    blind = compared(
+    plain = replace(known.linear_model, linear=model.linear)
+    blind = build_compared_controller(
         "lqg", motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
     )
     assert built.gains.k != pytest.approx(blind[0].gains.k, rel=1e-3)
@@ -97,7 +99,7 @@ def test_lqg_is_optimal_for_the_linear_part():
     step."""
     model = random_model(1)
     weights = replace(WEIGHTS, input_weight=0.3)
-    law = lqg(model, weights)
+    law = lqg_controller(model, weights)
     a = law.model.linear.a
     b = law.model.linear.b @ law.model.scaffold_in.jacobian(np.zeros(1))
     q = model.linear.c.T @ model.linear.c + weights.state_weight * np.eye(4)
@@ -114,7 +116,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     k = design.pair.k
     l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
-    y0, noise = SHORT.draw(motor(), seed=2)
+    y0, noise = SHORT.draw_conditions(motor(), seed=2)
     grid = ObserverFeedback(model=model, gains=gains.at(np.repeat([0, 1], 3)))
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
     for i in range(2):
@@ -171,7 +173,7 @@ def test_every_controller_has_a_row_in_every_situation():
 
 def test_the_spread_fills_its_range():
     table = Comparison(spread_fields=("resistance_ohm", "coulomb_torque_nm"), spread_plants=10)
-    plants = table.spread(motor(), seed=0)
+    plants = table.perturbed_plants(motor(), seed=0)
     for name in table.spread_fields:
         factors = np.array([getattr(p, name) for p in plants]) / getattr(motor(), name)
         assert (
@@ -181,7 +183,7 @@ def test_the_spread_fills_its_range():
 
 def test_the_plants_own_pi_is_a_row_of_its_own():
     """Given the numbers of the rule, it is the rule's controller; at another gain it is not."""
-    rule = tyreus_luyben(KNOWN.model)
+    rule = tyreus_luyben_pi(KNOWN.model)
     plant = motor()
     same, other = (
         Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(
@@ -215,7 +217,7 @@ def test_a_plant_without_disturbance_has_no_load_rows():
 def test_what_cannot_be_built_says_why():
     model = random_model(0, inputs=2, outputs=1)
     known = Identified(model=model, balls=BALLS, validation=(motor_record(),))
-    controller, said = compared("pi", motor(), known)
+    controller, said = build_compared_controller("pi", motor(), known)
     assert controller is None
     assert "tunes one loop" in said["reason"]
 
@@ -239,4 +241,4 @@ def test_values_out_of_range(values, names):
 
 def test_a_field_the_plant_does_not_have():
     with pytest.raises(BadRequest, match="spread_fields"):
-        Comparison(spread_fields=("colour",)).spread(motor(), seed=0)
+        Comparison(spread_fields=("colour",)).perturbed_plants(motor(), seed=0)

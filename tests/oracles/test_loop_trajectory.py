@@ -12,7 +12,12 @@ from loop_cases import motor, motor_design, motor_model, random_model
 from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.trajectory import equilibrium, feasible_trajectory, inverse, set_points
+from ssm_study.loop.trajectory import (
+    feasible_trajectory,
+    invert_map,
+    scaled_equilibrium,
+    set_point_equilibria,
+)
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
@@ -22,7 +27,7 @@ from ssm_study.refusal import BadRequest
 def test_scalar_inverse_undoes_the_map(seed, v):
     scaffold = random_model(seed).scaffold_in
     w = scaffold(np.array([[v]]))
-    np.testing.assert_allclose(inverse(scaffold, w), [[v]], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(invert_map(scaffold, w), [[v]], rtol=1e-9, atol=1e-9)
 
 
 def test_inverse_of_a_map_with_several_channels():
@@ -30,7 +35,7 @@ def test_inverse_of_a_map_with_several_channels():
     model = random_model(3, inputs=3, outputs=2)
     v = rng.standard_normal((20, 3))
     np.testing.assert_allclose(
-        inverse(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8
+        invert_map(model.scaffold_in, model.scaffold_in(v)), v, rtol=1e-8, atol=1e-8
     )
 
 
@@ -38,7 +43,7 @@ def test_inverse_of_a_map_with_several_channels():
 @pytest.mark.parametrize("size", [1e-13, 1e-17])
 def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
     scaffold = random_model(3, inputs=inputs, outputs=1).scaffold_in
-    assert np.abs(inverse(scaffold, np.full((1, inputs), size))).max() < 1e-11
+    assert np.abs(invert_map(scaffold, np.full((1, inputs), size))).max() < 1e-11
 
 
 def test_a_value_the_map_does_not_reach_is_refused():
@@ -49,14 +54,14 @@ def test_a_value_the_map_does_not_reach_is_refused():
         positive_slopes=(np.ones(2),),
     )
     with pytest.raises(BadRequest, match="does not reach"):
-        inverse(MlpScaffold(network=flat), np.array([[5.0]]))
+        invert_map(MlpScaffold(network=flat), np.array([[5.0]]))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_an_equilibrium_is_one(seed):
     model = random_model(seed, inputs=1 + seed // 2, outputs=1)
     y = model.scale.output_equilibrium + 0.7 * model.scale.output_scale
-    x, u = equilibrium(model, y)
+    x, u = scaled_equilibrium(model, y)
     lifted = model.scaffold_in(u)
     np.testing.assert_allclose(model.advance(x, lifted), x, atol=1e-9)
     np.testing.assert_allclose(model.read(x, lifted), y, rtol=1e-9)
@@ -101,13 +106,13 @@ def test_no_other_trajectory_costs_less():
 
 def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
-    plant = replace(IdentifiedPlant.of(model), initial_range=(-4.0, 4.0))
+    plant = replace(IdentifiedPlant.from_model(model), initial_range=(-4.0, 4.0))
     loop = Loop(
         horizon_s=4.0,
         measurement_noise_variance=0.0,
         reference=PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0),
     )
-    run = loop.run(plant, model, motor_design(), seed=0).controlled
+    run = loop.run_design(plant, model, motor_design(), seed=0).controlled
     plan = feasible_trajectory(model, run.reference)
     target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
     assert np.abs(run.y - target)[:, 300:].max() < 1e-3
@@ -121,17 +126,19 @@ def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
         measurement_noise_variance=0.0,
         reference=StepReference(before=0.0, after=speed, at_s=0.5),
     )
-    run = loop.run(motor(), motor_model(), motor_design(), seed=0).controlled
-    assert run.stayed.all()
+    run = loop.run_design(motor(), motor_model(), motor_design(), seed=0).controlled
+    assert run.stayed_within_bound.all()
     assert np.abs(run.y[:, -1, 0] - speed).max() < 1.5
 
 
 def test_set_points_hold_each_value():
     model = motor_model()
     reference = np.repeat([[1.0], [-3.0], [1.0]], 5, axis=0)
-    points = set_points(model, reference)
+    points = set_point_equilibria(model, reference)
     for k in (0, 7, 14):
-        np.testing.assert_allclose(points[k], np.concatenate(equilibrium(model, reference[k])))
+        np.testing.assert_allclose(
+            points[k], np.concatenate(scaled_equilibrium(model, reference[k]))
+        )
 
 
 def test_reference_signals(tmp_path):
@@ -155,7 +162,7 @@ def test_reference_signals(tmp_path):
 def test_a_reference_without_equilibrium_is_refused():
     model = random_model(0, inputs=1, outputs=2)
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(model, model.scale.output_equilibrium + np.array([1.0, -1.0]))
+        scaled_equilibrium(model, model.scale.output_equilibrium + np.array([1.0, -1.0]))
 
 
 def test_rest_is_planned_as_rest():
@@ -167,6 +174,6 @@ def test_a_planned_step_ends_at_its_set_point():
     model = motor_model()
     plan = feasible_trajectory(model, np.repeat([[0.0], [5.0]], 300, axis=0))
     np.testing.assert_allclose(
-        plan[-1], np.concatenate(equilibrium(model, np.array([5.0]))), atol=1e-6
+        plan[-1], np.concatenate(scaled_equilibrium(model, np.array([5.0]))), atol=1e-6
     )
     np.testing.assert_allclose(plan[0], 0, atol=1e-3)

@@ -25,10 +25,10 @@ def looped(
 ) -> Trajectory:
     """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks
     at rest."""
-    controller = ObserverFeedback.of(model, design)
+    controller = ObserverFeedback.from_design(model, design)
     rng = np.random.default_rng(0)
     plan = controller.targets(np.zeros((samples, 1)))
-    memory = controller.start(1)
+    memory = controller.initial_memory(1)
     x = np.ones(model.order)
     u = np.zeros((samples, 1))
     y = np.zeros((samples, 1))

@@ -20,7 +20,7 @@ from ssm_study.data.splits import rest_segments
 from ssm_study.export.c import c_files
 from ssm_study.export.device import Device
 from ssm_study.export.targets import load, python_control_system
-from ssm_study.loop.certified_bound import violations
+from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -161,9 +161,9 @@ def test_loops_contract_at_the_certified_rate_under_any_load(run: Path) -> None:
         n = design.model.order
         x = apart[None, :, :n]
         x_hat = apart[None, :, n:]
-        assert violations(x, x_hat, feedback, observer) == 0
+        assert count_bound_violations(x, x_hat, feedback, observer) == 0
     both = (replace(part, rate=0.9999) for part in (feedback, observer))
-    assert violations(x, x_hat, *both) > 0  # of rates that these gains do not have
+    assert count_bound_violations(x, x_hat, *both) > 0  # of rates that these gains do not have
 
 
 def test_loops_with_neurons_contract_under_any_load() -> None:
@@ -184,7 +184,7 @@ def differences_of_loops(
     gains = gains or Gains(k=k, l=l_, l_z=np.zeros((2, 1)) if neurons else None)
     law = ObserverFeedback(model=model, gains=gains)
     x = rng.normal(size=(2, model.order))
-    memory = law.start(2)
+    memory = law.initial_memory(2)
     target = law.targets(np.tile(model.scale.output_equilibrium, (1, 1)))[0]
     rows = []
     for sample in range(samples):
@@ -259,7 +259,7 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
 
     law = ObserverFeedback(model=model, gains=Gains(**gains))
     target = law.targets(model.scale.output_equilibrium[None])[0]
-    memory = law.start(1)
+    memory = law.initial_memory(1)
     x = np.zeros(3)
     y = np.array([3.2])
     for d in far_disturbance(model, 20):

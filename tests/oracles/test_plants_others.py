@@ -154,7 +154,7 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
 ) -> None:
     plant = from_yaml("plant", "quadruple_tank")
     close_loop = Mock(side_effect=InterruptedError)
-    monkeypatch.setattr(regulation, "close_loop", close_loop)
+    monkeypatch.setattr(regulation, "simulate_closed_loop", close_loop)
     loop = regulation.Loop(horizon_s=1.0, disturbance=StepDisturbance(size=2.0, at_s=0.0))
     with pytest.raises(InterruptedError):
         loop.simulate(

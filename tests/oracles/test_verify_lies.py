@@ -40,7 +40,7 @@ from verify_lies import (
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.data.recorded import RecordedData
-from ssm_study.durable import add_digest, sha256_of_file, read_sealed_json, write_json_atomically
+from ssm_study.durable import add_digest, read_sealed_json, sha256_of_file, write_json_atomically
 from ssm_study.engine.records import read_record
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest

@@ -9,7 +9,7 @@ from loop_cases import motor, motor_design, motor_model, random_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.comparison import Comparison
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
@@ -40,14 +40,14 @@ def test_a_controller_for_other_dimensions():
     model = random_model(0, inputs=2, outputs=1)
     controller = ObserverFeedback(model=model, gains=Gains(k=np.zeros((2, 4)), l=np.zeros((4, 1))))
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
-        LOOP.on_plant(motor(), controller, seed=0)
+        LOOP.run_on_plant(motor(), controller, seed=0)
 
 
 def test_a_controller_for_another_sampling_time():
     design = motor_design()
     controller = ObserverFeedback(model=replace(motor_model(), step_s=0.02), gains=design.pair)
     with pytest.raises(BadRequest, match="step_s"):
-        LOOP.on_plant(motor(), controller, seed=0)
+        LOOP.run_on_plant(motor(), controller, seed=0)
 
 
 def test_gains_of_another_model():
@@ -74,9 +74,9 @@ def test_a_model_with_feedthrough_in_the_plants_place():
     model = motor_model()
     linear = StateSpace(a=model.linear.a, b=model.linear.b, c=model.linear.c, d=np.ones((1, 1)))
     with pytest.raises(BadRequest, match="feedthrough"):
-        IdentifiedPlant.of(model.with_linear(linear))
+        IdentifiedPlant.from_model(model.with_linear(linear))
     with pytest.raises(BadRequest, match="name each of its signals"):
-        IdentifiedPlant.of(model, (Channel(name="x", unit="1"),) * 2)
+        IdentifiedPlant.from_model(model, (Channel(name="x", unit="1"),) * 2)
 
 
 def test_a_diverging_loop_is_stopped_and_labelled():
@@ -89,8 +89,8 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     loop = Loop(
         horizon_s=1.0, measurement_noise_variance=0.02
     )  # noise carries the slowest case out of the dead-zone
-    result = loop.on_plant(motor(), wrong, seed=0)
-    columns = behaviour(result)
+    result = loop.run_on_plant(motor(), wrong, seed=0)
+    columns = behaviour_columns(result)
     assert columns["stable_count"] == 0
     assert columns["left_bound_count"] == 10
     assert 0 < columns["left_bound_first_s"] < 1.0
@@ -110,8 +110,8 @@ def test_an_unstable_observer_is_stopped_before_it_overflows():
         model=motor_model(), gains=Gains(k=0 * design.state_feedback.k, l=1e3 * design.observer.l)
     )
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
-    run = loop.on_plant(motor(), wild, seed=0).controlled
-    assert not run.stayed.any()
+    run = loop.run_on_plant(motor(), wild, seed=0).controlled
+    assert not run.stayed_within_bound.any()
     assert np.isfinite(run.estimate).all()
 
 
@@ -147,7 +147,7 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
         input_lower=-3.0,
     )
     with pytest.raises(BadRequest, match=r"loop\.reference"):
-        loop.run(motor(), motor_model(), motor_design(), seed=0)
+        loop.run_design(motor(), motor_model(), motor_design(), seed=0)
 
 
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 
 
 @dataclass(frozen=True, kw_only=True)

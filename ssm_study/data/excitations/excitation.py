@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.refusal import require_at_least, require_positive, require
+from ssm_study.refusal import require, require_at_least, require_positive
 
 Amplitude = float | tuple[float, ...] | list[float] | None
 

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import Excitation, SignalRequest, check_frequency_band
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 
 FEWEST_LINES = 2
 # of the peak: deep enough to make progress, shallow enough to converge (Van der Ouderaa et al.

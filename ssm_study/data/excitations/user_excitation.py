@@ -8,7 +8,7 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.data.excitations.excitation import APRBS, SignalRequest
-from ssm_study.refusal import require_positive, require
+from ssm_study.refusal import require, require_positive
 
 AMPLITUDES = (
     1.0,

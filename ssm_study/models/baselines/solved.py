@@ -17,7 +17,7 @@ from ssm_study.models.baselines.regression import (
 )
 from ssm_study.models.identified import SSM, Simulator
 from ssm_study.models.spec import ModelSpec, Pairs, scaled
-from ssm_study.refusal import BadRequest, require_at_least, require
+from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
 

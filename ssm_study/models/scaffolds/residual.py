@@ -12,7 +12,7 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds.scaffold import Frame, Free, Scaffold, Square, Trainable, numbers
-from ssm_study.refusal import require_at_least, require
+from ssm_study.refusal import require, require_at_least
 from ssm_study.systems import JacobianBall
 
 

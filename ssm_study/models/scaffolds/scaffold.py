@@ -17,7 +17,7 @@ from ssm_study.bounds.slopes import SlopeBound
 from ssm_study.family import Family
 from ssm_study.models import scaffolds
 from ssm_study.models.lazy_torch import Tensor, torch
-from ssm_study.refusal import require_one_of, require
+from ssm_study.refusal import require, require_one_of
 from ssm_study.signals import Scale
 from ssm_study.systems import AGAIN, StateSpace, array_from_json
 
