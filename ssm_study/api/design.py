@@ -64,13 +64,15 @@ class Design:
 
         Raises `BadRequest` where the folder has no controller.
         """
-        targets.load(folder)
+        targets.load_controller(folder)
         model = model_from_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
         record_file = folder / "record.json"
         record: dict[str, Any] = {}
         if record_file.is_file():
             record = json.loads(record_file.read_text(encoding="utf-8"))
-        assert isinstance(model, SSM | StructuredSSM)  # `targets.load` refuses every other
+        assert isinstance(
+            model, SSM | StructuredSSM
+        )  # `targets.load_controller` refuses every other
         certificate = Certificates.load(folder / "certificate.json")
         return cls(certificate=certificate, model=model, run_folder=folder, stored_record=record)
 
@@ -198,17 +200,17 @@ class Design:
         `real` is "double" or "float". Raises `BadRequest` where there is no controller.
         """
         path = Path(path)
-        sources = targets.c_sources(self.folder, real=real, prefix=path.stem)
+        sources = targets.render_controller(self.folder, real=real, prefix=path.stem)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
         """The controller as a python-control system from measured outputs to inputs, physical."""
-        return targets.python_control_system(self.folder)
+        return targets.as_python_control(self.folder)
 
     def save(self, folder: str | Path) -> Path:
-        """Save as a run folder that `ssm-study verify`, `export` and `load` read.
+        """Save as a run folder that `ssm-study verify`, `export` and `load_controller` read.
 
         Raises `BadRequest` for a folder that exists.
         """

@@ -120,7 +120,8 @@ class Comparison(ComparisonTable):
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
     def perturbed_plants(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants whose physical constants are varied by space-filling random factors."""
+        """Plants whose physical constants are varied by space-filling random factors, in `1 +-
+        spread_share`."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))

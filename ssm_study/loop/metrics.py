@@ -115,8 +115,8 @@ def behaviour_columns(loop: LoopRuns) -> Columns:
 
 
 def measured_noise_gain(run: Rollouts) -> float | None:
-    """Measured ratio of the output's standard deviation to the measurement noise's, at rest. None
-    without noise.
+    """Measured ratio of the output's standard deviation to the measurement noise's, at rest.
+    `std(y) / std(n)` over the second half of the horizon. None without noise.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is it for the model.

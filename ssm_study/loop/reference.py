@@ -21,7 +21,7 @@ class EquilibriumReference(NoDisturbance):
 
 @dataclass(frozen=True, kw_only=True)
 class StepReference(Reference):
-    """Reference with one step at a given time."""
+    """Reference with one step at a given time. `r = before` until `at_s`, then `after`."""
 
     before: float
     after: float

@@ -79,7 +79,8 @@ def simulate_closed_loop(
     limits: Limits = UNLIMITED,
     measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
-    """Simulate a controller in closed loop with a plant, for all cases at once.
+    """Simulate a controller in closed loop with a plant, for all cases at once. `u[k] =
+    controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
     stopped, in the output's unit; input limits (input's unit) are known to the controller. A

@@ -142,7 +142,7 @@ def feedback_trajectory(
 
 
 def set_point_equilibria(model: Model, reference: Reference) -> Plan:
-    """Equilibrium state and input of the model for each value of the reference.
+    """Equilibrium state and input `(x*, u*)` of the model for each value of the reference.
 
     For references that are constant but for steps.
     """

@@ -18,7 +18,13 @@ from structured_cases import model as structured
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.export.device import Device
-from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
+from ssm_study.export.targets import (
+    find_input_limits,
+    load_controller,
+    prove_deployed_rates,
+    render_controller,
+    write_controller,
+)
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.models.stored import model_from_json
@@ -80,7 +86,9 @@ def c_replay(folder: Path, y: np.ndarray, main: str = MAIN_C) -> np.ndarray:
 
 
 def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
-    runtime = pytest.importorskip("onnxruntime", reason="the extra `export` is not installed")
+    runtime = pytest.importorskip(
+        "onnxruntime", reason="the extra `write_controller` is not installed"
+    )
     session = runtime.InferenceSession(
         folder / "controller.onnx", providers=["CPUExecutionProvider"]
     )
@@ -93,7 +101,7 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
 
 
 def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
-    control = pytest.importorskip("control", reason="the extra `export` is not installed")
+    control = pytest.importorskip("control", reason="the extra `write_controller` is not installed")
     system = runpy.run_path(str(folder / "controller.py"))["controller"]
     return control.input_output_response(
         system, np.arange(len(y)) * system.dt, y.T, squeeze=False
@@ -112,7 +120,7 @@ def test_export_replays_the_python_loop(
     run = random_run(
         tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral
     )
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     y = 3 + 5 * np.random.default_rng(7).standard_normal((SAMPLES, channels))
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01  # a controller that does nothing would agree with anything
@@ -126,7 +134,7 @@ def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> 
     run = random_run(
         tmp_path / "run", kind="mlp", channels=1, seed=3, integral=["step", "sine(5Hz)"]
     )
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     y = 40 * np.sign(np.sin(2 * np.pi * np.arange(SAMPLES) / 60))[:, None]
     limited = python_loop(run, y, limit=3.0)
     assert np.abs(limited - python_loop(run, y).clip(-3, 3)).max() > 0.1, (
@@ -137,7 +145,7 @@ def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> 
 
 def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=0)
-    names = {path.name for path in export(run, tmp_path / "out")}
+    names = {path.name for path in write_controller(run, tmp_path / "out")}
     assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
     assert (tmp_path / "out" / "certificate.json").read_bytes() == (
         run / "certificate.json"
@@ -169,7 +177,7 @@ def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_foun
     tmp_path: Path,
 ) -> None:
     run = write_recordings(structured_run(tmp_path / "run", ("tanh",), 0.0))
-    header = c_sources(run, prefix="drive")["drive.h"]
+    header = render_controller(run, prefix="drive")["drive.h"]
     assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
     assert "Set points lie on lines between stored rest points: missed by at most" in header
     assert "drive_track(&state, y, r, u);" in header
@@ -180,11 +188,13 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     model itself."""
     run = structured_run(tmp_path / "run", ("tanh", "softplus"), 0.05)
     model = model_from_json(json.loads((run / "model.json").read_text()))
-    device = Device.of(
-        load(run), "double", *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0))
+    device = Device.from_controller(
+        load_controller(run),
+        "double",
+        *(model.scale.physical_input(np.array([end])) for end in (-2.0, 2.0)),
     )
-    assert device.set_points is not None
-    missed = device.set_points.missed
+    assert device.set_point_maps is not None
+    missed = device.set_point_maps.missed
     assert 1e-6 < missed < 1e-2
     lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
     for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
@@ -193,12 +203,12 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
         assert np.abs(aimed["x"] - x).max() < 20 * missed
         assert aimed["v"] == pytest.approx(u, abs=20 * missed)
-        state = device.start(model.scale.output_equilibrium)
+        state = device.equilibrium_state(model.scale.output_equilibrium)
         truth = np.zeros(model.order)
         assert not state.any()
         for _ in range(200):
             y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
-            applied, state = device.track(state, y, r)
+            applied, state = device.compute_step(state, y, r)
             truth = model.advance(truth, lift(model, applied))
         assert (
             np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r)).max() < 20 * missed
@@ -218,7 +228,7 @@ def rested(model: StructuredSSM, v: np.ndarray) -> np.ndarray:
 
 def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) -> None:
     """A relu that turns the falling output back at large inputs."""
-    made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
+    made = load_controller(structured_run(tmp_path / "run", ("relu",), 0.0))
     assert made.neurons is not None
     turned = {
         "f": np.zeros((1, 3)),
@@ -228,8 +238,8 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     }
     folded = replace(made, neurons=replace(made.neurons, **turned, phi_bias=np.zeros(1)))
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
-    assert Device.of(folded, "double", *ends).set_points is None
-    assert Device.of(made, "double", *ends).set_points is not None
+    assert Device.from_controller(folded, "double", *ends).set_point_maps is None
+    assert Device.from_controller(made, "double", *ends).set_point_maps is not None
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
@@ -237,7 +247,7 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
     stored = json.loads((run / "model.json").read_text())
     for rest in (-7.5, 9.0):
         (run / "model.json").write_text(json.dumps(stored | {"input_equilibrium": [rest]}))
-        lower, upper = (float(end[0]) for end in limits(run))
+        lower, upper = (float(end[0]) for end in find_input_limits(run))
         assert rest in (lower, upper)
         assert lower < -4 < 4 < upper
 
@@ -249,7 +259,7 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
 def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: bool) -> None:
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
     run = structured_run(tmp_path / "run", kinds, 0.02 * (len(kinds) > 1), integral)
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     y = 1 + 20 * np.random.default_rng(7).standard_normal((SAMPLES, 1))
     expected = python_loop(run, y)
     assert np.ptp(expected) > 0.01
@@ -270,21 +280,21 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
 def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real: str) -> None:
     """To the last digit where they are piecewise linear, else within the bound that the replay
     itself holds."""
-    made = load(structured_run(tmp_path / "run", kinds, 0.02))
-    device = Device.of(
+    made = load_controller(structured_run(tmp_path / "run", kinds, 0.02))
+    device = Device.from_controller(
         made, real, *(made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5))
     )
     folder = written(device, tmp_path / "c")
     words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
     text = compiled(folder, sources=("controller_replay.c", *words))
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
-    free = Device.of(
+    free = Device.from_controller(
         made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6))
     )
     assert (
         real == "float"
         or "tanh" in kinds
-        or free.multiplications == products(free, tmp_path / "counted")
+        or free.count_multiplications == products(free, tmp_path / "counted")
     )
     broken = (
         (folder / "controller.h")
@@ -300,8 +310,11 @@ def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> 
     run = structured_run(tmp_path / "run", ("tanh", "relu"), 0.0)
     design = Design.load(run / "certificate.json")
     for real in ("double", "float"):
-        rates = deployed_rates(
-            Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf])), design
+        rates = prove_deployed_rates(
+            Device.from_controller(
+                load_controller(run), real, np.array([-np.inf]), np.array([np.inf])
+            ),
+            design,
         )
         assert 0.45 < rates["state_feedback"] <= 0.5
         assert 0.45 < rates["observer"] <= 0.5

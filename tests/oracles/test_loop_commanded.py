@@ -13,7 +13,7 @@ from structured_cases import model as with_neurons
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
 from ssm_study.certificates.theorems.integral_action import controlled_system
-from ssm_study.export.portable import portable_controller
+from ssm_study.export.portable import convert_controller
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -134,7 +134,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
 def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None:
     stand, _, design = made
     with pytest.raises(BadRequest, match="undoes the input map, which no target computes"):
-        portable_controller(stand, design)
+        convert_controller(stand, design)
     flat_map = MonotoneScaffold(
         breakpoints=np.array([[-0.2, 0.2]]), slopes=np.array([[1.0, 0.0, 0.9]])
     )

@@ -17,9 +17,9 @@ import ssm_study as st
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.cli.main import main
 from ssm_study.data.splits import rest_segments
-from ssm_study.export.c import c_files
+from ssm_study.export.c import render_c_files
 from ssm_study.export.device import Device
-from ssm_study.export.targets import load, python_control_system
+from ssm_study.export.targets import as_python_control, load_controller
 from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.identified import SSM
@@ -242,16 +242,16 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     """And the law in NumPy is the loop's own; the python-control script too."""
     model = random_model(2, neurons=True, kind="relu")
     gains = {"k": -0.1 * np.ones((1, 3)), "l": -0.1 * np.ones((3, 1)), "l_z": np.zeros((2, 1))}
-    from ssm_study.export.portable import PortableController, _neurons
+    from ssm_study.export.portable import PortableController, _convert_neurons
 
     controller = PortableController(
         a=model.a, b=model.b, c=model.c, d=model.d, k=gains["k"], l=gains["l"],
         e=np.zeros((3, 1)), s_in=model.scaffold_in.portable(), s_out=model.scaffold_out.portable(),
-        scale=model.scale, step_s=model.step_s, neurons=_neurons(model, gains["l_z"], 0),
+        scale=model.scale, step_s=model.step_s, neurons=_convert_neurons(model, gains["l_z"], 0),
         b_d=model.b_d,
     )  # fmt: skip
-    device = Device.of(controller, "double", np.array([-9.0]), np.array([9.0]))
-    for name, text in c_files(device, about="test").items():
+    device = Device.from_controller(controller, "double", np.array([-9.0]), np.array([9.0]))
+    for name, text in render_c_files(device, about="test").items():
         (tmp_path / name).write_text(text)
     assert compiled(tmp_path, "-std=c99", sources=("controller_replay.c", "-lm")).startswith(
         "0 of 200 inputs differ"
@@ -263,15 +263,15 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     x = np.zeros(3)
     y = np.array([3.2])
     for d in far_disturbance(model, 20):
-        u, x = device.track(x, y, model.scale.output_equilibrium, d)
+        u, x = device.compute_step(x, y, model.scale.output_equilibrium, d)
         memory = law.advance(memory, u[None], y[None], target, d)
         np.testing.assert_allclose(x, memory[0], atol=1e-9)
 
 
 def test_the_script_takes_the_load_behind_the_output(run: Path) -> None:
-    system = python_control_system(run)
+    system = as_python_control(run)
     assert system.input_labels == ["y[0]", "d[0]"]
-    controller = load(run)
+    controller = load_controller(run)
     x = np.array([0.3] * len(controller.a))
     rest = controller.scale.output_equilibrium
     mean = controller.scale.disturbance_equilibrium
