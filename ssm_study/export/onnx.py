@@ -68,7 +68,7 @@ class _GraphBuilder:
 
     def append_neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
         """Append the outputs of the model's neurons to the graph. `phi(F x + G v + L_z e + b) -
-        phi(b)`. `phi(F x + G v + L_z e + b) - phi(b)`.
+        phi(b)`.
 
         The kinds stand side by side, each masked to its own neurons.
         """

@@ -35,7 +35,7 @@ class PiecewiseLinear:
     offsets: Rows
 
     @classmethod
-    def interpolate(cls, w: Vector, out: Rows) -> "Joined":
+    def interpolate(cls, w: Vector, out: Rows) -> "PiecewiseLinear":
         """Piecewise linear map through given points."""
         order = np.argsort(w)
         w = w[order]
@@ -50,7 +50,7 @@ class PiecewiseLinear:
         return self.slopes[j] * w[0] + self.offsets[j]
 
 
-def evaluate_equilibrium_map(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
+def evaluate_equilibrium_map(by: "PiecewiseLinear | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
     """Evaluate a matrix or a piecewise linear map at a vector. The product is in the order of the C
     code."""
     return by(w) if isinstance(by, PiecewiseLinear) else multiply_in_order(by, w)

@@ -131,7 +131,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     trials: list[Trajectory] = []
     for content in read_json(run / TRIED):
         design = Design.from_json(content)
-        closed = experiment.run(plant, model, design, request.loop_seed)
+        closed = experiment.run_design(plant, model, design, request.loop_seed)
         trials += records_of_loops(closed.controlled)
     return tuple(trials)
 
