@@ -30,7 +30,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import collect_findings
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.coverage import Premise, measure_premise
@@ -125,10 +125,10 @@ class IdentifiedCase:
         balls = certified_balls(self.model)
         prediction = predict(self.model, design.pair, balls, self.mismatch)
         facts["predicted"] = prediction.predicts_stability(self.parts.synthesis.margin)
-        controller = ObserverFeedback.of(self.model, design)
-        loop = self.parts.loop.fitted(self.model)
-        runs = loop.on_plant(self.plant, controller, self.parts.loop_seed)
-        loop_columns = behaviour(runs)
+        controller = ObserverFeedback.from_design(self.model, design)
+        loop = self.parts.loop.with_fixed_horizon(self.model)
+        runs = loop.run_on_plant(self.plant, controller, self.parts.loop_seed)
+        loop_columns = behaviour_columns(runs)
         names = ("stable_count", "settling_time_mean_s", "settling_time_open_loop_s")
         return facts | {name: loop_columns[name] for name in names}
 

@@ -62,13 +62,15 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
         model = parts.reduction.reduce(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
-    loop = parts.loop.fitted(model)
+    loop = parts.loop.with_fixed_horizon(model)
     made = []
     for views, trials in (
         ("three", data.mismatch_records),
         ("one", tuple(filter(is_return, data.mismatch_records))),
     ):
-        known = Identified.of(model, certified_balls(model), replace(data, mismatch_records=trials))
+        known = Identified.from_data_set(
+            model, certified_balls(model), replace(data, mismatch_records=trials)
+        )
         rows = pd.DataFrame(DesignGrid(designs=designs).rows(plant, known, loop, seed))
         settles = rows.stable_count_noise_free == rows.initial_conditions
         drawn = rows.index > 0

@@ -59,8 +59,8 @@ def loops(folder: Path, situation: str):
     reference, disturbance = SITUATIONS[situation]
     asked = {"reference": reference, "disturbance": disturbance, "horizon_s": HORIZON_S}
     loop = replace(files.loop, **asked, measurement_noise_variance=0.0)
-    return files, loop.on_plant(
-        files.plant, ObserverFeedback.of(files.model, files.design), seed=0
+    return files, loop.run_on_plant(
+        files.plant, ObserverFeedback.from_design(files.model, files.design), seed=0
     ).controlled
 
 
@@ -82,7 +82,7 @@ def row(folder: Path, situation: str) -> dict[str, object]:
     }
     found |= {
         "predicted_stable": files.record["predicted_stable"],
-        "stayed": int(made.stayed.sum()),
+        "stayed": int(made.stayed_within_bound.sum()),
     }
     found["largest_error"] = float(np.abs(error).max())
     found["at_the_frequency"] = float(2 * np.abs((error * turn).mean(axis=1)).max())

@@ -34,7 +34,10 @@ def main() -> None:
     plant = part.plant
     design = Auto().design(model, certified_balls(model), data.validation)
     loop = Loop(initial_conditions=asked.cases, horizon_s=asked.samples * plant.step_s)
-    controller, (y0, noise) = ObserverFeedback.of(model, design), loop.draw(plant, 0)
+    controller, (y0, noise) = (
+        ObserverFeedback.from_design(model, design),
+        loop.draw_conditions(plant, 0),
+    )
     loop.simulate(plant, controller, y0[:2], noise[:2])  # compiles the plant's kernel
 
     started = time.perf_counter()

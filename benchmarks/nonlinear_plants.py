@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.adversarial.__main__ import plant_of
 from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.plants.plant import Plant
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -58,7 +58,9 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
         head = f"{name},{asked[0][6:]},{seed},{np.mean(fit):.2f},{shown.seen:.3f}"
         return f"{head},,,,,,{design.certified}"
     predicted = predict(made, design.pair, balls, shown)
-    facts = behaviour(parts.loop.fitted(made).run(plant, made, design, parts.loop_seed))
+    facts = behaviour_columns(
+        parts.loop.with_fixed_horizon(made).run_design(plant, made, design, parts.loop_seed)
+    )
     times = [facts[f"settling_time_{which}"] for which in ("mean_s", "open_loop_s")]
     told = ",".join("" if value is None else f"{value:.3f}" for value in times)
     judged = (

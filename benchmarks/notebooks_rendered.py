@@ -73,13 +73,11 @@ def write(name: str, folder: Path) -> None:
     notebook = jupytext.read(ROOT / "experiments" / f"{name}.py")
     NotebookClient(notebook, timeout=600, kernel_name="python3").execute(cwd=str(folder))
     pictures = (f"{name}_{number}.png" for number in itertools.count(1))
-    title, first = notebook.cells[0].as_data_source.split("\n", 1)
+    title, first = notebook.cells[0].source.split("\n", 1)
     page = [title, origin(name), first.strip()]
     for cell in notebook.cells[1:]:
         page.append(
-            cell.as_data_source
-            if cell.cell_type == "markdown"
-            else f"```python\n{cell.as_data_source}\n```"
+            cell.source if cell.cell_type == "markdown" else f"```python\n{cell.source}\n```"
         )
         outputs = (shown(output, pictures) for output in cell.get("outputs", []))
         page.append(

@@ -22,7 +22,7 @@ from benchmarks.common import study_of
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import collect_findings
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
@@ -72,7 +72,9 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         "margin": f"{predicted.resolved_margin:.2f}",
         "predicted": "" if silent else predicted.predicts_stability(),
     }
-    facts = behaviour(parts.loop.fitted(made).run(parts.plant, made, design, parts.loop_seed))
+    facts = behaviour_columns(
+        parts.loop.with_fixed_horizon(made).run_design(parts.plant, made, design, parts.loop_seed)
+    )
     times = {
         "settle_s": facts["settling_time_mean_s"],
         "alone_s": facts["settling_time_open_loop_s"],

@@ -69,15 +69,15 @@ def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
         design = replace(INTEGRAL, internal_model=["step"], integral_weight=1e-2).design(
             model, certified_balls(model)
         )
-    law = ObserverFeedback.of(model, design)
-    fitted = files.loop.fitted(model)
+    law = ObserverFeedback.from_design(model, design)
+    fitted = files.loop.with_fixed_horizon(model)
     quiet = replace(
         fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s
     )
-    told = quiet.on_plant(plant, law, seed=0)
+    told = quiet.run_on_plant(plant, law, seed=0)
     untold = replace(quiet, input_lower=None, input_upper=None)
     clamped = SaturatedInput(plant=plant, lower=float(low), upper=float(high))
-    return design, told, untold.on_plant(clamped, law, seed=0)
+    return design, told, untold.run_on_plant(clamped, law, seed=0)
 
 
 def row(folder: Path, integral: bool) -> dict[str, object]:

@@ -204,9 +204,9 @@ def _shapes(request: pytest.FixtureRequest) -> Iterator[None]:
 MADE_AGAIN = (
     "ssm_study.data.metrics.persistency_order",
     "ssm_study.data.simulated.SimulatedData.build",
-    "ssm_study.loop.regulation.Loop.on_model",
-    "ssm_study.loop.regulation.Loop.on_plant",
-    "ssm_study.loop.regulation.Loop.run",
+    "ssm_study.loop.regulation.Loop.run_on_model",
+    "ssm_study.loop.regulation.Loop.run_on_plant",
+    "ssm_study.loop.regulation.Loop.run_design",
     "ssm_study.study.claims.bound_facts",
     "ssm_study.study.design_claims.failed_checks",
     "ssm_study.study.design_claims.measure_mismatch",

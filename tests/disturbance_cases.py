@@ -101,7 +101,7 @@ def differences_of_loops(
     gains = gains or Gains(k=k, l=l_, l_z=np.zeros((2, 1)) if neurons else None)
     law = ObserverFeedback(model=model, gains=gains)
     x = rng.normal(size=(2, model.order))
-    memory = law.start(2)
+    memory = law.initial_memory(2)
     output_equilibrium = model.scale.output_equilibrium
     reference = np.tile(output_equilibrium, (1, 1))
     plan = law.targets(reference)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from report_runs import random_run
 
-from ssm_study.export.c import c_files
+from ssm_study.export.c import render_c_files
 from ssm_study.export.device import Device
-from ssm_study.export.targets import load
+from ssm_study.export.targets import load_controller
 
 WARNINGS = [
     "-pedantic",
@@ -52,17 +52,17 @@ def device(
     integral: bool | list[str] = False,
 ) -> Device:
     """With limits that the replay runs into."""
-    controller = load(
+    controller = load_controller(
         random_run(folder / "run", kind=kind, channels=channels, seed=channels, integral=integral)
     )
     signs = (-1, 1)
     ends = (controller.scale.physical_input(np.full(channels, sign * LIMIT)) for sign in signs)
-    return Device.of(controller, real, *ends)
+    return Device.from_controller(controller, real, *ends)
 
 
 def written(device: Device, folder: Path, about: str = "test", name: str = "controller") -> Path:
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in c_files(device, name, about=about).items():
+    for file, text in render_c_files(device, name, about=about).items():
         (folder / file).write_text(text)
     return folder
 
@@ -87,11 +87,12 @@ def compiled(
 def products(device: Device, folder: Path) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
-    header = c_files(device, about="counted")["controller.h"].replace("#include <math.h>", "")
+    header = render_c_files(device, about="counted")["controller.h"].replace(
+        "#include <math.h>", ""
+    )
     outputs = device.controller.scale.outputs
-    scale = device.controller.scale
     inputs = device.controller.scale.inputs
-    sizes = (outputs, scale.outputs, inputs)
+    sizes = (outputs, outputs, inputs)
     called = "track(&state, y, r, u)" if device.set_points else "step(&state, y, u)"
     body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(
         *sizes

@@ -12,7 +12,7 @@ from ssm_study.certificates.certificate import digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.models.metrics import Simulation, fit_facts
 from ssm_study.models.warm_start import PAST, choose_piece_starts, start_facts
 from ssm_study.study.loop_recordings import read_experiment
@@ -59,7 +59,7 @@ def loop_again(run: Path) -> dict[str, Any]:
     kept, _ = read_experiment(run)
     run_files = RunFiles(path=run, record={})
     design = run_files.design
-    return behaviour(kept) | certificate_columns(kept, design)
+    return behaviour_columns(kept) | certificate_columns(kept, design)
 
 
 def fits_again(run: Path) -> dict[str, Any]:

@@ -73,9 +73,9 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     with TemporaryDirectory() as folder:
         found = parts.training.identify(parts.model, data, seed, Path(folder), False)
     model = parts.reduction.reduce(found.model)
-    known = Identified.of(model, certified_balls(model), data)
+    known = Identified.from_data_set(model, certified_balls(model), data)
     grid = DesignGrid(designs=designs)
-    loop = parts.loop.fitted(model)
+    loop = parts.loop.with_fixed_horizon(model)
     rows = pd.DataFrame(grid.rows(plant, known, loop, seed))
     about = {
         "plant": name,
@@ -92,7 +92,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     settles = rows.stable_count_noise_free == rows.initial_conditions
     drawn = rows.index > 0
     candidates = grid.auto.candidates(model, known.balls)
-    pairs = grid.drawn(candidates, seed)
+    pairs = grid.draw_gain_pairs(candidates, seed)
     record = before(known)
     old = [
         predict(model, candidates.gains(pair), known.balls, record).predicts_stability()

@@ -20,7 +20,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.models.identified import SSM
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import StructuredSSM
@@ -62,13 +62,13 @@ class Design:
 
         Raises `BadRequest` where the folder has no controller.
         """
-        targets.load(folder)
+        targets.load_controller(folder)
         model = model_from_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
         record_file = folder / "record.json"
         record: dict[str, Any] = {}
         if record_file.is_file():
             record = json.loads(record_file.read_text(encoding="utf-8"))
-        assert isinstance(model, SSM | StructuredSSM)  # `targets.load` refuses every other
+        assert isinstance(model, SSM | StructuredSSM)  # `load_controller` refuses others
         certificate = Certificates.load(folder / "certificate.json")
         return cls(certificate=certificate, model=model, run_folder=folder, stored_record=record)
 
@@ -136,18 +136,18 @@ class Design:
 
     def _loop_facts(self) -> dict[str, Any]:
         """Columns of the loop, closed on the identified model."""
-        from ssm_study.loop.metrics import behaviour, certificate_columns
+        from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 
         assert self.origin is not None
-        if self.loop is None or not self.certificate.feasible or answers_at_once(self.model):
+        if self.loop is None or not self.certificate.feasible or has_direct_feedthrough(self.model):
             return {}
         data = self.origin.data
-        twin = IdentifiedPlant.of(self.model, data.inputs, data.outputs)
-        loop = self.loop.within(data.training_inputs).fitted(self.model)
-        runs = loop.run(twin, self.model, self.certificate, self.loop_seed)
+        twin = IdentifiedPlant.from_model(self.model, data.inputs, data.outputs)
+        loop = self.loop.with_default_limits(data.training_inputs).with_fixed_horizon(self.model)
+        runs = loop.run_design(twin, self.model, self.certificate, self.loop_seed)
         return (
             {"loop_on": "identified model"}
-            | behaviour(runs)
+            | behaviour_columns(runs)
             | certificate_columns(runs, self.certificate)
         )
 
@@ -179,17 +179,17 @@ class Design:
         `real` is "double" or "float". Raises `BadRequest` where there is no controller.
         """
         path = Path(path)
-        sources = targets.c_sources(self.folder, real=real, prefix=path.stem)
+        sources = targets.render_controller(self.folder, real=real, prefix=path.stem)
         for name, text in sources.items():
             (path.parent / name).write_text(text, encoding="utf-8")
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
         """The controller as a python-control system from measured outputs to inputs, physical."""
-        return targets.python_control_system(self.folder)
+        return targets.as_python_control(self.folder)
 
     def save(self, folder: str | Path) -> Path:
-        """Save as a run folder that `ssm-study verify`, `export` and `load` read.
+        """Save as a run folder that `ssm-study verify`, `export` and `load_controller` read.
 
         Raises `BadRequest` for a folder that exists.
         """
@@ -230,7 +230,7 @@ class Design:
             outer_product = np.outer(STARTS, scale.output_scale)
             y0 = scale.output_equilibrium + outer_product
         controlled = close_loop(self, y0, on)
-        controller = Uncontrolled.of(on)
+        controller = Uncontrolled.for_plant(on)
         uncontrolled = close_loop(self, y0, on, controller=controller)
         picture = initial_response_picture(
             controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
@@ -248,11 +248,11 @@ class Design:
         from ssm_study.api.pictures.loop_response import set_point_picture
 
         on = plant or identified_plant(self)
-        loop = Loop().fitted(self.model)
+        loop = Loop().with_fixed_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:
             scale = self.model.scale
-            loop = loop.within(scale.append_equilibrium_input(recorded))
+            loop = loop.with_default_limits(scale.append_equilibrium_input(recorded))
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(

@@ -24,9 +24,9 @@ Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 def identified_plant(design: "Design") -> IdentifiedPlant:
     """Make a plant of the identified model, with the channels of its records."""
     if design.origin is None:
-        return IdentifiedPlant.of(design.model)
+        return IdentifiedPlant.from_model(design.model)
     data = design.origin.data
-    return IdentifiedPlant.of(design.model, data.inputs, data.outputs)
+    return IdentifiedPlant.from_model(design.model, data.inputs, data.outputs)
 
 
 def close_loop(
@@ -44,13 +44,13 @@ def close_loop(
     names = [channel.name for channel in plant.outputs]
     starts = signal_columns(y0, "y0", len(names), names)[1]
     parts = Parts(LOOP, overrides)
-    loop: Loop = parts.build("loop").fitted(design.model)
-    controller = controller or ObserverFeedback.of(design.model, design.certificate)
+    loop: Loop = parts.build("loop").with_fixed_horizon(design.model)
+    controller = controller or ObserverFeedback.from_design(design.model, design.certificate)
     measured = disturbance_values(disturbance, _disturbance_names(design))
     if measured is not None:
         horizon_s = len(measured) * plant.step_s
         loop = replace(loop, horizon_s=horizon_s)
-    noise = np.zeros((len(starts), loop.samples(plant.step_s), starts.shape[1]))
+    noise = np.zeros((len(starts), loop.horizon_samples(plant.step_s), starts.shape[1]))
     return loop.simulate(plant, controller, starts, noise, measured)
 
 

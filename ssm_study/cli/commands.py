@@ -141,7 +141,7 @@ def reproduce_run(options: argparse.Namespace) -> int:
 
 def export_controller(options: argparse.Namespace) -> None:
     """Verify a run, write its controller, and print the files."""
-    from ssm_study.export.targets import export
+    from ssm_study.export.targets import write_controller
     from ssm_study.study.verify import verify
 
     # What is exported claims to be certified: recompute it first.
@@ -149,7 +149,7 @@ def export_controller(options: argparse.Namespace) -> None:
     if not options.yes and not may_overwrite(options.to):
         print("nothing written")
         return
-    for path in export(options.run, options.to, real=options.real, prefix=options.prefix):
+    for path in write_controller(options.run, options.to, real=options.real, prefix=options.prefix):
         print(path)
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Inverse, PortableMap
-from ssm_study.export.c_neurons import joined_lines, neuron_texts
+from ssm_study.export.c_neurons import join_lines, render_neurons
 from ssm_study.export.device import REALS, Device
-from ssm_study.export.rest_points import Joined
+from ssm_study.export.rest_points import PiecewiseLinear
 from ssm_study.refusal import require
 
 
 def read_template(name: str) -> Template:
-    """Text of a C template beside this module."""
+    """Read a C template from its file beside this module."""
     return Template(Path(__file__).with_name(name).read_text(encoding="utf-8"))
 
 
@@ -52,7 +52,7 @@ REPLAY_SEED = 0
 LONELY_SLASH = r"(?<![A-Za-z0-9])/|/(?![A-Za-z0-9])"
 
 
-def c_files(
+def render_c_files(
     device: Device,
     name: str = "controller",
     *,
@@ -61,7 +61,7 @@ def c_files(
     digest: str = "",
     rates: Sequence[str] = (),
 ) -> dict[str, str]:
-    """File name and text of the C files: header, source, and a replay program with its own `main`.
+    """Names and texts of the C files of a controller: header, source and replay program.
 
     `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
     signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
@@ -71,25 +71,25 @@ def c_files(
     allowed = is_identifier and name not in KEYWORDS.split()
     require(allowed, "prefix", name, "is no name in C", "use letters, digits and _")
     comments = {
-        "about": harmless(about),
-        "digest": harmless(digest) or "none",
-        "signals": _comment_lines(signals),
-        "rates": _comment_lines(rates),
+        "about": escape_comment(about),
+        "digest": escape_comment(digest) or "none",
+        "signals": _format_comment(signals),
+        "rates": _format_comment(rates),
     }
     return {
-        f"{name}.h": _header(device, comments, name),
-        f"{name}.c": _source(name),
-        f"{name}_replay.c": _replay(device, name),
+        f"{name}.h": _render_header(device, comments, name),
+        f"{name}.c": _render_source(name),
+        f"{name}_replay.c": _render_replay(device, name),
     }
 
 
-def _comment_lines(lines: Sequence[str]) -> str:
-    """Lines of text as lines of a C comment."""
-    return "\n".join(f" * {harmless(line)}" for line in lines) or " *"
+def _format_comment(lines: Sequence[str]) -> str:
+    """Format lines of text as lines of a C comment."""
+    return "\n".join(f" * {escape_comment(line)}" for line in lines) or " *"
 
 
-def _source(name: str) -> str:
-    """Text of the C source file."""
+def _render_source(name: str) -> str:
+    """Text of the C source file of a controller."""
     guard = name.upper()
     return (
         f"#ifndef {guard}_EXTERN\n"
@@ -100,90 +100,89 @@ def _source(name: str) -> str:
     )
 
 
-def _header(device: Device, comments: dict[str, str], name: str) -> str:
-    """Text of the C header with all constants and functions."""
+def _render_header(device: Device, comments: dict[str, str], name: str) -> str:
+    """Text of the C header of a controller, with all constants and functions."""
     real = device.real
     controller = device.controller
     tables = ""
-    for label, values in device.tables().items():
-        tables += _array(f"{name}_{label}", values, real)
-    maps = _map(f"{name}_s_in", controller.s_in, name, real)
-    maps += _map(f"{name}_s_out", controller.s_out, name, real)
-    sizes = _sizes(device, name)
+    for label, values in device.constant_tables().items():
+        tables += _render_array(f"{name}_{label}", values, real)
+    maps = _render_map(f"{name}_s_in", controller.s_in, name, real)
+    maps += _render_map(f"{name}_s_out", controller.s_out, name, real)
+    sizes = _template_values(device, name)
     declared = ""
     defined = ""
-    has_set_points = device.set_points is not None
+    has_set_points = device.set_point_maps is not None
     if has_set_points:
-        maps += _set_point_maps(device, name)
+        maps += _render_set_point_maps(device, name)
         defined = _SET_POINTS.substitute(sizes)
-        declared = _declarations(defined)
-    texts = sizes | comments | neuron_texts(device, name)
-    texts["pushed"] = _pushed(device, name)
+        declared = _function_prototypes(defined)
+    texts = sizes | comments | render_neurons(device, name)
+    texts["pushed"] = _render_disturbance_update(device, name)
     step_s = repr(controller.step_s)
     texts |= {
         "tables": tables,
         "maps": maps,
         "declared": declared,
         "defined": defined,
-        "within": _within(device, has_set_points).replace("#", name),
-        "resting": _resting_line(device),
+        "within": _render_limits_comment(device, has_set_points).replace("#", name),
+        "resting": _render_ramp_stop(device),
         "step_s": step_s,
         "has_set_points": int(has_set_points),
-        "bytes": _constants(tables + maps) * np.dtype(REALS[real]).itemsize,
-        "multiplications": device.multiplications,
-        "tiny": _number(1e-12, real),
-        "relative": _number(1e-9 if real == "double" else 1e-6, real),
+        "bytes": _count_constants(tables + maps) * np.dtype(REALS[real]).itemsize,
+        "multiplications": device.count_multiplications,
+        "tiny": _render_number(1e-12, real),
+        "relative": _render_number(1e-9 if real == "double" else 1e-6, real),
     }
     return _HEADER.substitute(texts)
 
 
-def _set_point_maps(device: Device, name: str) -> str:
-    """C functions that map set points to equilibria."""
-    points = device.set_points
+def _render_set_point_maps(device: Device, name: str) -> str:
+    """C functions that map set points to equilibria of the controller's model."""
+    points = device.set_point_maps
     assert points is not None
-    maps = _inverse(f"{name}_s_in_inverse", points.inward, name, device.real)
-    maps += _inverse(f"{name}_s_out_inverse", points.outward, name, device.real)
+    maps = _render_inverse_map(f"{name}_s_in_inverse", points.inward, name, device.real)
+    maps += _render_inverse_map(f"{name}_s_out_inverse", points.outward, name, device.real)
     for label, part in points.maps.items():
-        maps += _reached(f"{name}_{label}", part, name, device.real)
+        maps += _render_equilibrium_map(f"{name}_{label}", part, name, device.real)
     return maps
 
 
-def _declarations(defined: str) -> str:
+def _function_prototypes(defined: str) -> str:
     """Prototypes of the public functions that a C text defines."""
     lines = defined.splitlines()
     opened = [line for line in lines if "_API void" in line]
     return "".join(f"{line.removesuffix(' {')};\n" for line in opened)
 
 
-def _resting_line(device: Device) -> str:
-    """Line of C that stops the internal model of a ramp while a limit acts. Empty where it is not
-    needed.
+def _render_ramp_stop(device: Device) -> str:
+    """Line of C that stops the internal model of a ramp while an input limit acts. Empty where it
+    is not needed.
 
     Integrators do so by themselves, and oscillators go on.
     """
-    rows = device.controller.held_states
+    rows = device.controller.frozen_state_range
     if rows.stop <= rows.start:
         return ""
     return f"    else for (int i = {rows.start}; i < {rows.stop}; ++i) next[i] = state->x[i];\n"
 
 
-def _constants(code: str) -> int:
+def _count_constants(code: str) -> int:
     """Number of floats in all constant arrays of a C text."""
     counts = re.findall(r"static const \w+ \w+\[(\d+)\]", code)
     return sum(int(count) for count in counts)
 
 
-def harmless(text: str) -> str:
-    """Text changed so that it cannot end a C comment or continue beyond its line.
+def escape_comment(text: str) -> str:
+    """Change a text so that it can neither end a C comment nor continue beyond its line.
 
     The text may come from whatever name somebody gave a study.
     """
     return re.sub(rf"[^A-Za-z0-9 .,:;()\[\]%+=_'^/-]|\.\.\.|{LONELY_SLASH}", "_", text)
 
 
-def _sizes(device: Device, name: str) -> dict[str, object]:
-    """Values for the placeholders of the C template: names, number type and dimensions of the
-    controller."""
+def _template_values(device: Device, name: str) -> dict[str, object]:
+    """Values for the placeholders of the C template: names, number type and dimensions."""
     controller = device.controller
     states, lifted = controller.b.shape
     disturbances = controller.scale.disturbances
@@ -207,16 +206,16 @@ def _sizes(device: Device, name: str) -> dict[str, object]:
     }
 
 
-def _within(device: Device, has_set_points: bool) -> str:
-    """C comment of the header that says how to use the controller within input limits. Measured
-    disturbances are the last argument."""
+def _render_limits_comment(device: Device, has_set_points: bool) -> str:
+    """C comment that says how to use the controller within input limits. Measured disturbances are
+    the last argument."""
     comment = WITHIN[has_set_points]
     if not device.controller.scale.disturbances:
         return comment
     return comment.replace("y, r, u)", "y, r, u, d)").replace("y, u);   ", "y, u, d);")
 
 
-def _pushed(device: Device, name: str) -> str:
+def _render_disturbance_update(device: Device, name: str) -> str:
     """C code that adds measured disturbances to the next state. Empty where there are none."""
     disturbances = device.controller.scale.disturbances
     if not disturbances:
@@ -228,10 +227,10 @@ def _pushed(device: Device, name: str) -> str:
         f"    for (int i = 0; i < {disturbances}; ++i) load[i] = {scaled};",
         f"    {name}_matvec({states}, {disturbances}, {name}_b_d, load, next);",
     ]
-    return joined_lines(lines)
+    return join_lines(lines)
 
 
-def _replay(device: Device, name: str) -> str:
+def _render_replay(device: Device, name: str) -> str:
     """C program that replays measurements and compares the inputs with the expected ones.
 
     The measurements are levels within two scales of rest, also beyond the limits, with noise on
@@ -253,7 +252,7 @@ def _replay(device: Device, name: str) -> str:
             -2, 2, shape
         ).repeat(20, axis=0)
         signals["disturbance"] = disturbance
-    applied = device.replay(measured, wanted, disturbance)
+    applied = device.replay_inputs(measured, wanted, disturbance)
     passed = "" if disturbance is None else ", disturbance[k]"
 
     signals["expected"] = applied
@@ -263,68 +262,71 @@ def _replay(device: Device, name: str) -> str:
         f"        {name}_clamp(u);\n"
         f"        {name}_advance(&state, measured[k], u{passed});"
     )
-    if device.set_points is not None:
+    if device.set_point_maps is not None:
         signals["wanted"] = wanted
         begin = f"{name}_init(&state, measured[0]);"
         act = f"{name}_track(&state, measured[k], wanted[k], u{passed});"
 
-    texts = {"wanted": ""} | _sizes(device, name) | {"begin": begin, "act": act}
+    texts = {"wanted": ""} | _template_values(device, name) | {"begin": begin, "act": act}
     for label, values in signals.items():
-        texts[label] = _recorded(label, values, device.real)
+        texts[label] = _render_signal_table(label, values, device.real)
     if disturbance is not None:
         texts["wanted"] = f"{texts['wanted']}\n{texts['disturbance']}"
     tolerance = AGREEMENT[device.real] * max(1.0, float(np.abs(applied).max()))
     return _REPLAY.substitute(texts, samples=REPLAYED, tolerance=repr(tolerance))
 
 
-def _recorded(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
-    """C table of a signal with a row per sample."""
+def _render_signal_table(label: str, values: Float[np.ndarray, "T w"], real: str) -> str:
+    """C table of a signal with one row for each sample."""
     rows = []
     for row in values:
-        numbers = ", ".join(_number(value, real) for value in row)
+        numbers = ", ".join(_render_number(value, real) for value in row)
         rows.append(f"{{{numbers}}}")
     width = values.shape[1]
     return f"static const {real} {label}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
 
 
-def _number(value: float | np.floating[Any], real: str) -> str:
-    """Shortest decimal text that reads back to the same float."""
+def _render_number(value: float | np.floating[Any], real: str) -> str:
+    """Shortest decimal text of a float that reads back to the same float."""
     digits = np.format_float_scientific(REALS[real](value), trim="0")
     return f"{digits}f" if real == "float" else digits
 
 
-def _array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
+def _render_array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
     """C definition of a constant array."""
-    numbers = ", ".join(_number(value, real) for value in values.ravel())
+    numbers = ", ".join(_render_number(value, real) for value in values.ravel())
     return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
 
 
-def _function(
+def _render_function(
     name: str, argument: str, tables: dict[str, Float[np.ndarray, "..."]], body: str, real: str
 ) -> str:
-    """C function `void name(argument, out)` behind its constants.
+    """C function with one argument and one result, behind its constant arrays. `void name(argument,
+    out)`.
 
     A constant is called `name_<label>` in C and `#label` in `body`.
     """
-    constants = "".join(_array(f"{name}_{label}", values, real) for label, values in tables.items())
+    constants = "".join(
+        _render_array(f"{name}_{label}", values, real) for label, values in tables.items()
+    )
     code = body.replace("#", f"{name}_")
     head = f"static inline void {name}(const {real} *{argument}, {real} *out) {{"
     return f"\n{constants}{head}\n{code}}}\n"
 
 
-def _product(
+def _render_product(
     prefix: str, label: str, matrix: Float[np.ndarray, "r c"], source: str, target: str
 ) -> str:
-    """Line of C that adds the product of a matrix and a vector to the target."""
+    """Line of C that adds the product of a matrix and a vector to another vector."""
     rows, columns = matrix.shape
     return f"    {prefix}_matvec({rows}, {columns}, #{label}, {source}, {target});\n"
 
 
-def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
-    """C function of a piecewise linear map, `out += linear v + N(v)`, computed layer by layer as `d
-    = phi(W d + b) - phi(b)`."""
+def _render_map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
+    """C function that evaluates a piecewise linear map, layer by layer. `out += linear v + N(v)`,
+    `d = phi(W d + b) - phi(b)`."""
     tables = {"linear": portable.linear}
-    body = _product(prefix, "linear", portable.linear, "v", "out")
+    body = _render_product(prefix, "linear", portable.linear, "v", "out")
     source = "v"
     layers = portable.network.hidden() if portable.network else ()
     for i, (w, b, low, high) in enumerate(layers):
@@ -338,22 +340,25 @@ def _map(name: str, portable: PortableMap, prefix: str, real: str) -> str:
         bent = f"{prefix}_leaky(d{i}[i], #low{i}[i], #high{i}[i])"
         body += f"    {real} d{i}[{width}];\n"
         body += f"{over_layer} d{i}[i] = #b{i}[i];\n"
-        body += _product(prefix, f"w{i}", w, source, f"d{i}")
+        body += _render_product(prefix, f"w{i}", w, source, f"d{i}")
         body += f"{over_layer}\n"
         body += f"        d{i}[i] = {bent} - #at_zero{i}[i];\n"
         source = f"d{i}"  # what the next layer takes
     if portable.network:
         weights = portable.network.weights
         tables["w_out"] = weights[-1]
-        body += _product(prefix, "w_out", tables["w_out"], source, "out")
-    return _function(name, "v", tables, body, real)
+        body += _render_product(prefix, "w_out", tables["w_out"], source, "out")
+    return _render_function(name, "v", tables, body, real)
 
 
-def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, real: str) -> str:
-    """C function `out += part w` for a matrix, or interpolation between stored points."""
-    if not isinstance(part, Joined):
-        product = _product(prefix, "linear", part, "w", "out")
-        return _function(name, "w", {"linear": part}, product, real)
+def _render_equilibrium_map(
+    name: str, part: PiecewiseLinear | Float[np.ndarray, "r c"], prefix: str, real: str
+) -> str:
+    """C function that adds a matrix product, or an interpolated equilibrium, to its result. `out +=
+    part w`."""
+    if not isinstance(part, PiecewiseLinear):
+        product = _render_product(prefix, "linear", part, "w", "out")
+        return _render_function(name, "w", {"linear": part}, product, real)
     count = len(part.points)
     width = part.slopes.shape[1]
     at = f"j * {width} + i"
@@ -362,15 +367,14 @@ def _reached(name: str, part: Joined | Float[np.ndarray, "r c"], prefix: str, re
     body += f"    for (int i = 0; i < {width}; ++i)"
     body += f" out[i] = #slope[{at}] * w[0] + #offset[{at}];\n"
     tables = {"at": part.points, "slope": part.slopes, "offset": part.offsets}
-    return _function(name, "w", tables, body, real)
+    return _render_function(name, "w", tables, body, real)
 
 
-def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
-    """C function `out = S^{-1}(w)`: a matrix product, or a piecewise linear function of each
-    channel."""
+def _render_inverse_map(name: str, inverse: Inverse, prefix: str, real: str) -> str:
+    """C function that evaluates the inverse of a static map. `out = S^{-1}(w)`."""
     if inverse.matrix is not None:
-        body = _product(prefix, "linear", inverse.matrix, "w", "out")
-        return _function(name, "w", {"linear": inverse.matrix}, body, real)
+        body = _render_product(prefix, "linear", inverse.matrix, "w", "out")
+        return _render_function(name, "w", {"linear": inverse.matrix}, body, real)
     tables: dict[str, Float[np.ndarray, ...]] = {}
     body = "    int j;\n"
     for c, (points, slopes, offsets) in enumerate(inverse.channels):
@@ -381,4 +385,4 @@ def _inverse(name: str, inverse: Inverse, prefix: str, real: str) -> str:
         tables[f"slope{c}"] = slopes
         tables[f"offset{c}"] = offsets
         body += f"    {search}\n    out[{c}] = #slope{c}[j] * w[{c}] + #offset{c}[j];\n"
-    return _function(name, "w", tables, body, real)
+    return _render_function(name, "w", tables, body, real)

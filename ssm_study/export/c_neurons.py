@@ -7,18 +7,19 @@ from ssm_study.export.device import Device
 from ssm_study.models.structured import NEURONS
 
 
-def neuron_texts(device: Device, name: str) -> dict[str, str]:
-    """Parts of the C header for the neurons. Empty texts for a model without neurons.
+def render_neurons(device: Device, name: str) -> dict[str, str]:
+    """Parts of the C header that concern the neurons of the model. Empty texts for a model without
+    neurons.
 
     `include` is math.h, `neurons` their function, `read` its call where the observer's error is
     not known yet, `driven` the call where it is.
     """
     if device.controller.neurons is None:
         return dict.fromkeys(("include", "neurons", "read", "driven"), "")
-    read = joined_lines(_neurons_read(device, name))
-    driven = joined_lines(_neurons_driven(device, name))
-    lines = _neurons_function(device, name)
-    neurons = "\n" + joined_lines(lines)
+    read = join_lines(_render_neuron_output(device, name))
+    driven = join_lines(_render_neuron_update(device, name))
+    lines = _render_neuron_function(device, name)
+    neurons = "\n" + join_lines(lines)
     return {
         "read": read,
         "driven": driven,
@@ -27,12 +28,12 @@ def neuron_texts(device: Device, name: str) -> dict[str, str]:
     }
 
 
-def joined_lines(lines: Sequence[str]) -> str:
-    """Lines of code as one text."""
+def join_lines(lines: Sequence[str]) -> str:
+    """Join lines of code to one text."""
     return "".join(f"{line}\n" for line in lines)
 
 
-def _neurons_function(device: Device, name: str) -> list[str]:
+def _render_neuron_function(device: Device, name: str) -> list[str]:
     """C function that computes the outputs of the neurons."""
     real = device.real
     neurons = device.controller.neurons
@@ -51,11 +52,11 @@ def _neurons_function(device: Device, name: str) -> list[str]:
         lines.append(f"    {name}_matvec({count}, {size}, {name}_{matrix}, {vector}, w);")
     for i, kind in enumerate(neurons.kinds):
         lines.append(f"    z = w[{i}];")
-        lines.append(f"    w[{i}] = {_activation(kind, real)} - {name}_phi_bias[{i}];")
+        lines.append(f"    w[{i}] = {_render_activation(kind, real)} - {name}_phi_bias[{i}];")
     return [*lines, "}"]
 
 
-def _activation(kind: str, real: str) -> str:
+def _render_activation(kind: str, real: str) -> str:
     """C expression of an activation function."""
     code = NEURONS[kind].c
     if real == "float":  # tanhf and 1.0f
@@ -64,8 +65,8 @@ def _activation(kind: str, real: str) -> str:
     return code
 
 
-def _neurons_read(device: Device, name: str) -> list[str]:
-    """C code that adds the neurons to the predicted output."""
+def _render_neuron_output(device: Device, name: str) -> list[str]:
+    """C code that adds the neurons' contribution to the predicted output."""
     real = device.real
     neurons = device.controller.neurons
     assert neurons is not None
@@ -80,8 +81,8 @@ def _neurons_read(device: Device, name: str) -> list[str]:
     ]
 
 
-def _neurons_driven(device: Device, name: str) -> list[str]:
-    """C code that adds the neurons to the next state."""
+def _render_neuron_update(device: Device, name: str) -> list[str]:
+    """C code that adds the neurons' contribution to the next state."""
     neurons = device.controller.neurons
     assert neurons is not None
     states, count = neurons.into.shape

@@ -1,13 +1,13 @@
 """Model of the controller on a device, with rounded numbers, limited inputs and operations in the
 order of the C code.
 
-For a set point r the law aims at the equilibrium of the model nearest to it:
-`v* = S_u^{-1}(G^+ S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`,
-`G = C (I - A)^{-1} B + D`, and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons
-equilibria are read from a curve (`rest_points`). The observer uses the input that was applied, so a
-limit does not disturb the estimate, and no error enters an internal model while it acts: nothing
-winds up. `Device` is also its own oracle: `replay` runs the law in NumPy, one rounding for one
-rounding of the C code compiled with `-ffp-contract=off`.
+For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
+S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,
+and applies `u = clamp(u_eq + s_u (v* + K (x - x*)))`; with neurons equilibria are read from a curve
+(`rest_points`). The observer uses the input that was applied, so a limit does not disturb the
+estimate, and no error enters an internal model while it acts: nothing winds up. `Device` is also
+its own oracle: `replay_inputs` runs the law in NumPy, one rounding for one rounding of the C code
+compiled with `-ffp-contract=off`.
 """
 
 from dataclasses import dataclass
@@ -18,8 +18,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Inverse, PortableMap, inverse_of
-from ssm_study.export.portable import PortableController, Vector, as_floats, times
-from ssm_study.export.rest_points import Curve, Joined, equilibrium_curve, reached
+from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
+from ssm_study.export.rest_points import (
+    EquilibriumCurve,
+    PiecewiseLinear,
+    compute_equilibrium_curve,
+    evaluate_equilibrium_map,
+)
 from ssm_study.refusal import require_one_of
 from ssm_study.systems import StateSpace
 
@@ -30,36 +35,38 @@ IDLE = 1e-9  # relative: a direction of inputs below it moves no output at rest
 
 @dataclass(frozen=True, kw_only=True)
 class SetPoints:
-    """Maps between set points and equilibria of the model.
+    """Maps between set points and equilibria of the controller's model.
 
     `to_lifted (k, q)` is `G^+`, `at_rest (n, k)` is `(I - A)^{-1} B` over zeros, `seen (q, k)`
     is G. With neurons each is a line through stored points, which misses what S_y reads by at most
     `missed`.
     """
 
-    to_lifted: Float[np.ndarray, "k q"] | Joined  # the least input where inputs outnumber outputs
-    at_rest: Float[np.ndarray, "n k"] | Joined
-    seen: Float[np.ndarray, "q k"] | Joined
+    to_lifted: (
+        Float[np.ndarray, "k q"] | PiecewiseLinear
+    )  # the least input where inputs outnumber outputs
+    at_rest: Float[np.ndarray, "n k"] | PiecewiseLinear
+    seen: Float[np.ndarray, "q k"] | PiecewiseLinear
     inward: Inverse
     outward: Inverse
     missed: float = 0.0
 
     @property
     def maps(self) -> dict[str, Any]:
-        """Maps `to_lifted`, `at_rest` and `seen` by name."""
+        """The three maps between set points and equilibria, by name."""
         names = ("to_lifted", "at_rest", "seen")
         return {name: getattr(self, name) for name in names}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Device:
-    """Controller with its numbers rounded to `real`, and with physical input limits `lower, upper
-    (m,)`.
+    """Controller as it runs on a device: rounded numbers, input limits, and operations in the order
+    of the C code.
 
-    Limits are infinite where there is none. `set_points` is None where they cannot be computed on
-    a device: S_u or S_y couples its channels, the model integrates, no constant input reaches every
-    output, or neurons stand between several inputs or outputs. Raises `BadRequest` for another
-    `real`.
+    Limits are infinite where there is none. `set_point_maps` is None where they cannot be computed
+    on a device: S_u or S_y couples its channels, the model integrates, no constant input reaches
+    every output, or neurons stand between several inputs or outputs. Raises `BadRequest` for
+    another `real`.
     """
 
     controller: PortableController
@@ -68,10 +75,10 @@ class Device:
     upper: Vector
 
     @classmethod
-    def of(
+    def from_controller(
         cls, controller: PortableController, real: str, lower: Vector, upper: Vector
     ) -> "Device":
-        """Device whose numbers are rounded once, to the nearest `real`.
+        """Device on which a controller runs, with all numbers rounded to a float type.
 
         Missing limits become the largest `real`.
         """
@@ -79,40 +86,40 @@ class Device:
         kind = REALS[real]
         largest = float(np.finfo(kind).max)
 
-        def rounded(limit: Vector) -> Vector:
+        def round_limit(limit: Vector) -> Vector:
             """Input limit rounded to `real`."""
             inputs = controller.scale.inputs
             each = np.broadcast_to(limit, inputs)
             return np.clip(each, -largest, largest).astype(kind)
 
         return cls(
-            controller=as_floats(controller, kind),
+            controller=convert_floats(controller, kind),
             real=real,
-            lower=rounded(lower),
-            upper=rounded(upper),
+            lower=round_limit(lower),
+            upper=round_limit(upper),
         )
 
     @cached_property
-    def set_points(self) -> SetPoints | None:
-        """Maps to equilibria, computed in float64 from the rounded numbers and rounded once more.
+    def set_point_maps(self) -> SetPoints | None:
+        """Maps between set points and equilibria, from the rounded numbers; None if there are none.
 
         None where a device cannot compute them.
         """
-        controller = as_floats(self.controller, np.float64)
+        controller = convert_floats(self.controller, np.float64)
         inward = inverse_of(controller.s_in)
         outward = inverse_of(controller.s_out)
         if inward is None or outward is None:
             return None
         model = controller.recurrence()
         if isinstance(model, StateSpace):
-            return self._by_matrices(model, inward, outward)
-        return self._along_curve(controller, inward, outward)
+            return self._linear_set_point_maps(model, inward, outward)
+        return self._interpolated_set_point_maps(controller, inward, outward)
 
-    def _by_matrices(
+    def _linear_set_point_maps(
         self, model: StateSpace, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps to equilibria of a linear model, as matrices. None where it integrates or cannot
-        hold every output."""
+        """Maps between set points and equilibria of a linear model, as matrices. None where it
+        integrates or cannot hold every output."""
         states, _, gain = model.steady_states()
         if model.integrates:
             return None
@@ -127,32 +134,33 @@ class Device:
         exact = SetPoints(
             to_lifted=to_lifted, at_rest=at_rest, seen=gain, inward=inward, outward=outward
         )
-        return as_floats(exact, REALS[self.real])
+        kind = REALS[self.real]
+        return convert_floats(exact, kind)
 
-    def _along_curve(
+    def _interpolated_set_point_maps(
         self, controller: PortableController, inward: Inverse, outward: Inverse
     ) -> SetPoints | None:
-        """Maps to equilibria by interpolation between every other point of the curve. The points
-        between show the error."""
+        """Maps between set points and equilibria of a model with neurons, by interpolation. The
+        points between show the error."""
         if len(self.lower) > 1:
             return None
-        low = self._lifted_limit(controller, self.lower)
-        high = self._lifted_limit(controller, self.upper)
-        full = equilibrium_curve(controller, low, high)
+        low = self._mapped_limit(controller, self.lower)
+        high = self._mapped_limit(controller, self.upper)
+        full = compute_equilibrium_curve(controller, low, high)
         if full is None:
             return None
         lifted = full.lifted[::2]
-        curve_read = full.read[::2]
-        stored = Curve(lifted=lifted, x=full.x[::2], read=curve_read)
+        equilibrium_curve_read = full.read[::2]
+        stored = EquilibriumCurve(lifted=lifted, x=full.x[::2], read=equilibrium_curve_read)
         below = len(controller.a) - stored.x.shape[1]
         states = np.pad(stored.x, ((0, 0), (0, below)))
-        seen = Joined.through(stored.lifted, stored.read[:, None])
+        seen = PiecewiseLinear.interpolate(stored.lifted, stored.read[:, None])
         errors = []
         for v, read in zip(full.lifted, full.read, strict=True):
             on_line = float(seen(v[None])[0])
             errors.append(abs(on_line - read))
-        to_lifted = Joined.through(stored.read, stored.lifted[:, None])
-        at_rest = Joined.through(stored.lifted, states)
+        to_lifted = PiecewiseLinear.interpolate(stored.read, stored.lifted[:, None])
+        at_rest = PiecewiseLinear.interpolate(stored.lifted, states)
         joined = SetPoints(
             to_lifted=to_lifted,
             at_rest=at_rest,
@@ -161,32 +169,32 @@ class Device:
             outward=outward,
             missed=max(errors),
         )
-        return as_floats(joined, REALS[self.real])
+        kind = REALS[self.real]
+        return convert_floats(joined, kind)
 
     @staticmethod
-    def _lifted_limit(controller: PortableController, limit: Vector) -> float:
-        """Value of the input map S_u at an input limit, which is first clipped to `WIDEST` scaled
-        inputs."""
+    def _mapped_limit(controller: PortableController, limit: Vector) -> float:
+        """Value of the input map at an input limit."""
         u = limit.astype(float)
         scaled = controller.scale.scaled_input(u)
         return float(_evaluate_map(controller.s_in, np.clip(scaled, -WIDEST, WIDEST))[0])
 
-    def tables(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Constants of the C code by name, in its order, except those of its maps."""
+    def constant_tables(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Constant matrices and vectors of the C code, by name."""
         return self.controller.arrays() | {"lower": self.lower, "upper": self.upper}
 
     @property
-    def multiplications(self) -> int:
-        """Largest number of multiplications of floats in one `track`. Those of the activation
-        function do not count.
+    def count_multiplications(self) -> int:
+        """Largest number of multiplications that one sample of the controller takes. Those of the
+        activation function do not count.
 
         In one `step` where there are no set points.
         """
         controller = self.controller
-        points = self.set_points
+        points = self.set_point_maps
         inputs = len(controller.k)
-        maps = _map_products(controller.s_in) + _map_products(controller.s_out)
-        tables = self.tables().values()
+        maps = _count_map_products(controller.s_in) + _count_map_products(controller.s_out)
+        tables = self.constant_tables().values()
         matrices = sum(table.size for table in tables if table.ndim == 2)
         products = maps + matrices
         neurons = controller.neurons
@@ -195,26 +203,28 @@ class Device:
             products += neurons.f.size + neurons.g.size + neurons.l_z.size
         if points is None:  # the input is computed twice, and compared
             return products + controller.k.size + 3 * inputs
-        inverses = _inverse_products(points.inward) + _inverse_products(points.outward)
+        inverses = _count_inverse_products(points.inward) + _count_inverse_products(points.outward)
         parts = points.maps.values()
-        reaching = sum(_reaching_products(part) for part in parts)
+        reaching = sum(_count_equilibrium_products(part) for part in parts)
         return products + reaching + inverses + maps + 2 * inputs
 
-    def start(self, y0: Vector) -> Vector:
-        """Equilibrium state of the model at output `y0`. It is the equilibrium of the plant where
-        there are no set points."""
-        points = self.set_points
+    def equilibrium_state(self, y0: Vector) -> Vector:
+        """Equilibrium state of the controller's model at a given output. It is the equilibrium of
+        the plant where there are no set points."""
+        points = self.set_point_maps
         if points is None:
             controller_a = self.controller.a
             return np.zeros(len(controller_a), dtype=REALS[self.real])
         scale = self.controller.scale
-        read = _undone(points.outward, scale.scaled_output(y0))
-        return reached(points.at_rest, reached(points.to_lifted, read))
+        read = _evaluate_inverse_map(points.outward, scale.scaled_output(y0))
+        return evaluate_equilibrium_map(
+            points.at_rest, evaluate_equilibrium_map(points.to_lifted, read)
+        )
 
-    def track(
+    def compute_step(
         self, x: Vector, y: Vector, r: Vector, d: Vector | None = None
     ) -> tuple[Vector, Vector]:
-        """Compute the input for this sample, limited, and the next state.
+        """Compute the controller's limited input for one sample, and its next state.
 
         Without set points the law steers towards the equilibrium. Measured disturbances that are
         not given are at theirs.
@@ -222,36 +232,41 @@ class Device:
         controller = self.controller
         neurons = controller.neurons
         rest = self.nearest_equilibrium(r)
-        requested = controller.scale.physical_input(times(controller.k, x - rest["x"], rest["v"]))
+        requested = controller.scale.physical_input(
+            multiply_in_order(controller.k, x - rest["x"], rest["v"])
+        )
         u = np.clip(requested, self.lower, self.upper)
         # The observer uses the input that was applied.
         lifted = _evaluate_map(controller.s_in, controller.scale.scaled_input(u))
         measured = controller.scale.scaled_output(y)
-        read = times(controller.d, lifted, times(controller.c, x))
+        start = multiply_in_order(controller.c, x)
+        read = multiply_in_order(controller.d, lifted, start)
         if neurons and neurons.h.any():
-            read = times(neurons.h, neurons(x, lifted), read)
+            read = multiply_in_order(neurons.h, neurons(x, lifted), read)
         error = _evaluate_map(controller.s_out, read) - measured
-        following = times(controller.b, lifted, times(controller.a, x))
-        following = times(controller.l, error, following)
+        following = multiply_in_order(controller.b, lifted, multiply_in_order(controller.a, x))
+        following = multiply_in_order(controller.l, error, following)
         if d is not None:
-            following = times(controller.b_d, controller.scale.scaled_disturbance(d), following)
+            following = multiply_in_order(
+                controller.b_d, controller.scale.scaled_disturbance(d), following
+            )
         if neurons:
-            following = times(neurons.into, neurons(x, lifted, error), following)
+            following = multiply_in_order(neurons.into, neurons(x, lifted, error), following)
         # No error enters the internal model while a limit acts.
         if np.array_equal(u, requested):
-            following = times(controller.e, measured - rest["w"], following)
+            following = multiply_in_order(controller.e, measured - rest["w"], following)
         else:
-            following[controller.held_states] = x[controller.held_states]
+            following[controller.frozen_state_range] = x[controller.frozen_state_range]
         return u, following
 
     def nearest_equilibrium(self, r: Vector) -> dict[str, Vector]:
-        """Equilibrium nearest to the set point `r` within the limits.
+        """Equilibrium within the input limits that is nearest to a set point.
 
         State `x`, scaled input `v` and output `w`.
         """
         controller = self.controller
         scale = controller.scale
-        points = self.set_points
+        points = self.set_point_maps
         real = REALS[self.real]
         if points is None:
             return {
@@ -259,74 +274,76 @@ class Device:
                 "v": np.zeros(len(controller.k), real),
                 "w": np.zeros(controller.l.shape[1], real),
             }
-        wanted = reached(points.to_lifted, _undone(points.outward, scale.scaled_output(r)))
-        requested = scale.physical_input(_undone(points.inward, wanted))
+        wanted = evaluate_equilibrium_map(
+            points.to_lifted, _evaluate_inverse_map(points.outward, scale.scaled_output(r))
+        )
+        requested = scale.physical_input(_evaluate_inverse_map(points.inward, wanted))
         u = np.clip(requested, self.lower, self.upper)
         v = scale.scaled_input(u)
         lifted = _evaluate_map(controller.s_in, v)
         return {
-            "x": reached(points.at_rest, lifted),
+            "x": evaluate_equilibrium_map(points.at_rest, lifted),
             "v": v,
-            "w": _evaluate_map(controller.s_out, reached(points.seen, lifted)),
+            "w": _evaluate_map(controller.s_out, evaluate_equilibrium_map(points.seen, lifted)),
         }
 
-    def replay(
+    def replay_inputs(
         self,
         y: Float[np.ndarray, "T p"],
         r: Float[np.ndarray, "T p"],
         d: Float[np.ndarray, "T k"] | None = None,
     ) -> Float[np.ndarray, "T m"]:
-        """Inputs that the device applies to recorded measurements and set points. It takes measured
-        disturbances, too, where it uses some.
+        """Inputs that the controller computes from recorded measurements and set points. It takes
+        measured disturbances, too, where it uses some.
 
         It starts at rest at the first measurement.
         """
         kind = REALS[self.real]
         measurements = y.astype(kind)
         set_points = r.astype(kind)
-        x = self.start(measurements[0])
+        x = self.equilibrium_state(measurements[0])
         applied = []
         for k in range(len(measurements)):
             load = None if d is None else d[k].astype(kind)
-            u, x = self.track(x, measurements[k], set_points[k], load)
+            u, x = self.compute_step(x, measurements[k], set_points[k], load)
             applied.append(u)
         return np.stack(applied)
 
 
-def _map_products(portable: PortableMap) -> int:
-    """Number of products in one evaluation of S; a slope for each bias."""
+def _count_map_products(portable: PortableMap) -> int:
+    """Number of products in one evaluation of a static map."""
     network = portable.network
     layers = () if network is None else (*network.weights, *network.biases)
     return portable.linear.size + sum(part.size for part in layers)
 
 
-def _inverse_products(inverse: Inverse) -> int:
-    """Number of products in one evaluation of the inverse map."""
+def _count_inverse_products(inverse: Inverse) -> int:
+    """Number of products in one evaluation of an inverse map."""
     return len(inverse.channels) if inverse.matrix is None else inverse.matrix.size
 
 
-def _reaching_products(part: Any) -> int:
-    """Number of products in one evaluation of a map to equilibria."""
-    return part.slopes.shape[1] if isinstance(part, Joined) else part.size
+def _count_equilibrium_products(part: Any) -> int:
+    """Number of products in one evaluation of a map from set points to equilibria."""
+    return part.slopes.shape[1] if isinstance(part, PiecewiseLinear) else part.size
 
 
 def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
-    """Value of a map at `v`, computed in the order of the C code."""
-    out = times(portable.linear, v)
+    """Evaluate a static map in the order of the C code."""
+    out = multiply_in_order(portable.linear, v)
     if portable.network is None:
         return out
     d = v
     for w, b, low, high in portable.network.hidden():
-        z = times(w, d, b)
+        z = multiply_in_order(w, d, b)
         at_zero = np.where(b >= 0, high, low) * b
         d = np.where(z >= 0, high * z, low * z) - at_zero
-    weights = portable.network.weights
-    return times(weights[-1], d, out)
+    a = portable.network.weights[-1]
+    return multiply_in_order(a, d, out)
 
 
-def _undone(inverse: Inverse, w: Vector) -> Vector:
-    """Value of the inverse map `S^{-1}(w)`, computed in the order of the C code.
+def _evaluate_inverse_map(inverse: Inverse, w: Vector) -> Vector:
+    """Evaluate the inverse of a static map in the order of the C code.
 
     Channel by channel the order is that already; for a product `@` promises none.
     """
-    return inverse(w) if inverse.matrix is None else times(inverse.matrix, w)
+    return inverse(w) if inverse.matrix is None else multiply_in_order(inverse.matrix, w)

@@ -16,8 +16,8 @@ OPSET = 17
 IR_VERSION = 8  # old enough for runtimes in the field
 
 
-class _Graph:
-    """Builder of an ONNX graph with its nodes in order; rows of a signal are samples.
+class _GraphBuilder:
+    """Builder of an ONNX graph that appends one node after another.
 
     An array among the inputs of a node becomes a constant.
     """
@@ -26,19 +26,19 @@ class _Graph:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    def apply(
+    def append_operator(
         self, operator: str, *inputs: str | Float[np.ndarray, "..."], output: str = ""
     ) -> str:
         """Append an operator to the graph and return the name of its output."""
         from onnx import helper
 
-        names = [value if isinstance(value, str) else self.constant(value) for value in inputs]
+        names = [value if isinstance(value, str) else self.add_constant(value) for value in inputs]
         output = output or f"t{len(self.nodes)}"
         node = helper.make_node(operator, names, [output])
         self.nodes.append(node)
         return output
 
-    def constant(self, value: Float[np.ndarray, "..."]) -> str:
+    def add_constant(self, value: Float[np.ndarray, "..."]) -> str:
         """Add a constant to the graph and return its name."""
         from onnx import numpy_helper
 
@@ -47,90 +47,94 @@ class _Graph:
         self.constants.append(numpy_helper.from_array(values, name))
         return name
 
-    def times(self, x: str, matrix: Float[np.ndarray, "r c"]) -> str:
-        """Append the product of a signal and a transposed matrix."""
-        return self.apply("MatMul", x, matrix.T)
+    def append_product(self, x: str, matrix: Float[np.ndarray, "r c"]) -> str:
+        """Append the product of a signal and a transposed matrix to the graph."""
+        return self.append_operator("MatMul", x, matrix.T)
 
-    def map(self, s: PortableMap, v: str) -> str:
-        """Append the output of the map S, layer by layer: `phi(z) - phi(b)`."""
-        terms = [self.times(v, s.linear)]
+    def append_map(self, s: PortableMap, v: str) -> str:
+        """Append the evaluation of a static map to the graph, layer by layer. `phi(z) - phi(b)`."""
+        terms = [self.append_product(v, s.linear)]
         if s.network is None:
-            return self.apply("Sum", *terms)
+            return self.append_operator("Sum", *terms)
         d = v
         for w, b, low, high in s.network.hidden():
-            z = self.apply("Add", self.times(d, w), b)
-            above = self.apply("Max", z, np.zeros(1))
-            below = self.apply("Min", z, np.zeros(1))
-            steep = self.apply("Mul", above, high)
-            flat = self.apply("Mul", below, low)
-            d = self.apply("Sum", steep, flat, -np.where(b >= 0, high, low) * b)
-        weights = s.network.weights
-        terms.append(self.times(d, weights[-1]))
-        return self.apply("Sum", *terms)
+            z = self.append_operator("Add", self.append_product(d, w), b)
+            above = self.append_operator("Max", z, np.zeros(1))
+            below = self.append_operator("Min", z, np.zeros(1))
+            steep = self.append_operator("Mul", above, high)
+            flat = self.append_operator("Mul", below, low)
+            d = self.append_operator("Sum", steep, flat, -np.where(b >= 0, high, low) * b)
+        matrix = s.network.weights[-1]
+        terms.append(self.append_product(d, matrix))
+        return self.append_operator("Sum", *terms)
 
-    def neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
-        """Append the outputs of the neurons, `phi(F x + G v + L_z e + b) - phi(b)`.
+    def append_neurons(self, neurons: PortableNeurons, x: str, lifted: str, error: str = "") -> str:
+        """Append the outputs of the model's neurons to the graph. `phi(F x + G v + L_z e + b) -
+        phi(b)`.
 
         The kinds stand side by side, each masked to its own neurons.
         """
-        terms = [self.times(x, neurons.f), self.times(lifted, neurons.g)]
+        terms = [self.append_product(x, neurons.f), self.append_product(lifted, neurons.g)]
         if error:
-            terms.append(self.times(error, neurons.l_z))
-        z = self.apply("Sum", *terms, neurons.bias)
+            terms.append(self.append_product(error, neurons.l_z))
+        z = self.append_operator("Sum", *terms, neurons.bias)
         parts = []
         for kind in sorted(set(neurons.kinds)):
             own = np.array([each == kind for each in neurons.kinds], dtype=float)
-            parts.append(self.apply("Mul", self.phi(kind, z), own))
-        return self.apply("Sum", *parts, -neurons.phi_bias)
+            parts.append(self.append_operator("Mul", self.append_activation(kind, z), own))
+        return self.append_operator("Sum", *parts, -neurons.phi_bias)
 
-    def phi(self, kind: str, z: str) -> str:
-        """Append one kind of activation function, in operators that runtimes have for doubles."""
+    def append_activation(self, kind: str, z: str) -> str:
+        """Append an activation function to the graph, in operators that runtimes have for
+        doubles."""
         if kind == "tanh":
-            return self.apply("Tanh", z)
-        above = self.apply("Max", z, np.zeros(1))
+            return self.append_operator("Tanh", z)
+        above = self.append_operator("Max", z, np.zeros(1))
         if kind == "relu":
             return above
         if kind == "softplus":  # max(z, 0) + ln(1 + exp(-|z|))
-            negative = self.apply("Neg", self.apply("Abs", z))
-            fading = self.apply("Exp", negative)
-            return self.apply("Add", above, self.apply("Log", self._plus_one(fading)))
-        from_below = self.apply("Max", z, -np.ones(1))
-        clipped = self.apply("Min", from_below, np.ones(1))
+            negative = self.append_operator("Neg", self.append_operator("Abs", z))
+            fading = self.append_operator("Exp", negative)
+            return self.append_operator(
+                "Add", above, self.append_operator("Log", self._append_increment(fading))
+            )
+        from_below = self.append_operator("Max", z, -np.ones(1))
+        clipped = self.append_operator("Min", from_below, np.ones(1))
         if kind == "saturation":
             return clipped
-        square = self.apply("Mul", clipped, clipped)
-        third = self.apply("Div", clipped, np.full(1, 3.0))
-        cubed = self.apply("Mul", square, third)
+        square = self.append_operator("Mul", clipped, clipped)
+        third = self.append_operator("Div", clipped, np.full(1, 3.0))
+        cubed = self.append_operator("Mul", square, third)
         # Clipped cubic: slope one beyond.
-        return self.apply("Add", cubed, self.apply("Sub", z, clipped))
+        return self.append_operator("Add", cubed, self.append_operator("Sub", z, clipped))
 
-    def _plus_one(self, x: str) -> str:
-        """Append the sum of a signal and one."""
-        return self.apply("Add", x, np.ones(1))
+    def _append_increment(self, x: str) -> str:
+        """Append the sum of a signal and one to the graph."""
+        return self.append_operator("Add", x, np.ones(1))
 
 
-def onnx_model(controller: PortableController, about: str) -> Any:
-    """Checked `onnx.ModelProto` of the controller; needs the extra `export`."""
+def build_onnx_model(controller: PortableController, about: str) -> Any:
+    """Build and check the ONNX model of a controller."""
     import onnx
     from onnx import TensorProto, checker, helper
 
-    graph = _cell(controller)
+    graph = _build_controller_graph(controller)
     states = len(controller.a)
 
-    def signal(name: str, width: int) -> Any:
+    def declare_signal(name: str, width: int) -> Any:
         """Declaration of an input or output of the graph."""
         return helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["batch", width])
 
     outputs = controller.scale.outputs
-    inputs = [signal("y", outputs), signal("state", states)]
+    inputs = [declare_signal("y", outputs), declare_signal("state", states)]
     if controller.scale.disturbances:
         disturbances = controller.scale.disturbances
-        inputs.append(signal("d", disturbances))
+        inputs.append(declare_signal("d", disturbances))
     made = helper.make_graph(
         graph.nodes,
         "controller",
         inputs,
-        [signal("u", controller.scale.inputs), signal("next_state", states)],
+        [declare_signal("u", controller.scale.inputs), declare_signal("next_state", states)],
         graph.constants,
         about,
     )
@@ -142,25 +146,25 @@ def onnx_model(controller: PortableController, about: str) -> Any:
     return model
 
 
-def _cell(controller: PortableController) -> _Graph:
-    """ONNX graph of one sample of the controller. `V = K xh` is the scaled input, the others as in
-    PortableController."""
-    graph = _Graph()
+def _build_controller_graph(controller: PortableController) -> _GraphBuilder:
+    """Build the ONNX graph of one sample of the controller. `V = K xh` is the scaled input, the
+    others as in PortableController."""
+    graph = _GraphBuilder()
     scale = controller.scale
     neurons = controller.neurons
-    v = graph.times("state", controller.k)
-    physical = graph.apply("Mul", v, scale.input_scale)
-    graph.apply("Add", physical, scale.input_equilibrium, output="u")
-    lifted = graph.map(controller.s_in, v)
-    from_state = graph.times("state", controller.c)
-    read = graph.apply("Add", from_state, graph.times(lifted, controller.d))
+    v = graph.append_product("state", controller.k)
+    physical = graph.append_operator("Mul", v, scale.input_scale)
+    graph.append_operator("Add", physical, scale.input_equilibrium, output="u")
+    lifted = graph.append_map(controller.s_in, v)
+    from_state = graph.append_product("state", controller.c)
+    read = graph.append_operator("Add", from_state, graph.append_product(lifted, controller.d))
     if neurons and neurons.h.any():
-        within = graph.neurons(neurons, "state", lifted)
-        read = graph.apply("Add", read, graph.times(within, neurons.h))
-    predicted = graph.map(controller.s_out, read)
-    shifted = graph.apply("Sub", "y", scale.output_equilibrium)
-    measured = graph.apply("Div", shifted, scale.output_scale)
-    error = graph.apply("Sub", predicted, measured)
+        within = graph.append_neurons(neurons, "state", lifted)
+        read = graph.append_operator("Add", read, graph.append_product(within, neurons.h))
+    predicted = graph.append_map(controller.s_out, read)
+    shifted = graph.append_operator("Sub", "y", scale.output_equilibrium)
+    measured = graph.append_operator("Div", shifted, scale.output_scale)
+    error = graph.append_operator("Sub", predicted, measured)
     factors = {
         "state": controller.a,
         lifted: controller.b,
@@ -168,10 +172,10 @@ def _cell(controller: PortableController) -> _Graph:
         measured: controller.e,
     }
     if scale.disturbances:
-        moved = graph.apply("Sub", "d", scale.disturbance_equilibrium)
-        factors[graph.apply("Div", moved, scale.disturbance_scale)] = controller.b_d
+        moved = graph.append_operator("Sub", "d", scale.disturbance_equilibrium)
+        factors[graph.append_operator("Div", moved, scale.disturbance_scale)] = controller.b_d
     if neurons:
-        factors[graph.neurons(neurons, "state", lifted, error)] = neurons.into
-    terms = [graph.times(signal, matrix) for signal, matrix in factors.items()]
-    graph.apply("Sum", *terms, output="next_state")
+        factors[graph.append_neurons(neurons, "state", lifted, error)] = neurons.into
+    terms = [graph.append_product(signal, matrix) for signal, matrix in factors.items()]
+    graph.append_operator("Sum", *terms, output="next_state")
     return graph

@@ -24,7 +24,7 @@ MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """Neurons of a model as plain arrays, `phi(F x + G S_u(v) + L_z e + b) - phi(b)` with e the
+    """Neurons of a model as plain arrays. `phi(F x + G S_u(v) + L_z e + b) - phi(b)` with e the
     observer's output error.
 
     `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
@@ -43,15 +43,15 @@ class PortableNeurons:
     def __call__(self, x: "Vector", lifted: "Vector", error: "Vector | None" = None) -> "Vector":
         """Outputs of the neurons, computed in the order of the C code. Without `error` no
         correction is injected."""
-        z = times(self.g, lifted, times(self.f, x, self.bias))
+        z = multiply_in_order(self.g, lifted, multiply_in_order(self.f, x, self.bias))
         if error is not None:
-            z = times(self.l_z, error, z)
+            z = multiply_in_order(self.l_z, error, z)
         return phi(self.kinds, z) - self.phi_bias
 
 
 @dataclass(frozen=True, kw_only=True)
 class PortableController:
-    """Controller and observer of a run as plain numbers.
+    """Controller and observer of a run as plain arrays.
 
     `u = u_eq + s_u K x,  x+ = A x + B S_u(v) + L (S_y(C x + D S_u(v)) - w) + E w`, with
     `v = (u - u_eq)/s_u`, `w = (y - y_eq)/s_y`; physical `u (m,)`, `y (p,)`. The state `x (n,)`
@@ -76,7 +76,7 @@ class PortableController:
     b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def to_json(self) -> dict[str, Any]:
-        """Numbers of the controller as plain lists by name, for `controller.json`."""
+        """Numbers of the controller as plain lists by name."""
         numbers: dict[str, Any] = {name: each.tolist() for name, each in self.arrays().items()}
         numbers["s_in"] = self.s_in.to_json()
         numbers["s_out"] = self.s_out.to_json()
@@ -86,7 +86,7 @@ class PortableController:
         return numbers
 
     def arrays(self) -> dict[str, Float[np.ndarray, "..."]]:
-        """Constants of the controller by name, except those of the maps."""
+        """Constant arrays of the controller by name, without its static maps."""
         matrices = {name: getattr(self, name) for name in MATRICES}
         neurons = dict(vars(self.neurons)) if self.neurons else {}
         neurons.pop("kinds", None)
@@ -95,9 +95,9 @@ class PortableController:
         return matrices | scale | neurons | disturbances
 
     @property
-    def held_states(self) -> slice:
-        """Slice of the states that have to be held while a limit acts. They are the integrators of
-        a ramp's internal model.
+    def frozen_state_range(self) -> slice:
+        """Range of the internal model's states that stop while an input limit acts. They are the
+        integrators of a ramp's internal model.
 
         They come first in its model.
         """
@@ -109,7 +109,7 @@ class PortableController:
         return slice(first, first + count)
 
     def recurrence(self) -> System:
-        """Linear system of the model alone, without the internal model, in float64."""
+        """Linear recurrence of the controller's model, without the internal model."""
         n = len(self.a) - int(self.e.any(axis=1).sum())  # E drives the internal model alone
         a = self.a[:n, :n].astype(float)
         b = self.b[:n].astype(float)
@@ -118,7 +118,7 @@ class PortableController:
         linear = StateSpace(a=a, b=b, c=c, d=d)
         if not self.neurons:
             return linear
-        neurons = as_floats(self.neurons, np.float64)
+        neurons = convert_floats(self.neurons, np.float64)
         e = neurons.into[:n]
         f = neurons.f[:, :n]
         return StructuredSystem(
@@ -136,8 +136,8 @@ def _refuse_what_no_target_computes(design: Design) -> None:
     require(not design.inverts, "synthesis.invert_input", True, problem, "export a run without it")
 
 
-def portable_controller(model: Model, design: Design) -> PortableController:
-    """Controller of a model and its design as plain arrays.
+def convert_controller(model: Model, design: Design) -> PortableController:
+    """Convert the controller of a model and its design to plain arrays.
 
     Raises `BadRequest` when the design has no controller or observer, or was made for another
     model.
@@ -162,7 +162,7 @@ def portable_controller(model: Model, design: Design) -> PortableController:
     e = np.vstack([np.zeros((n, p)), into_modes])
     s_in = model.scaffold_in.portable()
     s_out = model.scaffold_out.portable()
-    neurons = _neurons(model, gains.l_z, added)
+    neurons = _convert_neurons(model, gains.l_z, added)
     disturbances = model.scale.disturbances
     b_d = np.pad(model.b_d, below) if disturbances else model.b_d
     return PortableController(
@@ -182,10 +182,11 @@ def portable_controller(model: Model, design: Design) -> PortableController:
     )
 
 
-def _neurons(
+def _convert_neurons(
     model: Model, l_z: Float[np.ndarray, "r p"] | None, added: int
 ) -> PortableNeurons | None:
-    """Neurons of a model as plain arrays. None for a model without neurons."""
+    """Convert the neurons of a model to plain arrays; None if it has none. None for a model without
+    neurons."""
     if not isinstance(model, StructuredSSM) or not model.neurons:
         return None
     outputs = model.scale.outputs
@@ -206,8 +207,10 @@ def _neurons(
     )
 
 
-def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -> Vector:
-    """Sum `start + a x`, added from the first column on as in the C code.
+def multiply_in_order(
+    a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None
+) -> Vector:
+    """Sum `start + a x`, added up column by column as in the C code.
 
     `@` does not promise it.
     """
@@ -217,15 +220,15 @@ def times(a: Float[np.ndarray, "r c"], x: Vector, start: Vector | None = None) -
     return y
 
 
-def as_floats(value: Any, kind: Any) -> Any:
-    """Copy of `value` with every array in it, at any depth, converted to the float type `kind`."""
+def convert_floats(value: Any, kind: Any) -> Any:
+    """Copy of an object in which every array, at any depth, has a given float type."""
     if isinstance(value, np.ndarray):
         return value.astype(kind)
     if isinstance(value, tuple):
-        return tuple(as_floats(part, kind) for part in value)
+        return tuple(convert_floats(part, kind) for part in value)
     if is_dataclass(value) and not isinstance(value, type):
         parts = {}
         for part in fields(value):
-            parts[part.name] = as_floats(getattr(value, part.name), kind)
+            parts[part.name] = convert_floats(getattr(value, part.name), kind)
         return replace(value, **parts)
     return value

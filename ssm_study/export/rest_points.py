@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-from ssm_study.export.portable import PortableController, PortableNeurons, Vector, times
+from ssm_study.export.portable import PortableController, PortableNeurons, Vector, multiply_in_order
 from ssm_study.models.structured import phi
 from ssm_study.systems import StructuredSystem
 
@@ -23,8 +23,9 @@ Rows = Float[np.ndarray, "h r"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joined:
-    """Piecewise linear map `out = slopes[j] w + offsets[j]`, j the count of `points <= w`.
+class PiecewiseLinear:
+    """Piecewise linear map of a scalar to a vector. `out = slopes[j] w + offsets[j]`, j the count
+    of `points <= w`.
 
     Beyond the ends the last line continues.
     """
@@ -34,8 +35,8 @@ class Joined:
     offsets: Rows
 
     @classmethod
-    def through(cls, w: Vector, out: Rows) -> "Joined":
-        """Piecewise linear map through the points `w`, in any order, with a row of `out` each."""
+    def interpolate(cls, w: Vector, out: Rows) -> "PiecewiseLinear":
+        """Piecewise linear map through given points."""
         order = np.argsort(w)
         w = w[order]
         out = out[order]
@@ -50,16 +51,16 @@ class Joined:
         return self.slopes[j] * w[0] + self.offsets[j]
 
 
-def reached(by: "Joined | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
-    """Value of a matrix or of a piecewise linear map at `w`. The product is in the order of the C
+def evaluate_equilibrium_map(by: "PiecewiseLinear | Float[np.ndarray, 'r c']", w: Vector) -> Vector:
+    """Evaluate a matrix or a piecewise linear map at a vector. The product is in the order of the C
     code."""
-    return by(w) if isinstance(by, Joined) else times(by, w)
+    return by(w) if isinstance(by, PiecewiseLinear) else multiply_in_order(by, w)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Curve:
-    """Equilibria for rising values `lifted (h,)`: states `x (h, n)`, and the arguments of S_y,
-    `read (h,)`.
+class EquilibriumCurve:
+    """Equilibria of a model for increasing values of its mapped input. For each of `lifted (h,)`
+    states `x (h, n)`, and the arguments of S_y, `read (h,)`.
 
     `read` rises or falls throughout.
     """
@@ -69,8 +70,10 @@ class Curve:
     read: Vector
 
 
-def equilibrium_curve(controller: PortableController, low: float, high: float) -> Curve | None:
-    """Equilibria at points from `low` to `high`, and half way between these points.
+def compute_equilibrium_curve(
+    controller: PortableController, low: float, high: float
+) -> EquilibriumCurve | None:
+    """Compute the equilibria of a model over an interval of its mapped input.
 
     None where two of them share an output, or one is not found.
     """
@@ -86,7 +89,7 @@ def equilibrium_curve(controller: PortableController, low: float, high: float) -
             continue
         near = np.zeros(model.order)  # each side begins at rest
         for v in np.linspace(0.0, end, 2 * PIECES + 1):
-            x = _equilibrium(model, neurons, v, near)
+            x = _find_equilibrium(model, neurons, v, near)
             if x is None:
                 return None
             states[float(v)] = x
@@ -98,16 +101,15 @@ def equilibrium_curve(controller: PortableController, low: float, high: float) -
     read = x @ model.c[0] + lifted * model.d[0, 0] + w @ model.h[0]
     apart = np.diff(read)
     is_monotone = (apart > 0).all() or (apart < 0).all()
-    return Curve(lifted=lifted, x=x, read=read) if is_monotone else None
+    return EquilibriumCurve(lifted=lifted, x=x, read=read) if is_monotone else None
 
 
-def _equilibrium(
+def _find_equilibrium(
     model: StructuredSystem, neurons: PortableNeurons, v: float, near: Vector
 ) -> Vector | None:
-    """Equilibrium state of the model for one lifted input, found by a search from its
-    neighbour's."""
+    """Find the equilibrium state of a model with neurons for one mapped input."""
 
-    def residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
+    def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
         """Difference between the next state and the state."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
         w = phi(neurons.kinds, z) - neurons.phi_bias
@@ -116,7 +118,7 @@ def _equilibrium(
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
         return following - x, tangent.a - np.eye(len(x))
 
-    solved = scipy.optimize.root(residual, near, jac=True, tol=1e-12)
+    solved = scipy.optimize.root(equilibrium_residual, near, jac=True, tol=1e-12)
     # At a kink it ends without success, and exactly there.
     is_solved = np.abs(solved.fun).max(initial=0.0) <= LARGEST_RESIDUAL
     return solved.x if is_solved else None

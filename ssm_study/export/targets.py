@@ -21,10 +21,10 @@ from ssm_study.certificates.theorem import Theorem, VerificationContext
 from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
-from ssm_study.export.c import c_files
+from ssm_study.export.c import render_c_files
 from ssm_study.export.device import Device
-from ssm_study.export.onnx import onnx_model
-from ssm_study.export.portable import PortableController, as_floats, portable_controller
+from ssm_study.export.onnx import build_onnx_model
+from ssm_study.export.portable import PortableController, convert_controller, convert_floats
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.stored import model_from_json
@@ -44,60 +44,69 @@ Range = Float[np.ndarray, "c"]
 _SCRIPT = Path(__file__).with_name("script.py.txt")
 
 
-def export(run: Path, to: Path, *, real: str = "double", prefix: str = "controller") -> list[Path]:
-    """Write the controller of a run into the folder `to` and return the files that were written.
+def write_controller(
+    run: Path, to: Path, *, real: str = "double", prefix: str = "controller"
+) -> list[Path]:
+    """Write the controller of a run into a folder in all formats.
 
     C in `real`, "double" or "float", whose names begin with `prefix`, and the other files of
     docs/howto_export.md. Raises `BadRequest` for a run without controller, an unknown `real`, or
     when `to` is a file.
     """
-    sources = c_sources(run, real=real, prefix=prefix)
+    sources = render_controller(run, real=real, prefix=prefix)
     require(not to.exists() or to.is_dir(), "to", to, "is a file", "name a folder")
     to.mkdir(parents=True, exist_ok=True)
-    controller = load(run)
-    about = describe(run)
+    controller = load_controller(run)
+    about = describe_origin(run)
     numbers = {"about": about, **controller.to_json()}
     contents = {to / name: text.encode() for name, text in sources.items()}
     contents[to / "controller.json"] = (json.dumps(numbers, indent=1) + "\n").encode()
     contents[to / "controller.py"] = _SCRIPT.read_bytes()
     contents[to / "certificate.json"] = (run / "certificate.json").read_bytes()
     if find_spec("onnx") is not None:
-        contents[to / "controller.onnx"] = onnx_model(controller, about).SerializeToString()
+        contents[to / "controller.onnx"] = build_onnx_model(controller, about).SerializeToString()
     for path, content in contents.items():
         write_atomically(path, content, durable=False)
     return sorted(contents)
 
 
-def c_sources(run: Path, *, real: str = "double", prefix: str = "controller") -> dict[str, str]:
-    """File name and text of the C code of a run's controller, with input limits as `limits` gives.
-    Refuses what `export` refuses."""
-    controller = load(run)
+def render_controller(
+    run: Path, *, real: str = "double", prefix: str = "controller"
+) -> dict[str, str]:
+    """Names and texts of the C files of a run's controller. Refuses what `write_controller`
+    refuses."""
+    controller = load_controller(run)
     design = Design.load(run / "certificate.json")
-    device = Device.of(controller, real, *limits(run))
-    rates = deployed_rates(device, design)
+    device = Device.from_controller(controller, real, *find_input_limits(run))
+    rates = prove_deployed_rates(device, design)
     sides = ", ".join(f"{side.replace('_', ' ')} {rate or 'none'}" for side, rate in rates.items())
     proved = f"Rates proved for the numbers below, in {real}: {sides}."
-    return c_files(
+    return render_c_files(
         device,
         prefix,
-        about=describe(run),
-        signals=_signal_lines(run, device),
+        about=describe_origin(run),
+        signals=_describe_signals(run, device),
         digest=hashlib.sha256((run / "certificate.json").read_bytes()).hexdigest(),
-        rates=(proved, *_limit_lines(run, design, device), *_rounding_lines(run, device)),
+        rates=(
+            proved,
+            *_describe_limits(run, design, device),
+            *_describe_rounding_error(run, device),
+        ),
     )
 
 
-def limits(run: Path) -> tuple[Range, Range]:
-    """Lower and upper limit of the input, in physical units. Infinite for a run without records.
+def find_input_limits(run: Path) -> tuple[Range, Range]:
+    """Lower and upper limits of the input in physical units, as set or as recorded. Infinite for a
+    run without records.
 
     `loop.input_lower` and `loop.input_upper` where they were given, else what the training records
     and rest visited: beyond that range nothing is known of S_u.
     """
-    visited = _recorded_range(run, "excitation.mcap", "/input")
+    visited = _read_recorded_ranges(run, "excitation.mcap", "/input")
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
     loop = _loop_settings(run)
-    scale = _model(run).scale
+    scale = _load_model(run).scale
     inputs = [np.stack(visited[1:])]
     around_rest = scale.append_equilibrium_input(inputs)
     return input_limits(loop.get("input_lower"), loop.get("input_upper"), around_rest)
@@ -113,10 +122,10 @@ def _loop_settings(run: Path) -> dict[str, Any]:
     return loop if isinstance(loop, dict) else {}
 
 
-def _recorded_range(
+def _read_recorded_ranges(
     run: Path, name: str, topic: str
 ) -> tuple[tuple[Channel, ...], Range, Range] | None:
-    """Channels of a topic, each with the least and greatest value in the records."""
+    """Channels of a recorded topic, with the smallest and largest value of each."""
     if not (run / name).is_file():
         return None
     mcap = read_mcap(run / name)
@@ -128,26 +137,25 @@ def _recorded_range(
     return channels, values.min(axis=0), values.max(axis=0)
 
 
-def _signal_lines(run: Path, device: Device) -> tuple[str, ...]:
-    """Text lines, one per signal: name, unit, and the limits of an input or the range of an
-    output."""
+def _describe_signals(run: Path, device: Device) -> tuple[str, ...]:
+    """Lines of text on every signal: name, unit and limits or range."""
     lines: list[str] = []
-    inputs = _recorded_range(run, "excitation.mcap", "/input")
+    inputs = _read_recorded_ranges(run, "excitation.mcap", "/input")
     if inputs is not None:
-        lines += _range_lines("input", "limited to", inputs[0], device.lower, device.upper)
-    disturbances = _recorded_range(run, "excitation.mcap", "/disturbance")
+        lines += _describe_ranges("input", "limited to", inputs[0], device.lower, device.upper)
+    disturbances = _read_recorded_ranges(run, "excitation.mcap", "/disturbance")
     if disturbances is not None:
-        lines += _range_lines("disturbance", "measured, seen from", *disturbances)
-    outputs = _recorded_range(run, "validation.mcap", "/measured")
+        lines += _describe_ranges("disturbance", "measured, seen from", *disturbances)
+    outputs = _read_recorded_ranges(run, "validation.mcap", "/measured")
     if outputs is not None:
-        lines += _range_lines("output", "seen from", *outputs)
+        lines += _describe_ranges("output", "seen from", *outputs)
     return tuple(lines)
 
 
-def _range_lines(
+def _describe_ranges(
     side: str, relation: str, channels: tuple[Channel, ...], lower: Range, upper: Range
 ) -> list[str]:
-    """Text lines with the range of each channel of the inputs or of the outputs."""
+    """Lines of text with the range of every channel of the inputs or outputs."""
     lines = []
     for j, (channel, low, high) in enumerate(zip(channels, lower, upper, strict=True)):
         values = f"{relation} {low:.6g} to {high:.6g}"
@@ -155,16 +163,17 @@ def _range_lines(
     return lines
 
 
-def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
-    """Sentences on what the certificate proves within the limits. Empty where it proves nothing."""
+def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ...]:
+    """Sentences on what the certificate proves within the input limits. Empty where it proves
+    nothing."""
     lower = np.asarray(device.lower, dtype=float)
     upper = np.asarray(device.upper, dtype=float)
     if max(-lower.min(), upper.max()) >= UNLIMITED:
         return ()
-    model = _model(run)
+    model = _load_model(run)
     if not isinstance(model, SSM):
         unproved = "Within the limits nothing is proved: the theorems on them know no neurons."
-        return (unproved, *_set_point_lines(device))
+        return (unproved, *_describe_set_point_error(device))
     try:
         proved = within_limits(model, design, lower, upper)
     except BadRequest as refusal:
@@ -175,7 +184,7 @@ def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
             "From everywhere the state feedback, cut at the limits, contracts at rate "
             f"{proved.everywhere.rate:.3g}, and the estimate as fast as without them."
         )
-    if device.set_points is None:
+    if device.set_point_maps is None:
         cannot_start = (
             "The limits are proved not to act from rest alone: "
             "the estimate cannot start at an output on the device."
@@ -191,39 +200,38 @@ def _limit_lines(run: Path, design: Design, device: Device) -> tuple[str, ...]:
     return inside, beyond
 
 
-def _set_point_lines(device: Device) -> tuple[str, ...]:
-    """Text line with the largest error of set points between stored equilibria, in the output's
-    scale."""
-    if device.set_points is None or not device.set_points.missed:
+def _describe_set_point_error(device: Device) -> tuple[str, ...]:
+    """Line of text with the largest error of set points between stored equilibria."""
+    if device.set_point_maps is None or not device.set_point_maps.missed:
         return ()
-    missed = f"missed by at most {device.set_points.missed:.1e}."
+    missed = f"missed by at most {device.set_point_maps.missed:.1e}."
     return (f"Set points lie on lines between stored rest points: {missed}",)
 
 
-def python_control_system(run: Path) -> Any:
-    """Controller of a run as a `control.NonlinearIOSystem`.
+def as_python_control(run: Path) -> Any:
+    """Controller of a run as a nonlinear system of python-control.
 
     It is what `controller.py` makes elsewhere.
     """
     with TemporaryDirectory() as folder:
         controller_path = Path(folder) / "controller.json"
-        controller_path.write_text(json.dumps(load(run).to_json()))
+        controller_path.write_text(json.dumps(load_controller(run).to_json()))
         shutil.copyfile(_SCRIPT, Path(folder) / "controller.py")
         path = runpy.run_path(str(Path(folder) / "controller.py"))
         return path["controller"]
 
 
-def load(run: Path) -> PortableController:
-    """Controller of a run as plain arrays."""
+def load_controller(run: Path) -> PortableController:
+    """Load the controller of a run as plain arrays."""
     for name in ("model.json", "certificate.json"):
         is_there = (run / name).is_file()
         remedy = "name the folder of a run that reached the controller"
         require(is_there, "run", run, f"it has no {name}", remedy)
-    return portable_controller(_model(run), Design.load(run / "certificate.json"))
+    return convert_controller(_load_model(run), Design.load(run / "certificate.json"))
 
 
-def _model(run: Path) -> Model:
-    """Stored model of a run."""
+def _load_model(run: Path) -> Model:
+    """Load the stored model of a run."""
     model = model_from_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
     is_certifiable = isinstance(model, Model)
@@ -231,10 +239,10 @@ def _model(run: Path) -> Model:
     return model  # type: ignore[return-value]  # just asked
 
 
-def describe(run: Path) -> str:
-    """Line of text with the run that the controller comes from and the exact verdict on its
+def describe_origin(run: Path) -> str:
+    """Line of text with the run that a controller comes from and the exact verdict on its
     certificate."""
-    model = _model(run)
+    model = _load_model(run)
     design = Design.load(run / "certificate.json")
     verdict = "NOT certified"
     # An internal model behind an output map that is not linear: no theorem covers it.
@@ -249,7 +257,7 @@ def describe(run: Path) -> str:
 
 
 def _is_certified(run: Path, model: Model, design: Design) -> bool:
-    """Whether exact arithmetic confirms every claim of the stored certificate."""
+    """Whether exact arithmetic confirms every claim of the stored certificate of a run."""
     content = json.loads((run / "certificate.json").read_text())
     feedback = design.parts()[0]
     controlled = controlled_system(model, feedback)
@@ -258,29 +266,29 @@ def _is_certified(run: Path, model: Model, design: Design) -> bool:
     return not failed_checks(content, model.system, certified_balls(model), controlled)
 
 
-def _rounding_lines(run: Path, device: Device) -> tuple[str, ...]:
-    """Text line with the change of the simulated loop by rounding. Empty in double precision.
+def _describe_rounding_error(run: Path, device: Device) -> tuple[str, ...]:
+    """Line of text with the change of the simulated closed loop due to rounding. Empty in double
+    precision.
 
     From rest one output scale off.
     """
-    if device.set_points is None or device.real == "double":
+    if device.set_point_maps is None or device.real == "double":
         return ()
     lower = device.lower.astype(float)
     upper = device.upper.astype(float)
-    exact = Device.of(load(run), "double", lower, upper)
-    model = _model(run)
+    exact = Device.from_controller(load_controller(run), "double", lower, upper)
+    model = _load_model(run)
     output_equilibrium = model.scale.output_equilibrium
     output_scale = model.scale.output_scale
-    start = exact.start(output_equilibrium + output_scale)
-    difference = _loop_outputs(model, device, start) - _loop_outputs(model, exact, start)
+    start = exact.equilibrium_state(output_equilibrium + output_scale)
+    difference = _simulate_loop(model, device, start) - _simulate_loop(model, exact, start)
     apart = float((np.abs(difference) / model.scale.output_scale).max())
     distance = f"by at most {apart:.1e} output scales."
     return (f"Rounding to {device.real} moves the loop on the model {distance}",)
 
 
-def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -> Any:
-    """Outputs `(T, p)` of the model in closed loop with the device, both started at `start`, until
-    they settle."""
+def _simulate_loop(model: Model, device: Device, start: Float[np.ndarray, "n"]) -> Any:
+    """Outputs of the model in closed loop with the device, until they settle."""
     kind = device.lower.dtype
     output_equilibrium = model.scale.output_equilibrium
     set_point = np.asarray(output_equilibrium, dtype=kind)
@@ -292,21 +300,21 @@ def _loop_outputs(model: Model, device: Device, start: Float[np.ndarray, "n"]) -
     for _ in range(LOOP_SAMPLES):
         output = model.read(x, nothing_applied)
         y = np.asarray(output, dtype=kind)
-        u, state = device.track(state, y, set_point)
+        u, state = device.compute_step(state, y, set_point)
         x = model.advance(x, model.lift(u.astype(float)))
         outputs.append(output)
     return np.array(outputs)
 
 
-def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
-    """Contraction rates that exact arithmetic proves for the rounded `A, B, C, K, L` and maps.
+def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
+    """Contraction rates that exact arithmetic proves for the rounded numbers of a controller.
 
     Proved with the stored metrics. The device is an observer for its own rounded model, so that
     model is what is certified: the stored rate where the theorem still holds, else the largest of
     some smaller rates, else None. With an internal model the augmented pair is rebuilt from the
     rounded numbers. Source: [Z26] Theorems 1 and 2.
     """
-    controller = as_floats(device.controller, np.float64)
+    controller = convert_floats(device.controller, np.float64)
     system = controller.recurrence()
     controlled = system
     if len(controller.a) > system.order:
@@ -318,8 +326,8 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     gains = {"state_feedback": state_feedback, "observer": observer}
     if controller.neurons:
         gains["observer"]["l_z"] = controller.neurons.l_z
-    inner = _rounded_ball(controller.s_in)
-    outer = _rounded_ball(controller.s_out)
+    inner = _bound_rounded_slopes(controller.s_in)
+    outer = _bound_rounded_slopes(controller.s_out)
     if inner is None or outer is None:  # no ball, no theorem
         return dict.fromkeys(gains)
     balls = Balls(input=inner, output=outer)
@@ -328,16 +336,16 @@ def deployed_rates(device: Device, design: Design) -> dict[str, float | None]:
     for side, gain in gains.items():
         # The certificate at the requested rate and that at the gain's largest rate.
         parts = [design.content[side], design.extra_certificates.get(f"{side}_deployed")]
-        rates = [_largest_rate(part, context, gain) for part in parts if isinstance(part, Theorem)]
+        rates = [_provable_rate(part, context, gain) for part in parts if isinstance(part, Theorem)]
         proved[side] = max(rates, default=0.0) or None
     return proved
 
 
-def _largest_rate(
+def _provable_rate(
     part: Theorem, context: VerificationContext, gain: dict[str, Float[np.ndarray, "r c"]]
 ) -> float:
-    """Stored rate if it can be proved for the rounded numbers. Else the largest smaller one, by
-    bisection; 0 if none can."""
+    """Largest rate, at most the certified one, that exact arithmetic proves for the rounded
+    numbers. Else the largest smaller one, by bisection; 0 if none can."""
     ball = part.ball(context)
     stored = float(part.variables["rate"])
     numbers = part.variables | part.model_data(context) | gain
@@ -355,8 +363,9 @@ def _largest_rate(
     return low
 
 
-def _rounded_ball(portable: PortableMap) -> JacobianBall | None:
-    """Ball that contains the slopes of a rounded map. None where no sound one is known."""
+def _bound_rounded_slopes(portable: PortableMap) -> JacobianBall | None:
+    """Ball that contains the slopes of a static map with rounded numbers. None where no sound one
+    is known."""
     try:
         if portable.network is None:
             linear_scaffold = LinearScaffold(gain=portable.linear)

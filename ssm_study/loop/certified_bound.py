@@ -4,7 +4,7 @@ The experiment is that of docs/closed_loop.md. With `M = P^{-1}`, `d[k] = ||x[k]
 ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <=
 r_c d[k] + c e[k]` and Theorem 2 `e[k+1] <= r_o e[k]`. With limited inputs the certificate of
 `theorems/limited_input.py` takes the state feedback's place. Source: [Z26] Lemma 1 and Theorem 3,
-with the constant made explicit (`input_gain`).
+with the constant made explicit (`estimation_error_gain`).
 """
 
 from itertools import product
@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.certificates.theorems.structured_state_feedback import StructuredStateFeedback
-from ssm_study.loop.rollout import squared_shrink
+from ssm_study.loop.rollout import mean_squared_contraction
 
 ROUNDING = 1e-9  # relative: what float64 may add to a distance over a thousand steps
 RESOLUTION = 1e-12  # of the bound's own start: below it both sides are rounding
@@ -28,10 +28,10 @@ Distances = Float[np.ndarray, "N T"]
 PerCase = Float[np.ndarray, "N"]
 
 
-def in_inverse_metric(
+def transform_to_inverse_metric(
     matrix: Float[np.ndarray, "n n"], columns: Float[np.ndarray, "n k"]
 ) -> Float[np.ndarray, "n k"]:
-    """Transform columns so that their Euclidean norms are their norms in the metric `matrix^{-1}`.
+    """Transform vectors so that their Euclidean norms are their norms in the metric `matrix^{-1}`.
 
     `R^{-1} columns` with `R R' = matrix`.
     """
@@ -39,7 +39,7 @@ def in_inverse_metric(
     return scipy.linalg.solve_triangular(root, columns, lower=True)
 
 
-def distances(
+def metric_distances(
     x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
 ) -> tuple[Distances, Distances]:
     """Distances of the state from the equilibrium and of the estimate from the state, in the
@@ -53,26 +53,25 @@ def distances(
     root = np.linalg.cholesky(observer.q)
     e = np.linalg.norm(error @ root, axis=2)
     with_integrators = np.concatenate([x, x_hat[:, :, n:]], axis=2)
-    return _feedback_distance(with_integrators, feedback), e
+    return _feedback_distances(with_integrators, feedback), e
 
 
-def _feedback_distance(rows: Estimates, feedback: StateFeedback) -> Distances:
-    """Distance of each row from the equilibrium in the state feedback's metric `P^{-1}`."""
+def _feedback_distances(rows: Estimates, feedback: StateFeedback) -> Distances:
+    """Distances of states from the equilibrium in the state feedback's metric `P^{-1}`."""
     columns = rows.reshape(-1, rows.shape[2]).T
-    norms = np.linalg.norm(in_inverse_metric(feedback.p, columns), axis=0)
+    norms = np.linalg.norm(transform_to_inverse_metric(feedback.p, columns), axis=0)
     return norms.reshape(rows.shape[:2])
 
 
-def certified_bound(
+def distance_bound(
     d0: PerCase, e0: PerCase, samples: int, feedback: StateFeedback, observer: Observer
 ) -> Distances:
-    """Certified bound on the state's distance from the equilibrium, from the initial distance `d0`
-    and the initial estimation error `e0`.
+    """Certified upper bound on the state's distance from the equilibrium at each sample.
 
     `r_c^k d[0] + c e[0] sum_{i<k} r_c^(k-1-i) r_o^i` for `k = 0 .. samples - 1`, with
     `r = sqrt(1 - rate)`.
     """
-    c = input_gain(feedback, observer)
+    c = estimation_error_gain(feedback, observer)
     bound = np.empty((len(d0), samples))
     error = e0
     bound[:, 0] = d0
@@ -82,77 +81,80 @@ def certified_bound(
     return bound
 
 
-def input_gain(feedback: StateFeedback, observer: Observer) -> float:
-    """Gain from the estimate's error to the state's next distance, in the certified metrics.
+def estimation_error_gain(feedback: StateFeedback, observer: Observer) -> float:
+    """Gain from the estimation error to the state's distance from the equilibrium one sample later,
+    in the certified metrics.
 
     `c = nu max_S ||M^{1/2} (B + E S G)||_2 ||K_x Q^{-1/2}||_2`, `K_x` the columns of K that act on
     the estimate. S runs over the neurons' slopes: the norm is convex in them, so that the corners
     decide; above `MOST_NEURONS` it is bounded by `||M^{1/2} B||_2 + ||M^{1/2} E||_2 ||G||_2`.
     Source: docs/theory.md, "With neurons".
     """
-    into = in_inverse_metric(feedback.p, feedback.b)  # M^{1/2} B
+    into = transform_to_inverse_metric(feedback.p, feedback.b)  # M^{1/2} B
     if not isinstance(feedback, StructuredStateFeedback):
         largest = np.linalg.norm(into, 2)
     elif len(feedback.g) > MOST_NEURONS:
-        inner = in_inverse_metric(feedback.p, feedback.e)
+        inner = transform_to_inverse_metric(feedback.p, feedback.e)
         through = np.linalg.norm(inner, 2) * np.linalg.norm(feedback.g, 2)
         largest = np.linalg.norm(into, 2) + through
     else:
-        inner = in_inverse_metric(feedback.p, feedback.e)
+        inner = transform_to_inverse_metric(feedback.p, feedback.e)
         corners = product((0.0, 1.0), repeat=len(feedback.g))
         inputs = (into + (inner * slopes) @ feedback.g for slopes in corners)
         largest = max(np.linalg.norm(matrix, 2) for matrix in inputs)
     gain_on_estimate = feedback.k[:, : len(observer.q)]
-    out = in_inverse_metric(observer.q, gain_on_estimate.T)  # (K_x Q^{-1/2})^T
+    out = transform_to_inverse_metric(observer.q, gain_on_estimate.T)  # (K_x Q^{-1/2})^T
     slope = abs(feedback.alpha) + feedback.beta
     return float(slope * float(largest) * np.linalg.norm(out, 2))
 
 
-def violations(x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer) -> int:
-    """Number of samples, over all cases, whose measured distance exceeds the bound by more than
-    rounding."""
-    d, e = distances(x, x_hat, feedback, observer)
-    bound = certified_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
+def count_bound_violations(
+    x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
+) -> int:
+    """Number of samples at which the measured distance from the equilibrium exceeds the certified
+    bound."""
+    d, e = metric_distances(x, x_hat, feedback, observer)
+    bound = distance_bound(d[:, 0], e[:, 0], x.shape[1], feedback, observer)
     floor = RESOLUTION * (d[:, :1] + e[:, :1])
     return int((d > bound * (1 + ROUNDING) + floor).sum())
 
 
-def decay_rate(
+def estimation_decay_rate(
     x: States, x_hat: Estimates, feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Measured decay rate `1 - r^2` of the estimate's error, in the slowest case.
+    """Measured decay rate `1 - r^2` of the estimation error, in the slowest case.
 
     r is the mean shrink per sample of `e = ||xh - x||_Q` until it is below `FORGOTTEN` of its
     start; on the model `e[k+1] <= r_o e[k]`, so the rate is at least the certified
     `observer.rate`. Cases that do not get there are taken to the end; None if the estimate is exact
     from the start.
     """
-    errors = distances(x, x_hat, feedback, observer)[1]
+    errors = metric_distances(x, x_hat, feedback, observer)[1]
     errors = errors[errors[:, 0] > 0]
     if not len(errors):
         return None
-    shrinks = squared_shrink(errors, FORGOTTEN * errors[:, :1])
+    shrinks = mean_squared_contraction(errors, FORGOTTEN * errors[:, :1])
     return float(1.0 - shrinks.max())
 
 
-def excess(
+def relative_bound_excess(
     x_hat: Estimates, x0: Float[np.ndarray, "N n"], feedback: StateFeedback, observer: Observer
 ) -> float | None:
-    """Largest amount by which an estimate exceeds the certified bound, as a share of the initial
+    """Largest amount by which an estimate exceeds the certified bound, relative to the initial
     bound.
 
     `max(0, ||xh[k]||_M - b[k]) / b[0]` over cases and samples. `b[k]` is the bound above plus
     `kappa r_o^k e[0]` (docs/closed_loop.md); on the model from `x0` the value is 0. `M` belongs to
     state and integrators, `Q` to the state. None if all cases start at 0.
     """
-    d, e = distances(x0[:, None], x_hat[:, :1], feedback, observer)
+    d, e = metric_distances(x0[:, None], x_hat[:, :1], feedback, observer)
     samples = x_hat.shape[1]
     into_state = np.eye(len(feedback.p), len(observer.q))
-    state_columns = in_inverse_metric(feedback.p, into_state)
-    kappa = float(np.linalg.norm(in_inverse_metric(observer.q, state_columns.T), 2))
+    state_columns = transform_to_inverse_metric(feedback.p, into_state)
+    kappa = float(np.linalg.norm(transform_to_inverse_metric(observer.q, state_columns.T), 2))
     fading_error = kappa * e * observer.contraction ** np.arange(samples)
-    bound = certified_bound(d[:, 0], e[:, 0], samples, feedback, observer) + fading_error
-    distance = _feedback_distance(x_hat, feedback)
+    bound = distance_bound(d[:, 0], e[:, 0], samples, feedback, observer) + fading_error
+    distance = _feedback_distances(x_hat, feedback)
     beyond = distance - bound * (1 + ROUNDING) - RESOLUTION * (d + e)
     is_moving = bound[:, 0] > 0
     if not is_moving.any():

@@ -9,7 +9,7 @@ import scipy
 
 from ssm_study.loop import peers
 from ssm_study.loop.metrics import pool_columns
-from ssm_study.loop.peers.peer import UNSAID, Identified, Peer, Row, compared
+from ssm_study.loop.peers.peer import UNSAID, Identified, Peer, Row, build_compared_controller
 from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.regulation import ComparisonTable, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
@@ -25,8 +25,8 @@ Case = tuple[Plant, Loop]
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison(ComparisonTable):
-    """Comparison of all controllers in all situations, with one row for each controller in each
-    situation.
+    """Table that compares controllers in several situations, with one row for each controller in
+    each situation.
 
     It is explained in docs/closed_loop.md, "Robustness".
 
@@ -61,42 +61,46 @@ class Comparison(ComparisonTable):
         require(is_pi, "loop.comparison.own_pi", self.own_pi, "not a gain and a time", remedy)
 
     def _check_names(self, field_name: str, names: Sequence[str]) -> None:
-        """Raise `BadRequest` for values of a field that are not among these names."""
+        """Refuse values of a setting that are not among the known names."""
         unknown = [value for value in getattr(self, field_name) if value not in names]
         withdrawn = [WITHDRAWN[value] for value in unknown if value in WITHDRAWN]
         problem = withdrawn[0] if withdrawn else "not known"
         remedy = f"use some of {', '.join(names)}"
         require(not unknown, f"loop.comparison.{field_name}", unknown, problem, remedy)
 
-    def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the table, one for each controller in each situation.
+    def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
+        """Rows of the comparison table, one for each controller in each situation.
 
         A controller that does not exist for this model has rows with the reason and no numbers.
         """
-        built = [compared(name, plant, known, self.rate) for name in self.controllers]
+        built = [
+            build_compared_controller(name, plant, identified, self.rate)
+            for name in self.controllers
+        ]
         if self.own_pi is not None:
-            own_pi = PI.on(plant, *self.own_pi)
+            own_pi = PI.for_plant(plant, *self.own_pi)
             built.append((own_pi, UNSAID | {"controller": "own_pi"}))
         rows: list[Row] = []
         for situation in self.situations:
-            cases = self.cases(plant, loop, situation, seed)
+            cases = self.situation_cases(plant, loop, situation, seed)
             if not cases:
                 continue
             for controller, predicted in built:
                 row: Row = {"controller": predicted["controller"], "situation": situation}
                 row |= predicted
                 if controller:
-                    runs = [varied.on_plant(on, controller, seed) for on, varied in cases]
+                    runs = [varied.run_on_plant(on, controller, seed) for on, varied in cases]
                     row |= pool_columns(runs)
                 rows.append(row)
         return rows
 
-    def cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
-        """Plants and loops of one situation. Empty if the plant cannot show it."""
-        horizon_s = loop.samples(plant.step_s) * plant.step_s
+    def situation_cases(self, plant: Plant, loop: Loop, situation: str, seed: int) -> list[Case]:
+        """Plants and loop experiments of one situation, such as a load step. Empty if the plant
+        cannot show it."""
+        horizon_s = loop.horizon_samples(plant.step_s) * plant.step_s
         match situation:
             case "spread":
-                varieds = self.spread(plant, seed)
+                varieds = self.perturbed_plants(plant, seed)
                 return [(varied, loop) for varied in varieds]
             case "saturation":
                 rest = plant.equilibrium().u
@@ -120,8 +124,9 @@ class Comparison(ComparisonTable):
                 step = StepDisturbance(size=self.load, at_s=horizon_s / 3, until_s=until_s)
                 return [(plant, replace(loop, disturbance=step))] if plant.disturbances else []
 
-    def spread(self, plant: Plant, seed: int) -> list[Plant]:
-        """Plants with fields varied by space-filling factors in `1 +- spread_share`."""
+    def perturbed_plants(self, plant: Plant, seed: int) -> list[Plant]:
+        """Plants whose physical constants are varied by space-filling random factors, in `1 +-
+        spread_share`."""
         if not self.spread_fields:
             return []
         missing = sorted(name for name in self.spread_fields if not hasattr(plant, name))

@@ -18,8 +18,8 @@ from ssm_study.loop.trajectory import (
     Plan,
     Reference,
     feasible_trajectory,
-    guided_trajectory,
-    set_points,
+    feedback_trajectory,
+    set_point_equilibria,
 )
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.plants.plant import Plant
@@ -36,8 +36,8 @@ Measured = Float[np.ndarray, "k"] | None
 
 
 class Controller(ABC):
-    """Interface of a control law from measured outputs to inputs. Its memory is updated every
-    sample.
+    """Interface of control laws from measured outputs to inputs, with a memory that is updated at
+    every sample. Its memory is updated every sample.
 
     `u[k] = input(memory[k], y[k], target[k])`, `memory[k+1] = advance(memory[k], u[k], y[k],
     target[k])`. `u` and `y` are in physical units. `targets` turns a reference into whatever the
@@ -48,42 +48,43 @@ class Controller(ABC):
     step_s: float  # the sampling time the law was designed for
     dimensions: tuple[int, int]  # (m, p): inputs it commands, outputs it reads
 
-    def start(self, cases: int) -> Memory:
-        """Memory before the first sample. By default there is none."""
+    def initial_memory(self, cases: int) -> Memory:
+        """Memory of the controller before the first sample. By default there is none."""
         return np.zeros((cases, 0))
 
     def targets(self, reference: Reference) -> Plan:
-        """Signal to be followed at each sample. By default it is the reference itself."""
+        """Signal that the control law follows at each sample, computed from the reference. By
+        default it is the reference itself."""
         return reference
 
-    def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
-        """Inputs that the law needs to hold the reference's extremes. By default there are none."""
+    def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
+        """Inputs that the control law needs to hold the extreme values of the reference. By default
+        there are none."""
         return np.zeros((0, self.dimensions[0]))
 
     @abstractmethod
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
-        """Input to be held over the coming sample."""
+        """Input that the control law applies over the coming sample."""
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
     ) -> Memory:
-        """Memory at the next sample, given the input that was applied and measured disturbances `d
-        (k,)`. None stands for their equilibrium."""
+        """Memory of the controller at the next sample. None stands for their equilibrium."""
         return memory
 
     def estimate(self, memory: Memory) -> Estimate:
-        """Part of the memory that estimates the model's state, if any."""
+        """Part of the controller's memory that estimates the model's state."""
         return memory[:, :0]
 
-    def among(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
-        """Select the control laws of the cases that are still running, where each case may have
-        gains of its own."""
+    def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "Controller":
+        """Control law for a selection of the simulated cases, where each case may have gains of its
+        own."""
         return self
 
 
 @dataclass(frozen=True, kw_only=True)
 class Uncontrolled(Controller):
-    """Control law that holds the equilibrium input `u = u_eq`, with which every other law is
+    """Control law that applies the constant equilibrium input, with which every other law is
     compared."""
 
     u: Float[np.ndarray, "m"]
@@ -91,7 +92,7 @@ class Uncontrolled(Controller):
     dimensions: tuple[int, int]
 
     @classmethod
-    def of(cls, plant: Plant) -> "Uncontrolled":
+    def for_plant(cls, plant: Plant) -> "Uncontrolled":
         """Uncontrolled plant, for its sampling time and dimensions."""
         rest = plant.equilibrium()
         dimensions = (len(plant.inputs), len(plant.outputs))
@@ -103,7 +104,7 @@ class Uncontrolled(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateFeedback(Controller):
-    """Base of control laws that use an observer's estimate of the model's state.
+    """Base class of control laws that use an observer's estimate of the model's state.
 
     `xh+ = f(xh, S_u(u)) + L (yh - y) / s_y`, f the model, yh its output. Measured disturbances push
     the estimate as they push the model. With neurons `L_z (yh - y) / s_y` is added inside them. `L
@@ -127,12 +128,12 @@ class EstimateFeedback(Controller):
         inputs = self.model.scale.inputs
         return inputs, self.model.scale.outputs
 
-    def start(self, cases: int) -> Memory:
+    def initial_memory(self, cases: int) -> Memory:
         gains_k = self.gains.k
         return np.zeros((cases, gains_k.shape[-1]))
 
     def targets(self, reference: Reference) -> Plan:
-        return set_points(self.model, reference)
+        return set_point_equilibria(self.model, reference)
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
@@ -144,13 +145,13 @@ class EstimateFeedback(Controller):
         predicted_output = model.read(x_hat, lifted)
         output_scale = model.scale.output_scale
         innovation = (predicted_output - y) / output_scale
-        correction = times(gains.l, innovation)
+        correction = multiply_rows(gains.l, innovation)
         if d is not None:
             correction = correction + model.push(d)
         if gains.l_z is None:
             return model.advance(x_hat, lifted) + correction
         neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
-        return neurons.advance(x_hat, lifted, times(gains.l_z, innovation)) + correction
+        return neurons.advance(x_hat, lifted, multiply_rows(gains.l_z, innovation)) + correction
 
     def estimate(self, memory: Memory) -> Estimate:
         return memory  # the estimated state of the model, then the internal model's
@@ -158,7 +159,7 @@ class EstimateFeedback(Controller):
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverFeedback(EstimateFeedback):
-    """Feedback of the observer's estimate around a trajectory of the model.
+    """Feedback of an observer's state estimate around a trajectory of the model.
 
     `u = u_eq + s_u (u* + K (xh - x*) + K_z z)`, xh the estimate ([Z26] eq. 9 and Theorem 3). A
     target row is `(x*, u*, y*)`, a trajectory of the model near the reference. `K (m, n)`, or one
@@ -186,23 +187,22 @@ class ObserverFeedback(EstimateFeedback):
         require(l_shape == (n, p), "l", l_shape, problem, remedy)
 
     @classmethod
-    def of(cls, model: Model, design: Design) -> "ObserverFeedback":
-        """Make the controller of a certified design. Raises `BadRequest` if one of its parts is
-        infeasible."""
+    def from_design(cls, model: Model, design: Design) -> "ObserverFeedback":
+        """Controller with the gains of a certified design. Raises `BadRequest` if one of its parts
+        is infeasible."""
         inverse = None
         if design.inverts:
             inverse = inverse_of(model.scaffold_in.portable())
         return cls(model=model, gains=design.pair, inverse=inverse)
 
-    def asked(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
-        """Scaled input that the law computes, before any limit.
+    def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
+        """Scaled input that the control law computes before any limit acts.
 
         `u* + K (...)`; or, where `S_u` is undone, `S_u^{-1}(S_u(u*) + K (...))`.
         """
         if self.inverse is None:
             return u + feedback
-        scaffold = self.model.scaffold_in(u) + feedback
-        return self.inverse(scaffold)
+        return self.inverse(self.model.scaffold_in(u) + feedback)
 
     def targets(self, reference: Reference) -> Plan:
         model = self.model
@@ -211,23 +211,24 @@ class ObserverFeedback(EstimateFeedback):
             # At rest all cases have the same targets, whatever their gains.
             ndim = self.gains.k.ndim
             k = self.gains.k if ndim == 2 else self.gains.k[0]
-            plan = guided_trajectory(model, k[:, :n], reference, self.asked)
+            plan = feedback_trajectory(model, k[:, :n], reference, self.unlimited_input)
         else:
             plan = feasible_trajectory(model, reference)
         lifted = model.scaffold_in(plan[:, n:])
         outputs = model.read(plan[:, :n], lifted)
         return np.concatenate([plan, outputs], axis=1)
 
-    def among(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
+    def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":
         if self.gains.k.ndim == 2:
             return self
         indices = np.flatnonzero(stayed)
         gains = self.gains.at(indices)
         return replace(self, gains=gains)
 
-    def demanded(self, reference: Reference) -> Float[np.ndarray, "K m"]:
+    def required_inputs(self, reference: Reference) -> Float[np.ndarray, "K m"]:
         ends = np.stack([reference.min(axis=0), reference.max(axis=0)])
-        inputs = set_points(self.model, ends)[:, self.model.order :]
+        plan = set_point_equilibria(self.model, ends)
+        inputs = plan[:, self.model.order :]
         return self.model.scale.physical_input(inputs)
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
@@ -237,8 +238,8 @@ class ObserverFeedback(EstimateFeedback):
         internal_states = memory[:, n:]  # the internal model aims at zero
         error = np.concatenate([estimation_error, internal_states], axis=1)
         u = np.broadcast_to(target[n : n + m], (len(error), m))
-        gains_k = self.gains.k
-        asked = self.asked(u, times(gains_k, error))
+        feedback = multiply_rows(self.gains.k, error)
+        asked = self.unlimited_input(u, feedback)
         return self.model.scale.physical_input(asked)
 
     def advance(
@@ -261,10 +262,11 @@ class ObserverFeedback(EstimateFeedback):
         return np.concatenate([x_hat, z], axis=1)
 
 
-def times(
+def multiply_rows(
     gain: Float[np.ndarray, "*cases r c"], rows: Float[np.ndarray, "N c"]
 ) -> Float[np.ndarray, "N r"]:
-    """Product of a gain with each row. There is one gain for all rows, or one for each."""
+    """Product of a gain matrix with each row of an array. There is one gain for all rows, or one
+    for each."""
     if gain.ndim == 2:
         return rows @ gain.T
     return np.einsum("nij,nj->ni", gain, rows)

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Int
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
-from ssm_study.loop.metrics import mean
+from ssm_study.loop.metrics import mean_of_known
 from ssm_study.loop.peers.peer import Identified, Row
 from ssm_study.loop.regulation import ComparisonTable, Loop
-from ssm_study.loop.rollout import motions, settling_times_s
+from ssm_study.loop.rollout import classify_motions, settling_times_s
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import require_at_least
 from ssm_study.robustness.prediction import predict
@@ -33,7 +33,8 @@ impossible."""
 
 @dataclass(frozen=True, kw_only=True)
 class DesignGrid(ComparisonTable):
-    """Table of randomly drawn designs from the grids of `auto`, wide enough that some of them fail.
+    """Table of randomly chosen certified designs, with their predictions and their behaviour on the
+    true plant.
 
     The default choice, if any, is row 0. A row holds rates, gains, what is predicted
     (`synthesis.mismatch`), the response area on the model, and what the true plant did over the
@@ -48,26 +49,26 @@ class DesignGrid(ComparisonTable):
     def __post_init__(self) -> None:
         require_at_least(1, "loop.comparison.designs", self.designs, "use 150")
 
-    def rows(self, plant: Plant, known: Identified, loop: Loop, seed: int) -> list[Row]:
-        """Rows of the table, one for each drawn design."""
-        candidates = self.auto.candidates(known.model, known.balls)
+    def rows(self, plant: Plant, identified: Identified, loop: Loop, seed: int) -> list[Row]:
+        """Rows of the table, one for each randomly chosen design."""
+        candidates = self.auto.candidates(identified.model, identified.balls)
         if candidates is None:
             return []
-        drawn = self.drawn(candidates, seed)
+        drawn = self.draw_gain_pairs(candidates, seed)
         gains = candidates.gains(drawn)
         rates = [
             (candidates.feedback[i].rate_controller, candidates.observing[j].rate_observer)
             for i, j in drawn
         ]
-        chosen = known.chosen(Auto())
+        chosen = identified.auto_design(Auto())
         number = 1
         if chosen.feasible:
             number = 0
-            gains = _with_first(chosen.pair, gains)
+            gains = _prepend_gains(chosen.pair, gains)
             feedback, observer = chosen.parts()[:2]
             rates.insert(0, (feedback.rate, observer.rate))
-        predictions = _prediction_columns(known, gains)
-        behaviours = _behaviour_columns(plant, known, gains, loop, seed)
+        predictions = _prediction_columns(identified, gains)
+        behaviours = _behaviour_columns(plant, identified, gains, loop, seed)
         rows: list[Row] = []
         for rate, predicted, behaved in zip(rates, predictions, behaviours, strict=True):
             row: Row = {"design": number, "rate_controller": rate[0], "rate_observer": rate[1]}
@@ -75,8 +76,8 @@ class DesignGrid(ComparisonTable):
             number += 1
         return rows
 
-    def drawn(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
-        """Randomly drawn pairs of controller and observer gains."""
+    def draw_gain_pairs(self, candidates: Candidates, seed: int) -> Int[np.ndarray, "D 2"]:
+        """Draw random pairs of controller and observer gains, as indices of the candidates."""
         counts = (len(candidates.ks), len(candidates.ls))
         total = counts[0] * counts[1]
         size = min(self.designs, total)
@@ -86,7 +87,7 @@ class DesignGrid(ComparisonTable):
         return np.stack(pairs, axis=1)
 
 
-def _with_first(pair: Gains, gains: Gains) -> Gains:
+def _prepend_gains(pair: Gains, gains: Gains) -> Gains:
     """Put the gains of one more controller and observer in front of stacked gains."""
     stacked = {}
     for name, gain in vars(pair).items():
@@ -95,13 +96,14 @@ def _with_first(pair: Gains, gains: Gains) -> Gains:
     return Gains(**stacked)
 
 
-def _prediction_columns(known: Identified, gains: Gains) -> list[Row]:
-    """Gain norms, predictions and the response area on the model, one row per design."""
-    mismatch = known.mismatch
+def _prediction_columns(identified: Identified, gains: Gains) -> list[Row]:
+    """Columns with gain norms, predicted stability and the response on the model, one row for each
+    design."""
+    mismatch = identified.mismatch
     rows = []
-    for i, area in enumerate(relative_areas(known.model, gains, known.validation)):
+    for i, area in enumerate(relative_areas(identified.model, gains, identified.validation)):
         pair = gains.at(i)
-        predicted = predict(known.model, pair, known.balls, mismatch)
+        predicted = predict(identified.model, pair, identified.balls, mismatch)
         gain_norm = float(np.linalg.norm(pair.k, 2))
         observer_gain_norm = float(np.linalg.norm(pair.l, 2))
         row: Row = {
@@ -117,32 +119,31 @@ def _prediction_columns(known: Identified, gains: Gains) -> list[Row]:
 
 
 def _behaviour_columns(
-    plant: Plant, known: Identified, gains: Gains, loop: Loop, seed: int
+    plant: Plant, identified: Identified, gains: Gains, loop: Loop, seed: int
 ) -> list[Row]:
-    """Columns on the behaviour of all designs on the plant, run as one batch with noise and
-    without."""
-    y0, noise = loop.draw(plant, seed)
+    """Columns on the closed-loop behaviour of all designs on the true plant."""
+    y0, noise = loop.draw_conditions(plant, seed)
     band = plant.settling_band
     designs = len(gains.k)
     cases = len(y0)
     each_case = np.repeat(np.arange(designs), cases)
     observer_feedback_gains = gains.at(each_case)
-    controller = ObserverFeedback(model=known.model, gains=observer_feedback_gains)
+    controller = ObserverFeedback(model=identified.model, gains=observer_feedback_gains)
     starts = np.tile(y0, (designs, 1))
     noises = np.tile(noise, (designs, 1, 1))
     run = loop.simulate(plant, controller, starts, noises)
     quiet = loop.simulate(plant, controller, starts, np.zeros_like(noises))
-    uncontrolled = loop.simulate(plant, Uncontrolled.of(plant), y0, noise)
-    open_loop_s = mean(settling_times_s(uncontrolled, band))
+    uncontrolled = loop.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
+    open_loop_s = mean_of_known(settling_times_s(uncontrolled, band))
     times_s = settling_times_s(run, band)
-    kinds = motions(quiet, band)
+    kinds = classify_motions(quiet, band)
     rows = []
     for first in range(0, len(starts), cases):
         own = slice(first, first + cases)
         unsettled_kinds = sorted(set(kinds[own]) - {"settled"})
-        left_bound = ~run.stayed[own]
+        left_bound = ~run.stayed_within_bound[own]
         stable_count = cases - times_s[own].count(None)
-        settling_time_mean_s = mean(times_s[own])
+        settling_time_mean_s = mean_of_known(times_s[own])
         stable_count_noise_free = kinds[own].count("settled")
         unsettled_as = ", ".join(unsettled_kinds) or None
         left_bound_count = int(left_bound.sum())

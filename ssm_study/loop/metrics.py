@@ -8,15 +8,19 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
 from ssm_study.columns import Column
-from ssm_study.loop.certified_bound import decay_rate, excess, violations
+from ssm_study.loop.certified_bound import (
+    count_bound_violations,
+    estimation_decay_rate,
+    relative_bound_excess,
+)
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import (
     STAYED,
     Rollouts,
-    empirical_rate,
-    motions,
+    classify_motions,
+    measured_contraction_rate,
     overshoots,
-    remaining_swings,
+    residual_oscillations,
     settling_times_s,
 )
 
@@ -97,30 +101,31 @@ COLUMNS = (
 )
 
 
-def behaviour(loop: LoopRuns) -> Columns:
-    """Columns that describe the controlled plant: settling, overshoot, input, remaining error.
+def behaviour_columns(loop: LoopRuns) -> Columns:
+    """Columns that describe a closed-loop experiment: settling, overshoot, input and remaining
+    error.
 
     Definitions: docs/closed_loop.md; times in s, inputs in their unit. None where nothing is
-    defined, never NaN: `empirical_rate` when several plants are pooled.
+    defined, never NaN: `measured_contraction_rate` when several plants are pooled.
     """
     columns = pool_columns([loop])
-    columns["empirical_rate"] = empirical_rate(loop.controlled, loop.settling_band)
-    columns["noise_gain_measured"] = noise_gain(loop.controlled)
+    columns["empirical_rate"] = measured_contraction_rate(loop.controlled, loop.settling_band)
+    columns["noise_gain_measured"] = measured_noise_gain(loop.controlled)
     return columns
 
 
-def noise_gain(run: Rollouts) -> float | None:
-    """Measured noise gain `std(y) / std(n)` over the second half of the horizon, the worst output
-    over cases within the bound. None without noise.
+def measured_noise_gain(run: Rollouts) -> float | None:
+    """Measured ratio of the output's standard deviation to the measurement noise's, at rest.
+    `std(y) / std(n)` over the second half of the horizon. None without noise.
 
     The share of the sensor's noise n that reaches the true output at rest; `noise_gain_model` of
     the design is it for the model.
     """
     half = run.y.shape[1] // 2
-    if not run.stayed.any() or np.array_equal(run.y, run.measured):
+    if not run.stayed_within_bound.any() or np.array_equal(run.y, run.measured):
         return None
-    y = run.y[run.stayed, half:]
-    measured = run.measured[run.stayed, half:]
+    y = run.y[run.stayed_within_bound, half:]
+    measured = run.measured[run.stayed_within_bound, half:]
     deviation = (measured - y).std(axis=(0, 1))
     noise = np.maximum(deviation, np.finfo(float).tiny)
     output = np.sqrt(y.var(axis=1).mean(axis=0))
@@ -128,18 +133,18 @@ def noise_gain(run: Rollouts) -> float | None:
 
 
 def pool_columns(loops: list[LoopRuns]) -> Columns:
-    """Columns of `behaviour` over the cases of several experiments of the same length together."""
+    """Closed-loop columns over the cases of several experiments of the same length together."""
     efforts = [loop.controlled.u - loop.input_equilibrium for loop in loops]
     errors = [loop.controlled.y - loop.controlled.reference for loop in loops]
     cases = sum(len(error) for error in errors)
     step_s = loops[0].controlled.step_s
     per_case = step_s / cases
     columns = settling_columns(loops, cases)
-    overshoot_worst = max(worst_overshoot(loop) for loop in loops)
+    overshoot_worst = max(largest_overshoot(loop) for loop in loops)
     input_peak_v = max(float(np.abs(effort).max()) for effort in efforts)
     control_energy = sum_of_squares(efforts) * per_case
     integral_squared_error = sum_of_squares(errors) * per_case
-    final_error_worst = max(final_error(error) for error in errors)
+    final_error_worst = max(largest_final_error(error) for error in errors)
     return {
         **columns,
         "overshoot_worst": overshoot_worst,
@@ -147,7 +152,7 @@ def pool_columns(loops: list[LoopRuns]) -> Columns:
         "control_energy": control_energy,
         "integral_squared_error": integral_squared_error,
         "final_error_worst": final_error_worst,
-        **bound_columns(loops, step_s),
+        **divergence_columns(loops, step_s),
     }
 
 
@@ -158,9 +163,9 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
     alone_s: list[float | None] = []
     motion: Counter[str] = Counter()
     for loop in loops:
-        times_s += settling_times_s(loop.judged, loop.settling_band)
+        times_s += settling_times_s(loop.runs_for_settling, loop.settling_band)
         alone_s += settling_times_s(loop.uncontrolled, loop.settling_band)
-        motion.update(motions(loop.judged, loop.settling_band))
+        motion.update(classify_motions(loop.runs_for_settling, loop.settling_band))
     settled = [time_s for time_s in times_s if time_s is not None]
     unsettled = [f"{count} {kind}" for kind, count in sorted(motion.items()) if kind != "settled"]
     stable_fraction = len(settled) / cases
@@ -173,16 +178,16 @@ def settling_columns(loops: list[LoopRuns], cases: int) -> Columns:
         "stable_fraction": stable_fraction,
         "unsettled_as": unsettled_as,
         "judged_noise_free": judged_noise_free,
-        "settling_time_mean_s": mean(settled),
+        "settling_time_mean_s": mean_of_known(settled),
         "settling_time_worst_s": settling_time_worst_s,
-        "settling_time_open_loop_s": mean(alone_s),
-        "faster_than_open_loop": is_faster(times_s, alone_s),
-        "swings_at_rest": worst_swing_at_rest(loops),
+        "settling_time_open_loop_s": mean_of_known(alone_s),
+        "faster_than_open_loop": settles_faster(times_s, alone_s),
+        "swings_at_rest": largest_residual_oscillation(loops),
     }
 
 
-def is_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
-    """Whether every controlled case settles, and sooner on average than without control.
+def settles_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
+    """Whether every controlled case settles, and on average sooner than without control.
 
     A case that never settles without control counts as slower there. A word of success stands only
     where this holds: a controller may be certified, and settle, and help nobody.
@@ -191,43 +196,43 @@ def is_faster(times_s: list[float | None], alone_s: list[float | None]) -> bool:
         return False
     if None in alone_s:
         return True
-    controlled = mean(times_s)
-    uncontrolled = mean(alone_s)
+    controlled = mean_of_known(times_s)
+    uncontrolled = mean_of_known(alone_s)
     assert controlled is not None
     assert uncontrolled is not None
     return controlled < uncontrolled
 
 
-def worst_swing_at_rest(loops: list[LoopRuns]) -> float | None:
-    """Largest remaining oscillation of a settled case, in settling bands, without noise where such
-    runs exist. None if none settles."""
+def largest_residual_oscillation(loops: list[LoopRuns]) -> float | None:
+    """Largest remaining oscillation of any settled case, in settling bands. None if none
+    settles."""
     swings = []
     for loop in loops:
-        run = loop.quiet or loop.judged
-        amplitudes = remaining_swings(run, loop.settling_band)
+        run = loop.quiet or loop.runs_for_settling
+        amplitudes = residual_oscillations(run, loop.settling_band)
         swings += [float(swing) / loop.settling_band for swing in amplitudes]
     return max(swings, default=None)
 
 
-def worst_overshoot(loop: LoopRuns) -> float:
-    """Largest overshoot of the controlled cases, as a share of the initial error."""
+def largest_overshoot(loop: LoopRuns) -> float:
+    """Largest overshoot among the controlled cases, as a share of the initial error."""
     per_case = overshoots(loop.controlled, loop.settling_band)
     return float(per_case.max())
 
 
 def sum_of_squares(signals: list[Float[np.ndarray, "N T c"]]) -> float:
-    """Sum of squares over all signals."""
+    """Sum of the squared values of several signals."""
     return sum(float((signal**2).sum()) for signal in signals)
 
 
-def final_error(error: Float[np.ndarray, "N T p"]) -> float:
-    """Largest mean error over the last tenth of the horizon, where noise averages out."""
+def largest_final_error(error: Float[np.ndarray, "N T p"]) -> float:
+    """Largest mean control error over the last tenth of the horizon."""
     last = max(error.shape[1] // 10, 1)
     return float(np.abs(error[:, -last:].mean(axis=1)).max())
 
 
-def bound_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """Columns on how many cases were stopped at the bound, and when first."""
+def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
+    """Columns on how many simulated cases left the bound and were stopped, and when first."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample
@@ -240,7 +245,7 @@ CERTIFIED = ("certified_bound_violations", "estimate_decay_rate", "certified_bou
 
 
 def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
-    """Columns that compare measured distances with the certified bound (docs/closed_loop.md).
+    """Columns that compare measured distances from the equilibrium with the certified bound.
 
     All None without a run on the model; `certified_bound_excess_plant` is None too where plant and
     model follow different references.
@@ -252,9 +257,10 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     parts = design.parts()
     beyond = None
     if np.allclose(plant.reference, model.reference):
-        beyond = excess(plant.estimate, model.states[:, 0], *parts)
-    certified_bound_violations = violations(model.states, model.estimate, *parts)
-    estimate_decay_rate = decay_rate(model.states, model.estimate, *parts)
+        x0 = model.states[:, 0]
+        beyond = relative_bound_excess(plant.estimate, x0, *parts)
+    certified_bound_violations = count_bound_violations(model.states, model.estimate, *parts)
+    estimate_decay_rate = estimation_decay_rate(model.states, model.estimate, *parts)
     return {
         "certified_bound_violations": certified_bound_violations,
         "estimate_decay_rate": estimate_decay_rate,
@@ -262,7 +268,7 @@ def certificate_columns(loop: LoopRuns, design: Design) -> Columns:
     }
 
 
-def mean(values: Iterable[float | None]) -> float | None:
-    """Mean of the values that are not None. None if there are none."""
+def mean_of_known(values: Iterable[float | None]) -> float | None:
+    """Mean of the values that are not None; None if there are none. None if there are none."""
     numbers = [value for value in values if value is not None]
     return float(np.mean(numbers)) if numbers else None

@@ -15,19 +15,20 @@ FIELD = "loop.reference.path"
 REMEDY = "give a CSV file of two columns, time in seconds and offset"
 
 
-class Rest(NoDisturbance):
-    """Constant reference `r = y_eq`, which brings the plant to its equilibrium."""
+class EquilibriumReference(NoDisturbance):
+    """Constant reference at the equilibrium output."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepReference(Reference):
-    """Reference with one step: `r = before` until `at_s`, then `after`."""
+    """Reference with one step at a given time. `r = before` until `at_s`, then `after`."""
 
     before: float
     after: float
     at_s: float
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        """Offsets of the reference at given times."""
         is_before = time_s < self.at_s - 1e-12
         before = float(self.before)
         after = float(self.after)
@@ -36,7 +37,7 @@ class StepReference(Reference):
 
 @dataclass(frozen=True, kw_only=True)
 class FileReference(Reference):
-    """Reference read from a CSV file with two columns, time (s) and offset.
+    """Reference that is read from a CSV file with two columns, time in seconds and offset.
 
     Straight lines join the rows; both ends are held.
     """
@@ -44,8 +45,9 @@ class FileReference(Reference):
     path: str
 
     def signal(self, time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+        """Offsets of the reference at given times, interpolated from the file."""
         try:
-            table = self._read_table()
+            table = self._read_file()
         except (OSError, ValueError) as error:
             problem = " ".join(str(error).split())[:120]
             raise BadRequest(FIELD, self.path, problem, REMEDY) from error
@@ -56,8 +58,8 @@ class FileReference(Reference):
         require(is_rising, FIELD, self.path, "times do not increase", "sort the rows by time")
         return np.interp(time_s, *table.T)
 
-    def _read_table(self) -> Float[np.ndarray, "rows columns"]:
-        """Numbers of the file, without blank lines and comments."""
+    def _read_file(self) -> Float[np.ndarray, "rows columns"]:
+        """Read the times and offsets of the reference from the file."""
         text = Path(self.path).read_text(encoding="utf-8")
         lines = [line for line in text.splitlines() if line.strip()]
         if not lines:

@@ -11,9 +11,15 @@ from jaxtyping import Float
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.controller import Controller, ObserverFeedback, Uncontrolled
 from ssm_study.loop.peers.peer import Identified, Row
-from ssm_study.loop.reference import Reference, Rest
-from ssm_study.loop.rollout import UNLIMITED, Limits, Rollouts, close_loop, settling_times_s
-from ssm_study.loop.trajectory import equilibrium, inverse
+from ssm_study.loop.reference import EquilibriumReference, Reference
+from ssm_study.loop.rollout import (
+    UNLIMITED,
+    Limits,
+    Rollouts,
+    settling_times_s,
+    simulate_closed_loop,
+)
+from ssm_study.loop.trajectory import invert_map, scaled_equilibrium
 from ssm_study.models.structured import Model, StructuredSSM, at_rest
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
@@ -25,7 +31,7 @@ Channels = tuple[Channel, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedPlant(Plant):
-    """Identified model used in place of the plant, so that the loop has no model mismatch.
+    """Identified model that is simulated in place of the plant, so that there is no model error.
 
     `x+ = A x + B S_u(u) + B d,  y = S_y(C x)`. The state is the model's (scaled), `u` and `y` are
     physical; `d (m)` disturbs the recurrence's
@@ -47,7 +53,7 @@ class IdentifiedPlant(Plant):
         remedy = "identify with model.feedthrough=false"
         value = "the input reaches the output at once"
         problem = "the loop samples the output before the input acts"
-        require(not answers_at_once(model), "model.feedthrough", value, problem, remedy)
+        require(not has_direct_feedthrough(model), "model.feedthrough", value, problem, remedy)
         channels = (len(self.inputs), len(self.outputs))
         inputs = model.scale.inputs
         needed = (inputs, model.scale.outputs)
@@ -55,9 +61,11 @@ class IdentifiedPlant(Plant):
         require(channels == needed, "channels", channels, problem, "name each of its signals")
 
     @classmethod
-    def of(cls, model: Model, inputs: Channels = (), outputs: Channels = ()) -> "IdentifiedPlant":
-        """Make a plant of a model. Channels without a name are called `u_1, ...` and `y_1, ...`, or
-        `u` and `y`.
+    def from_model(
+        cls, model: Model, inputs: Channels = (), outputs: Channels = ()
+    ) -> "IdentifiedPlant":
+        """Plant that simulates an identified model. Channels without a name are called `u_1, ...`
+        and `y_1, ...`, or `u` and `y`.
 
         Initial outputs lie within one `output_scale` of the equilibrium, and 5 % of it counts as
         settled.
@@ -70,10 +78,10 @@ class IdentifiedPlant(Plant):
             model=model,
             step_s=model.step_s,
             settling_band=0.05 * unit,
-            inputs=inputs or _numbered_channels("u", model.scale.inputs),
-            outputs=outputs or _numbered_channels("y", model.scale.outputs),
-            states=_indexed_channels("x", model.order),
-            disturbances=_indexed_channels("scaled_input_", scaled_inputs),
+            inputs=inputs or _number_channels("u", model.scale.inputs),
+            outputs=outputs or _number_channels("y", model.scale.outputs),
+            states=_scaled_channels("x", model.order),
+            disturbances=_scaled_channels("scaled_input_", scaled_inputs),
             initial_range=initial_range,
         )
 
@@ -88,17 +96,17 @@ class IdentifiedPlant(Plant):
         return Equilibrium(u=scale.input_equilibrium, x=x, y=scale.output_equilibrium)
 
     def states_at(self, y0: Float[np.ndarray, "N p"]) -> Float[np.ndarray, "N n"]:
-        """States at which a constant input would hold the outputs `y0`.
+        """States at which a constant input would hold the given outputs.
 
         Where no input holds it (neurons may rectify or saturate; fewer inputs than outputs hold
         few outputs), the smallest state that the linear part reads as it.
         """
-        return np.stack([self._state_at(y) for y in y0])
+        return np.stack([self._steady_state(y) for y in y0])
 
-    def _state_at(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-        """State in which a constant input would hold one output."""
+    def _steady_state(self, y: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+        """State in which a constant input would hold one given output."""
         try:
-            return equilibrium(self.model, y)[0]
+            return scaled_equilibrium(self.model, y)[0]
         except BadRequest:
             inputs = self.model.scale.inputs
             fewer_inputs = inputs < self.model.scale.outputs
@@ -107,7 +115,7 @@ class IdentifiedPlant(Plant):
             scaled_output = self.model.scale.scaled_output(y)
             if not isinstance(self.model, StructuredSSM):
                 scaffold = self.model.scaffold_out
-                matrix = inverse(scaffold, scaled_output[None])
+                matrix = invert_map(scaffold, scaled_output[None])
                 scaled_output = matrix[0]
             linear_c = self.model.linear.c
             pseudo_inverse = np.linalg.pinv(linear_c)
@@ -127,21 +135,21 @@ class IdentifiedPlant(Plant):
         return self.model.read(x, no_input)
 
 
-def _numbered_channels(name: str, count: int) -> Channels:
-    """Channels without a unit, numbered from 1 where there are several."""
+def _number_channels(name: str, count: int) -> Channels:
+    """Channels of one name without a unit, numbered from 1 where there are several."""
     if count == 1:
         channel = Channel(name=name, unit="")
         return (channel,)
     return tuple(Channel(name=f"{name}_{i + 1}", unit="") for i in range(count))
 
 
-def _indexed_channels(prefix: str, count: int) -> Channels:
-    """Channels of scaled signals, numbered from 0."""
+def _scaled_channels(prefix: str, count: int) -> Channels:
+    """Channels of scaled signals with one prefix, numbered from 0."""
     return tuple(Channel(name=f"{prefix}{i}", unit="1") for i in range(count))
 
 
-def answers_at_once(model: Model) -> bool:
-    """Whether the input affects the output within the same sample, through D or a neuron."""
+def has_direct_feedthrough(model: Model) -> bool:
+    """Whether the input affects the model's output within the same sample."""
     through_neuron = False
     if isinstance(model, StructuredSSM):
         is_driven = model.g.any(axis=1)
@@ -158,10 +166,10 @@ REMAINDER = 0.01  # share of `sum |C A^k B|` that is left behind the length of t
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRuns:
-    """Runs of one experiment: controlled plant, uncontrolled plant from the same states, model.
+    """Simulated runs of one experiment: the controlled plant, the uncontrolled plant and the model.
 
-    `on_model` is `Loop.on_model`, None for a controller that has no model; `settling_band` in the
-    output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
+    `on_model` is `Loop.run_on_model`, None for a controller that has no model; `settling_band` in
+    the output's unit. `noise_free`: without measurement noise, where that alone crosses the band;
     settling is then judged on it. `quiet`: without measurement noise, whatever it does; None where
     there is none.
     """
@@ -175,23 +183,25 @@ class LoopRuns:
     quiet: Rollouts | None = None
 
     @property
-    def judged(self) -> Rollouts:
-        """Runs by which settling is judged. They are the noise-free ones, where there are any."""
+    def runs_for_settling(self) -> Rollouts:
+        """Runs by which settling is judged: without noise where noise alone crosses the band. They
+        are the noise-free ones, where there are any."""
         return self.noise_free or self.controlled
 
 
 class ComparisonTable(ABC):
-    """Interface of a table that a run writes beside its record, `comparison.csv`. It has one flat
+    """Interface of tables that a run writes beside its record, in `comparison.csv`. It has one flat
     row per case."""
 
     @abstractmethod
-    def rows(self, plant: Plant, known: Identified, loop: "Loop", seed: int) -> list[Row]:
-        """Rows of the table, with the same columns in every row. Missing values are None."""
+    def rows(self, plant: Plant, identified: Identified, loop: "Loop", seed: int) -> list[Row]:
+        """Rows of the comparison table, with the same columns in every row. Missing values are
+        None."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Loop:
-    """Closed-loop experiment from several initial outputs, each simulated for `horizon_s` seconds.
+    """Closed-loop experiment from several initial outputs over a fixed horizon.
 
     The `initial_conditions` outputs are uniform in the plant's `initial_range`. The fields are
     explained in conf/loop/regulation.yaml; the noise is Gaussian, its variance in
@@ -207,7 +217,7 @@ class Loop:
     bound_in_initial_ranges: float = 20.0
     input_lower: float | list[float] | None = None
     input_upper: float | list[float] | None = None
-    reference: Reference = field(default_factory=Rest)
+    reference: Reference = field(default_factory=EquilibriumReference)
     disturbance: Disturbance = field(default_factory=NoDisturbance)
     comparison: ComparisonTable | None = None
 
@@ -230,35 +240,34 @@ class Loop:
 
     @property
     def limits(self) -> Limits:
-        """Input limits, one for each input or one for all."""
+        """Input limits of the experiment, one for each input or one for all."""
         lowest, highest = UNLIMITED
         low = lowest if self.input_lower is None else self.input_lower
         high = highest if self.input_upper is None else self.input_upper
         return np.asarray(low, dtype=float), np.asarray(high, dtype=float)
 
-    def within(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
-        """Copy of the experiment with input limits: those that are set, else the range of these
-        recorded inputs."""
+    def with_default_limits(self, inputs: Sequence[Float[np.ndarray, "_ m"]]) -> "Loop":
+        """Copy of the experiment whose missing input limits are the range of recorded inputs."""
         low, high = input_limits(self.input_lower, self.input_upper, inputs)
         input_lower = low.tolist()
         input_upper = high.tolist()
         return replace(self, input_lower=input_lower, input_upper=input_upper)
 
-    def run(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
+    def run_design(self, plant: Plant, model: Model, design: Design, seed: int) -> LoopRuns:
         """Run a certified design on the plant, and on the noise-free model for comparison."""
-        controller = ObserverFeedback.of(model, design)
-        runs = self.on_plant(plant, controller, seed)
+        controller = ObserverFeedback.from_design(model, design)
+        runs = self.run_on_plant(plant, controller, seed)
         initial_outputs = runs.controlled.y[:, 0]
-        on_model = self.on_model(plant, controller, initial_outputs)
+        on_model = self.run_on_model(plant, controller, initial_outputs)
         return replace(runs, on_model=on_model)
 
-    def on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
+    def run_on_plant(self, plant: Plant, controller: Controller, seed: int) -> LoopRuns:
         """Run any controller on the plant, and the plant without control.
 
         At one seed all controllers meet the same initial states, noise, reference and disturbance.
         """
         rest = plant.equilibrium()
-        y0, noise = self.draw(plant, seed)
+        y0, noise = self.draw_conditions(plant, seed)
         controlled = self.simulate(plant, controller, y0, noise)
         quiet = None
         noise_free = None
@@ -267,7 +276,7 @@ class Loop:
             is_settled = None not in settling_times_s(controlled, plant.settling_band)
             if not is_settled and self._noise_crosses_band(plant, controller, noise):
                 noise_free = quiet
-        uncontrolled = self.simulate(plant, Uncontrolled.of(plant), y0, noise)
+        uncontrolled = self.simulate(plant, Uncontrolled.for_plant(plant), y0, noise)
         return LoopRuns(
             controlled=controlled,
             uncontrolled=uncontrolled,
@@ -282,28 +291,29 @@ class Loop:
     ) -> bool:
         """Whether noise alone drives a plant that starts at the equilibrium out of the settling
         band."""
-        still = replace(self, reference=Rest(), disturbance=NoDisturbance())
-        y0 = np.tile(plant.equilibrium().y, (len(noise), 1))
+        still = replace(self, reference=EquilibriumReference(), disturbance=NoDisturbance())
+        equilibrium = plant.equilibrium()
+        y0 = np.tile(equilibrium.y, (len(noise), 1))
         shaken = still.simulate(plant, controller, y0, noise)
         distance = np.abs(shaken.y - shaken.reference)
         return bool((distance > plant.settling_band).any())
 
-    def on_model(
+    def run_on_model(
         self, plant: Plant, controller: ObserverFeedback, y0: Float[np.ndarray, "N p"]
     ) -> Rollouts:
-        """Run the controller on its own model from the same outputs, without noise and disturbance.
+        """Run a controller on its own model from the same outputs, without noise and disturbance.
 
         This is the situation that the certificate speaks of.
         """
-        twin = IdentifiedPlant.of(controller.model, plant.inputs, plant.outputs)
+        twin = IdentifiedPlant.from_model(controller.model, plant.inputs, plant.outputs)
         twin = replace(twin, initial_range=plant.initial_range)  # the bound is a multiple of it
         quiet = Loop(horizon_s=self.horizon_s, bound_in_initial_ranges=self.bound_in_initial_ranges)
-        no_noise = np.zeros((len(y0), self.samples(plant.step_s), y0.shape[1]))
+        no_noise = np.zeros((len(y0), self.horizon_samples(plant.step_s), y0.shape[1]))
         return quiet.simulate(twin, controller, y0, no_noise)
 
-    def fitted(self, model: Model) -> "Loop":
-        """Copy of the experiment with a definite horizon. It is the one that is set, else
-        `RESPONSES` times the model's response."""
+    def with_fixed_horizon(self, model: Model) -> "Loop":
+        """Copy of the experiment with a horizon that suits the model where none is set. It is the
+        one that is set, else `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
         response = at_rest(model).impulse_response_length(SAMPLES[1], REMAINDER)
@@ -311,18 +321,18 @@ class Loop:
         horizon_s = samples * model.step_s
         return replace(self, horizon_s=horizon_s)
 
-    def samples(self, step_s: float) -> int:
-        """Number of samples in the horizon."""
+    def horizon_samples(self, step_s: float) -> int:
+        """Number of samples in the horizon of the experiment."""
         if self.horizon_s is None:
             return SAMPLES[0]
         return max(2, round(self.horizon_s / step_s))
 
-    def draw(
+    def draw_conditions(
         self, plant: Plant, seed: int
     ) -> tuple[Float[np.ndarray, "N p"], Float[np.ndarray, "N T p"]]:
         """Draw initial outputs and measurement noise, the same for every controller at one seed."""
         cases = self.initial_conditions
-        samples = self.samples(plant.step_s)
+        samples = self.horizon_samples(plant.step_s)
         outputs = len(plant.outputs)
         initial_stream = np.random.default_rng([seed, 0])
         noise_stream = np.random.default_rng([seed, 1])
@@ -333,7 +343,8 @@ class Loop:
         deviation = np.sqrt(self.noise_factor * np.array(variances))
         white_noise = noise_stream.standard_normal((cases, samples, outputs))
         noise = deviation * white_noise
-        return plant.equilibrium().y + offsets, noise
+        equilibrium = plant.equilibrium()
+        return equilibrium.y + offsets, noise
 
     def simulate(
         self,
@@ -343,7 +354,7 @@ class Loop:
         noise: Float[np.ndarray, "N T p"],
         measured_disturbance: Float[np.ndarray, "T k"] | None = None,
     ) -> Rollouts:
-        """Simulate one batched closed loop from the states with outputs `y0`.
+        """Simulate a closed loop from several initial outputs at once.
 
         Measured disturbances are at their equilibrium unless given.
         """
@@ -365,7 +376,7 @@ class Loop:
         x0 = plant.states_at(y0)
         try:
             bound = np.full(outputs, reach)
-            return close_loop(
+            return simulate_closed_loop(
                 plant,
                 controller,
                 x0=x0,

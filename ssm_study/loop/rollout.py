@@ -36,7 +36,7 @@ STEADY = 0.9
 
 @dataclass(frozen=True, kw_only=True)
 class Rollouts:
-    """Simulated runs of N cases with T samples each, in physical units.
+    """Simulated closed-loop runs of several cases, in physical units.
 
     `u[:, k]` is held over sample k, `y[:, k]` is read before it acts. `y` is the true output,
     `measured` what the controller saw, `estimate` its state estimate (the
@@ -57,8 +57,8 @@ class Rollouts:
     left_at_sample: Int[np.ndarray, "N"] = field(repr=False)
 
     @property
-    def stayed(self) -> Bool[np.ndarray, "N"]:
-        """Whether each case stayed within the bound."""
+    def stayed_within_bound(self) -> Bool[np.ndarray, "N"]:
+        """Whether each case stayed within the bound of the simulation."""
         return self.left_at_sample == STAYED
 
     @property
@@ -67,7 +67,7 @@ class Rollouts:
         return np.arange(self.y.shape[1]) * self.step_s
 
 
-def close_loop(
+def simulate_closed_loop(
     plant: Plant,
     controller: Controller,
     *,
@@ -79,7 +79,8 @@ def close_loop(
     limits: Limits = UNLIMITED,
     measured_disturbance: Float[np.ndarray, "T k"] | None = None,
 ) -> Rollouts:
-    """Simulate `u[k] = controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
+    """Simulate a controller in closed loop with a plant, for all cases at once. `u[k] =
+    controller(y[k] + noise[k])`, `x[k+1] = plant.advance(x[k], u[k], d[k])`.
 
     All cases at once. `bound (p,)` is the largest `|y - y_eq|` a case may reach before it is
     stopped, in the output's unit; input limits (input's unit) are known to the controller. A
@@ -88,11 +89,11 @@ def close_loop(
     """
     _check_dimensions(plant, controller)
     if any(np.isfinite(end).any() for end in limits):
-        _check_reachable(controller.demanded(reference), limits)
-    memory = controller.start(len(noise))
+        _check_reachable(controller.required_inputs(reference), limits)
+    memory = controller.initial_memory(len(noise))
     targets = controller.targets(reference)
     estimates = controller.estimate(memory).shape[1]
-    log = _empty_log(plant, estimates, noise.shape, x0.shape[1])
+    log = _allocate_log(plant, estimates, noise.shape, x0.shape[1])
     left_at_sample = np.full(len(noise), STAYED)
     going = np.arange(len(noise))
     x = x0
@@ -101,7 +102,7 @@ def close_loop(
         measured = y + noise[going, k]
         inputs = controller.input(memory, measured, targets[k])
         u = np.clip(inputs, *limits)
-        inside = _inside_bound(plant, y, u, controller.estimate(memory), bound)
+        inside = _is_inside_bound(plant, y, u, controller.estimate(memory), bound)
         if not inside.all():  # only those that stay go on
             leaves = ~inside
             left_at_sample[going[leaves]] = k
@@ -113,10 +114,10 @@ def close_loop(
             u = u[inside]
             memory = memory[inside]
             going = going[inside]
-            controller = controller.among(inside)
+            controller = controller.select_cases(inside)
         estimate = controller.estimate(memory)
         values = {"u": u, "y": y, "measured": measured, "states": x, "estimate": estimate}
-        _record(log, going, k, values)
+        _write_samples(log, going, k, values)
         load = () if measured_disturbance is None else (measured_disturbance[k],)
         memory = controller.advance(memory, u, measured, targets[k], *load)
         x = plant.advance(x, u, disturbance[going, k])
@@ -134,33 +135,33 @@ def _record_stopped(
     """Repeat the last values of cases that left the bound from sample `k` on, input at rest."""
     at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
     values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
-    _record(log, stopped, slice(k, None), values)
+    _write_samples(log, stopped, slice(k, None), values)
 
 
-def _record(
+def _write_samples(
     log: Log, cases: Int[np.ndarray, "S"], samples: int | slice, values: dict[str, np.ndarray]
 ) -> None:
-    """Write the signals of these cases at these samples into the log."""
+    """Write the signals of some cases at some samples into the log."""
     for name, value in values.items():
         log[name][cases, samples] = value
 
 
-def _empty_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
-    """Arrays of zeros for each signal of a run. `shape` is cases, samples, outputs."""
+def _allocate_log(plant: Plant, estimates: int, shape: tuple[int, ...], states: int) -> Log:
+    """Arrays of zeros for each signal of the simulated runs. `shape` is cases, samples, outputs."""
     cases, samples, outputs = shape
     u = len(plant.inputs)
     widths = {"u": u, "y": outputs, "measured": outputs, "states": states, "estimate": estimates}
     return {name: np.zeros((cases, samples, width)) for name, width in widths.items()}
 
 
-def _inside_bound(
+def _is_inside_bound(
     plant: Plant,
     y: Outputs,
     u: Float[np.ndarray, "N m"],
     estimate: Float[np.ndarray, "N n"],
     bound: Bound,
 ) -> Bool[np.ndarray, "N"]:
-    """Whether output, input and estimate of each case are within the bound."""
+    """Whether output, input and estimate of each case lie within the bound of the simulation."""
     rest = plant.equilibrium()
     amplitudes = (u - rest.u) / np.array(plant.input_amplitude)
     sizes = np.abs(np.hstack([amplitudes, estimate]))
@@ -178,8 +179,8 @@ def _repeat_last_values(log: Log, left_at_sample: Int[np.ndarray, "N"]) -> None:
 
 
 def _check_dimensions(plant: Plant, controller: Controller) -> None:
-    """Raise `BadRequest` for a controller made for other inputs, outputs or another sampling
-    time."""
+    """Refuse a controller made for other inputs, outputs or another sampling time than the
+    plant's."""
     needed = (len(plant.inputs), len(plant.outputs))
     fits = controller.dimensions == needed
     problem = f"the plant has {needed}"
@@ -192,7 +193,7 @@ def _check_dimensions(plant: Plant, controller: Controller) -> None:
 
 
 def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None:
-    """Raise `BadRequest` for a reference whose values need inputs beyond the limits."""
+    """Refuse a reference whose values need inputs beyond the limits."""
     beyond = np.abs(demanded - np.clip(demanded, *limits))
     excess = float(beyond.max(initial=0.0))
     if excess == 0.0:
@@ -205,7 +206,7 @@ def _check_reachable(demanded: Float[np.ndarray, "K m"], limits: Limits) -> None
     raise BadRequest("loop.input_lower, loop.input_upper", values, problem, remedy)
 
 
-def last_step(reference: OutputSignal) -> int:
+def last_step_sample(reference: OutputSignal) -> int:
     """Sample at which a step reference takes its last value.
 
     0 if the reference still moves in the second half.
@@ -231,16 +232,16 @@ def settling_times_s(rollouts: Rollouts, band: float) -> tuple[float | None, ...
     since_last_outside = np.argmax(outside[:, ::-1], axis=1)
     first = np.where(outside.any(axis=1), samples - since_last_outside, 0)
     dwell = max(int(np.ceil(DWELL * samples)), 1)
-    is_settled = rollouts.stayed & (first <= samples - dwell)
-    after = np.maximum(first - last_step(rollouts.reference), 0)
+    is_settled = rollouts.stayed_within_bound & (first <= samples - dwell)
+    after = np.maximum(first - last_step_sample(rollouts.reference), 0)
     times_s: list[float | None] = []
     for k, settles in zip(after, is_settled, strict=True):
         times_s.append(float(k * rollouts.step_s) if settles else None)
     return tuple(times_s)
 
 
-def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
-    """Kind of motion of each case: `settled`, `lost`, `slow`, `oscillating` or `drifting`.
+def classify_motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
+    """Class of each case's motion: `settled`, `lost`, `slow`, `oscillating` or `drifting`.
 
     Lost: it left the bound. Slow: the error still shrinks from the third quarter of the horizon to
     the last. Oscillating: over these two, the swing about a straight line exceeds what the line
@@ -255,17 +256,18 @@ def motions(rollouts: Rollouts, band: float) -> tuple[str, ...]:
     worst_output = np.argmax(np.abs(error).max(axis=1), axis=1)
     worst_error = np.take_along_axis(error, worst_output[:, None, None], axis=2)[:, :, 0]
     signals = worst_error[:, -2 * quarter :]
-    rise, swing = rise_and_swing(signals)
+    rise, swing = trend_and_oscillation(signals)
     oscillates = swing > np.maximum(np.abs(rise), band)
     moving = np.where(oscillates, "oscillating", "drifting")
     kinds = np.where(last_quarter < STEADY * third_quarter, "slow", moving)
-    kinds = np.where(rollouts.stayed, kinds, "lost")
+    kinds = np.where(rollouts.stayed_within_bound, kinds, "lost")
     kinds = np.where(settled, "settled", kinds)
     return tuple(str(kind) for kind in kinds)
 
 
-def rise_and_swing(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
-    """Rise of the least-squares line of each row, and the peak-to-peak deviation from that line."""
+def trend_and_oscillation(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]:
+    """Rise of the least-squares line through each row, and peak-to-peak deviation from that
+    line."""
     time = np.linspace(-0.5, 0.5, signals.shape[1])
     rise = signals @ time / (time @ time)
     centred = signals - signals.mean(axis=1, keepdims=True)
@@ -273,9 +275,9 @@ def rise_and_swing(signals: Float[np.ndarray, "N K"]) -> tuple[PerCase, PerCase]
     return rise, np.ptp(deviation, axis=1)
 
 
-def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
-    """Amplitude of each settled case's remaining oscillation in the last tenth of the horizon. The
-    worst output counts.
+def residual_oscillations(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
+    """Amplitude of each settled case's oscillation in the last tenth of the horizon. The worst
+    output counts.
 
     The amplitude is about a straight line. A loop that swings for ever inside the band of settling
     is settled by definition, and not at rest. In the output's unit.
@@ -285,18 +287,18 @@ def remaining_swings(rollouts: Rollouts, band: float) -> Float[np.ndarray, "S"]:
     last = max(int(np.ceil(DWELL * error.shape[1])), 2)
     tails = error[:, -last:]
     outputs = range(tails.shape[2])
-    swings = [rise_and_swing(tails[:, :, output])[1] for output in outputs]
+    swings = [trend_and_oscillation(tails[:, :, output])[1] for output in outputs]
     return np.asarray(np.max(swings, axis=0) / 2)
 
 
 def overshoots(rollouts: Rollouts, band: float) -> PerCase:
-    """Overshoot of each case beyond the reference, as a share of the error at the start.
+    """Overshoot of each case beyond the reference, as a share of the initial error.
 
     An excursion counts on the far side from the start, which is the last step of the reference; the
     worst channel counts. Only excursions beyond the band count: within it, the measurement noise
     that the controller passes on decides. Zero for cases that start within the band.
     """
-    start_sample = last_step(rollouts.reference)
+    start_sample = last_step_sample(rollouts.reference)
     error = (rollouts.y - rollouts.reference)[:, start_sample:]
     start = error[:, :1]
     size = np.abs(start[:, 0])
@@ -306,7 +308,7 @@ def overshoots(rollouts: Rollouts, band: float) -> PerCase:
     return np.where(counts, shares, 0.0).max(axis=1)
 
 
-def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
+def measured_contraction_rate(rollouts: Rollouts, band: float) -> float | None:
     """Measured contraction rate `1 - r^2` of the closed loop, median over pairs of cases.
 
     r is the mean shrink per sample of `|y_i - y_j|` from the start until it is within the band.
@@ -321,12 +323,12 @@ def empirical_rate(rollouts: Rollouts, band: float) -> float | None:
         return None
     resolution = band / 2  # an exact zero is not a rate
     distances = np.maximum(distances[starts_apart], resolution)
-    per_case = squared_shrink(distances, band)
+    per_case = mean_squared_contraction(distances, band)
     median = np.median(per_case)
     return float(1.0 - median)
 
 
-def squared_shrink(
+def mean_squared_contraction(
     distance: Float[np.ndarray, "N T"], until: float | Float[np.ndarray, "N 1"]
 ) -> PerCase:
     """Squared mean factor per sample by which each row of distances shrinks.
@@ -342,16 +344,16 @@ def squared_shrink(
 
 
 def replay_error(controller: Controller, run: Rollouts, limits: Limits = UNLIMITED) -> float:
-    """Largest difference between the recorded inputs and those computed again, relative to the
-    largest input.
+    """Largest difference between recorded inputs and those that the controller computes again,
+    relative to the largest input.
 
     `|u - u_again| / max |u|` over cases that stayed, `u_again` from the recorded measurements
     alone. `u_again` is cut at the limits that the controller knew of; an integrator replays its own
     hold at a limit. The memory advances by the recorded input, so that errors do not add up.
     """
-    stayed = run.stayed
+    stayed = run.stayed_within_bound
     targets = controller.targets(run.reference)
-    memory = controller.start(int(stayed.sum()))
+    memory = controller.initial_memory(int(stayed.sum()))
     worst = 0.0
     for k in range(run.u.shape[1]):
         applied = run.u[stayed, k]

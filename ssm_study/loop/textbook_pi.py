@@ -3,8 +3,8 @@ It runs on the same plant from the same initial states."""
 
 import numpy as np
 
-from ssm_study.loop.peers.peer import without_neurons
-from ssm_study.loop.peers.pi import tyreus_luyben
+from ssm_study.loop.peers.peer import linearise_neurons
+from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import Loop
 from ssm_study.loop.rollout import settling_times_s
 from ssm_study.models.structured import Model
@@ -12,10 +12,10 @@ from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 
 
-def pi_facts(
+def textbook_pi_columns(
     plant: Plant | None, model: Model, loop: Loop, seed: int
 ) -> dict[str, float | int | None]:
-    """Columns of Tyreus and Luyben's PI controller (`loop.peers.pi`) on a simulated plant.
+    """Columns on the closed loop of a simulated plant with Tyreus and Luyben's PI controller.
 
     The same starts, noise, reference, disturbance and limits as for the certified design. None for
     a log, a device (which is not run again), several inputs or outputs, and where the rule has no
@@ -24,11 +24,11 @@ def pi_facts(
     if plant is None or plant.real:
         return {}
     try:
-        controller = tyreus_luyben(without_neurons(model))
+        controller = tyreus_luyben_pi(linearise_neurons(model))
     except BadRequest:
         return {}
-    runs = loop.on_plant(plant, controller, seed)
-    all_times_s = settling_times_s(runs.judged, runs.settling_band)
+    runs = loop.run_on_plant(plant, controller, seed)
+    all_times_s = settling_times_s(runs.runs_for_settling, runs.settling_band)
     times_s = [time_s for time_s in all_times_s if time_s is not None]
     mean_s = float(np.mean(times_s)) if times_s else None
     return {"stable_count_pi": len(times_s), "settling_time_pi_s": mean_s}

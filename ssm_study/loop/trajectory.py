@@ -35,19 +35,19 @@ INVERSION_TOLERANCE = 1e-10
 EQUILIBRIUM_TOLERANCE = 1e-8
 
 
-def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
-    """Scaled state and input at which the model rests with output `y` (physical unit).
+def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
+    """Scaled state and input at which the model rests with a given physical output.
 
     `x* = f(x*, S_u(u*)),  y = h(x*, S_u(u*))` for the recurrence f. With more inputs than outputs
     the smallest `S_u(u*)` is taken. Raises `BadRequest` when no input holds that output.
     """
     scaled_output = model.scale.scaled_output(y)
-    matrix = inverse(model.scaffold_out, scaled_output[None])
+    matrix = invert_map(model.scaffold_out, scaled_output[None])
     y_bar = matrix[0]
     n = model.order
     size = max(1.0, float(np.abs(y_bar).max()))
 
-    def residual(point: Vector) -> Vector:
+    def equilibrium_residual(point: Vector) -> Vector:
         """Deviation from equilibrium and from the requested output."""
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
@@ -57,7 +57,7 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         output = linear_c @ x + linear_d @ v + through_neurons
         return np.concatenate([motion, output - y_bar])
 
-    def jacobian(point: Vector) -> Matrix:
+    def residual_jacobian(point: Vector) -> Matrix:
         """Jacobian of the residual."""
         x, v = np.split(point, [n])
         linear = model.linearised(x, v) if isinstance(model, StructuredSSM) else model.linear
@@ -65,21 +65,23 @@ def equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
 
     if isinstance(model, StructuredSSM):
         start = np.zeros(n + model.b.shape[1])
-        point = _solve_newton(residual, jacobian, start, INVERSION_TOLERANCE * size)
+        point = _solve_newton(
+            equilibrium_residual, residual_jacobian, start, INVERSION_TOLERANCE * size
+        )
     else:
         states, inputs, outputs = model.linear.steady_states()
         least_squares = np.linalg.lstsq(outputs, y_bar, rcond=None)
         share = least_squares[0]
         point = np.concatenate([states @ share, inputs @ share])
-    is_reached = np.abs(residual(point)).max() <= EQUILIBRIUM_TOLERANCE * size
+    is_reached = np.abs(equilibrium_residual(point)).max() <= EQUILIBRIUM_TOLERANCE * size
     problem = "no constant input of the model holds this scaled output"
-    _require_reached(is_reached, y_bar, problem, "")
-    scaled_input = inverse(model.scaffold_in, point[None, n:])[0]
+    _require_solved(is_reached, y_bar, problem, "")
+    scaled_input = invert_map(model.scaffold_in, point[None, n:])[0]
     return point[:n], scaled_input
 
 
 def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
-    """Trajectory of the model that is nearest to the reference.
+    """Trajectory of a linear model whose output is nearest to the reference.
 
     One row `(x*[k], u*[k])` per sample, in scaled units. Minimises `sum |y_bar[k] - y_bar*[k]|^2 +
     SMOOTHNESS |v[k] - v[k-1]|^2` from the model's equilibrium; the whole reference (output's unit)
@@ -94,7 +96,7 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     _, inputs, outputs = system.steady_states()
     # Directions of inputs that move no output: at no cost of their own these would drift.
     idle = (inputs @ scipy.linalg.null_space(outputs, rcond=IDLE_SHARE)).T
-    target = inverse(model.scaffold_out, model.scale.scaled_output(reference))
+    target = invert_map(model.scaffold_out, model.scale.scaled_output(reference))
     target = np.pad(target, ((0, 0), (0, len(idle))))
     f = np.block([[system.a, system.b], [np.zeros((m, n)), np.eye(m)]])
     g = np.vstack([system.b, np.eye(m)])
@@ -118,23 +120,23 @@ def feasible_trajectory(model: SSM, reference: Reference) -> Plan:
     through = np.vstack([np.zeros((n, m)), g[n:]])
     state_space = StateSpace(a=closed, b=g, c=c, d=through)
     plan = state_space.simulate(preview)[0]
-    scaled_inputs = inverse(model.scaffold_in, plan[:, n:])
+    scaled_inputs = invert_map(model.scaffold_in, plan[:, n:])
     return np.concatenate([plan[:, :n], scaled_inputs], axis=1)
 
 
-def guided_trajectory(
+def feedback_trajectory(
     model: StructuredSSM,
     k: Float[np.ndarray, "m n"],
     reference: Reference,
     law: Callable[..., Vector] = np.add,
 ) -> Plan:
-    """Trajectory on which the feedback itself leads a model with neurons to each set point.
+    """Trajectory on which a feedback leads a model with neurons to each set point of the reference.
 
     One row `(x*[k], u*[k])` per sample: `u* = us + K (x* - xs)` from the model's equilibrium,
     `(xs, us)` the equilibrium of the reference's value: it gets there at the certified rate;
     `law(us, K (x* - xs))` is the input where it is not the sum. A reference at rest gives zeros.
     """
-    points = set_points(model, reference)
+    points = set_point_equilibria(model, reference)
     n = model.order
     x = np.zeros(n)
     plan = np.empty_like(points)
@@ -145,36 +147,40 @@ def guided_trajectory(
     return plan
 
 
-def set_points(model: Model, reference: Reference) -> Plan:
-    """Equilibrium `(x*, u*)` of each reference value.
+def set_point_equilibria(model: Model, reference: Reference) -> Plan:
+    """Equilibrium state and input `(x*, u*)` of the model for each value of the reference.
 
     For references that are constant but for steps.
     """
     values, index = np.unique(reference, axis=0, return_inverse=True)
-    points = np.stack([np.concatenate(equilibrium(model, value)) for value in values])
+    points = np.stack([np.concatenate(scaled_equilibrium(model, value)) for value in values])
     return points[index.reshape(-1)]
 
 
-def inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Solutions `v` of `S(v) = w`, row by row.
+def invert_map(scaffold: Scaffold, w: Matrix) -> Matrix:
+    """Solve `S(v) = w` for the argument `v` of a static map, row by row.
 
     Scalar maps, which are monotone, are inverted in a bracket; others by damped Newton steps.
     Raises `BadRequest` when the map does not reach `w`.
     """
     is_scalar = w.shape[1] == 1
-    v = _scalar_inverse(scaffold, w[:, 0])[:, None] if is_scalar else _vector_inverse(scaffold, w)
+    v = (
+        _invert_scalar_map(scaffold, w[:, 0])[:, None]
+        if is_scalar
+        else _invert_vector_map(scaffold, w)
+    )
     v = np.where((w == 0).all(axis=1, keepdims=True), 0.0, v)  # S(0) = 0 holds exactly
     residuals = np.abs(scaffold(v) - w).max(axis=1)
     tolerance = INVERSION_TOLERANCE * max(1.0, float(np.abs(w).max()))
     is_reached = residuals.max() <= tolerance
     worst = w[residuals.argmax()]
     problem = "the identified nonlinearity does not reach this scaled value"
-    _require_reached(is_reached, worst, problem, ", or raise model.slope_lower")
+    _require_solved(is_reached, worst, problem, ", or raise model.slope_lower")
     return v
 
 
-def _scalar_inverse(scaffold: Scaffold, w: Vector) -> Vector:
-    """Solutions `v` of the scalar equations `S(v) = w`, by Chandrupatla's method for all at once.
+def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
+    """Solve scalar equations `S(v) = w` by Chandrupatla's method, all at once.
 
     Not a number where no bracket is found.
     """
@@ -190,8 +196,8 @@ def _scalar_inverse(scaffold: Scaffold, w: Vector) -> Vector:
     return np.asarray(root.x)
 
 
-def _vector_inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
-    """Solutions `v` of `S(v) = w` by Newton's method, row by row; equal rows are solved once."""
+def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
+    """Solve `S(v) = w` by Newton's method, row by row."""
     values, index = np.unique(w, axis=0, return_inverse=True)
     start = np.zeros(scaffold.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
@@ -206,8 +212,8 @@ def _vector_inverse(scaffold: Scaffold, w: Matrix) -> Matrix:
     return np.stack(rows)[index.reshape(-1)]
 
 
-def _require_reached(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
-    """Raise `BadRequest` for a reference that the model cannot reach."""
+def _require_solved(is_reached: np.bool_, value: Vector, problem: str, more: str) -> None:
+    """Refuse a reference for which no equilibrium or input of the model was found."""
     remedy = f"choose a reference within the reach of the inputs{more}"
     rounded = np.round(value, 4).tolist()
     require(bool(is_reached), "loop.reference", rounded, problem, remedy)
@@ -219,7 +225,7 @@ def _solve_newton(
     point: Vector,
     tolerance: float,
 ) -> Vector:
-    """Root with `|residual| <= tolerance` by damped Newton steps.
+    """Find a root of a function by damped Newton steps.
 
     The last point where no step improves.
     """

@@ -14,7 +14,7 @@ from ssm_study.api.pictures.picture import NothingToShow, Picture
 from ssm_study.api.pictures.poles import pole_groups, poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.report.study_folder import NothingToDraw, RunFolder, StudyFolder
 from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.margin_by_frequency import margin_curves
@@ -110,11 +110,15 @@ def show_input_map(run: RunFolder) -> Picture:
 def show_set_point(run: RunFolder) -> Picture:
     """Picture of a step of the set point on the identified model."""
     model, design, test, excitation = present(run, "any_model", "design", "test", "excitation")
-    if not design.feasible or answers_at_once(model):
+    if not design.feasible or has_direct_feedthrough(model):
         raise NothingToDraw("There is no loop to move to a set point.")
     plant = _identified_plant(model, test)
     recorded = [signal.values for signal in excitation.signals("input")]
-    loop = Loop().within(model.scale.append_equilibrium_input(recorded)).fitted(model)
+    loop = (
+        Loop()
+        .with_default_limits(model.scale.append_equilibrium_input(recorded))
+        .with_fixed_horizon(model)
+    )
     place = "the identified model"
     return set_point_picture(plant, design, model, loop, recorded, place)
 
@@ -123,7 +127,7 @@ def _identified_plant(model: Any, record: RecordedCases) -> IdentifiedPlant:
     """Make a plant of the model, with the channels of a record."""
     inputs = record.signals("input")[0].channels
     outputs = record.signals("measured")[0].channels
-    return IdentifiedPlant.of(model, inputs, outputs)
+    return IdentifiedPlant.from_model(model, inputs, outputs)
 
 
 PICTURES: dict[str, Callable[[RunFolder], Picture]] = {

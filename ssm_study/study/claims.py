@@ -23,10 +23,10 @@ from ssm_study.engine.store import MANIFEST, damaged_files
 from ssm_study.evidence import metrics as evidence_metrics
 from ssm_study.evidence.metrics import evidence_columns
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
-from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.members import NAMES, member_facts
 from ssm_study.models.metrics import Simulation, fit_facts, size_facts
 from ssm_study.models.warm_start import choose_piece_starts, start_facts
@@ -303,11 +303,11 @@ def loop(run: RunFiles) -> Claims:
     yield from loop_files(run)
     if not run.closes_loop:
         return
-    controller = ObserverFeedback.of(run.model, run.design)
+    controller = ObserverFeedback.from_design(run.model, run.design)
     stored, loop_on = read_experiment(run.path)
     yield from loop_signals(run, controller, stored, loop_on)
-    fitted = run.loop.fitted(run.model)
-    on_model = fitted.on_model(run.plant, controller, stored.controlled.y[:, 0])
+    fitted = run.loop.with_fixed_horizon(run.model)
+    on_model = fitted.run_on_model(run.plant, controller, stored.controlled.y[:, 0])
     pairs: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
         "closed_loop_model.mcap": (stored.on_model, on_model)
     }
@@ -316,12 +316,12 @@ def loop(run: RunFiles) -> Claims:
         reason = "recorded on a device, which is not run again"
         yield NotChecked({"closed_loop.mcap output, states": reason})
     else:
-        again = fitted.on_plant(run.plant, controller, run.specification.loop_seed)
+        again = fitted.run_on_plant(run.plant, controller, run.specification.loop_seed)
         yield loop_on_plant(stored, again)
         pairs[NOISE_FREE] = stored.noise_free, again.noise_free
         measured = replace(stored, quiet=again.quiet)  # no recording holds the run without noise
     yield Derived(
-        {"loop_on": loop_on} | behaviour(measured) | certificate_columns(stored, run.design)
+        {"loop_on": loop_on} | behaviour_columns(measured) | certificate_columns(stored, run.design)
     )
     for name, pair in pairs.items():
         if pair != (None, None):
@@ -334,8 +334,10 @@ def textbook_pi(run: RunFiles) -> Claims:
     """Check the PI controller that the textbook's rule tunes on the stored model, by running it
     again on the configured plant."""
     specification = run.specification
-    fitted = specification.loop.fitted(run.model)
-    yield Derived(pi_facts(specification.plant, run.model, fitted, specification.loop_seed))
+    fitted = specification.loop.with_fixed_horizon(run.model)
+    yield Derived(
+        textbook_pi_columns(specification.plant, run.model, fitted, specification.loop_seed)
+    )
 
 
 def loop_files(run: RunFiles) -> Iterator[Checked]:

@@ -109,7 +109,7 @@ def _reasons(run: RunFiles) -> Claims:
 
 def _check_settling_bands(run: RunFiles) -> Iterator[Checked]:
     """Check that the settling band in each recording of a loop is that of its plant."""
-    twin = IdentifiedPlant.of(run.model, run.data.inputs, run.data.outputs)
+    twin = IdentifiedPlant.from_model(run.model, run.data.inputs, run.data.outputs)
     for name in ("closed_loop.mcap", NOISE_FREE, "closed_loop_model.mcap"):
         path = run.path / name
         if not path.is_file():

@@ -60,7 +60,7 @@ def record_labels(data: DataSet) -> list[Labels]:
 def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
     """Labels of the recordings of closed loops."""
     spec = run.specification
-    twin = IdentifiedPlant.of(run.model, data.inputs, data.outputs)
+    twin = IdentifiedPlant.from_model(run.model, data.inputs, data.outputs)
     plant = spec.plant or twin
     words = {
         "loop_on": loop_subject(spec.plant),

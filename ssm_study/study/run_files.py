@@ -15,7 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
 from ssm_study.evidence.metrics import Judgement, collect_findings
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, answers_at_once
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest, require
 from ssm_study.renamed import rename_old_settings
@@ -187,12 +187,12 @@ class RunFiles:
         loop = self.specification.loop
         if self.specification.plant and not self.design.inverts:
             return loop
-        return loop.within(self.training_inputs)
+        return loop.with_default_limits(self.training_inputs)
 
     @property
     def plant(self) -> Plant:
         """Plant, or identified model, on which the loop was closed."""
-        return self.specification.plant or IdentifiedPlant.of(self.model)
+        return self.specification.plant or IdentifiedPlant.from_model(self.model)
 
     @property
     def claims_certificate(self) -> bool:
@@ -204,7 +204,7 @@ class RunFiles:
         """Whether the run has a controller, an observer and something to close the loop on."""
         if not self.claims_certificate or not self.design.feasible:
             return False
-        return self.specification.plant is not None or not answers_at_once(self.model)
+        return self.specification.plant is not None or not has_direct_feedthrough(self.model)
 
 
 def object_without_repeats(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:

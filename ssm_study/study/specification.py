@@ -129,7 +129,7 @@ class Specification:
         counts = {
             "data.trajectories * samples": self.data.trajectories * self.data.samples,
             "loop.initial_conditions * horizon_s / step_s": (
-                loop.initial_conditions * loop.samples(self.plant.step_s)
+                loop.initial_conditions * loop.horizon_samples(self.plant.step_s)
             ),
         }
         problem = f"more than {LARGEST_NUMBER} samples"

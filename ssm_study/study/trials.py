@@ -72,7 +72,7 @@ def records_of_loops(run: Rollouts) -> Trajectories:
 
     Cases with fewer than `FEWEST` samples are left out.
     """
-    ends = np.where(run.stayed, run.y.shape[1], run.left_at_sample)
+    ends = np.where(run.stayed_within_bound, run.y.shape[1], run.left_at_sample)
     records = []
     for i, end in enumerate(ends):
         if end >= FEWEST:
@@ -127,11 +127,11 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
         logs: Any = request.refine
         data: Any = request.data
         return read_logs(logs, data, model.step_s)
-    experiment = request.loop.fitted(model)
+    experiment = request.loop.with_fixed_horizon(model)
     trials: list[Trajectory] = []
     for content in read_json(run / TRIED):
         design = Design.from_json(content)
-        closed = experiment.run(plant, model, design, request.loop_seed)
+        closed = experiment.run_design(plant, model, design, request.loop_seed)
         trials += records_of_loops(closed.controlled)
     return tuple(trials)
 

@@ -17,7 +17,7 @@ from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.theorems.integral_action import with_modes
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest
@@ -140,7 +140,7 @@ def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
     loop = Loop(horizon_s=1.5, measurement_noise_variance=0.02)
     result = loop.run(motor(), motor_model(), chosen, seed=0)
-    columns = behaviour(result) | certificate_columns(result, chosen)
+    columns = behaviour_columns(result) | certificate_columns(result, chosen)
     assert columns["stable_count"] == 10
     upper_limit = 0.6 * columns["settling_time_open_loop_s"]
     assert columns["settling_time_mean_s"] < upper_limit
@@ -179,8 +179,7 @@ def test_a_caution_without_any_mismatch_takes_the_largest_margin():
     record = motor_record()
     y = motor_model().simulate(record.u)
     exact = replace(record, y=y)
-    small = SMALL.with_largest_margin()
-    design = small.design(motor_model(), BALLS, (exact,))
+    design = SMALL.with_largest_margin().design(motor_model(), BALLS, (exact,))
     assert design.certified
     assert "no judgement" in design.state_feedback.solver_status
 

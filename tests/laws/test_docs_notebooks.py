@@ -67,7 +67,7 @@ def test_the_page_that_the_site_shows_is_of_this_notebook(path: Path) -> None:
     notebooks_path = ROOT / "docs" / "notebooks"
     page = (notebooks_path / f"{path.stem}.md").read_text()
     cells = jupytext.read(path).cells
-    code = [cell.as_data_source for cell in cells if cell.cell_type == "code"]
+    code = [cell.source for cell in cells if cell.cell_type == "code"]
     assert re.findall(r"```python\n(.*?)\n```", page, re.S) == code, (
         "run python benchmarks/notebooks_rendered.py"
     )
@@ -82,8 +82,7 @@ def test_the_jupyter_file_is_the_same_notebook(path: Path) -> None:
     jupytext = pytest.importorskip("jupytext", reason="the extra `notebooks` is not installed")
     places = (path, path.with_suffix(".ipynb"))
     ours, written = (
-        [(cell.cell_type, cell.as_data_source) for cell in jupytext.read(place).cells]
-        for place in places
+        [(cell.cell_type, cell.source) for cell in jupytext.read(place).cells] for place in places
     )
     assert ours == written
 
@@ -100,7 +99,7 @@ def shown_as_markdown(notebook: Any) -> str:
     outputs = [
         output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", [])
     ]
-    written = [cell.as_data_source for cell in notebook.cells if cell.cell_type == "markdown"]
+    written = [cell.source for cell in notebook.cells if cell.cell_type == "markdown"]
     return "".join(written + [data.get("text/markdown", "") for data in outputs])
 
 

@@ -8,17 +8,17 @@ import pytest
 from loop_cases import motor, motor_design, motor_model, random_model
 
 from ssm_study.loop.controller import ObserverFeedback, Uncontrolled
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.rollout import STAYED, close_loop
+from ssm_study.loop.rollout import STAYED, simulate_closed_loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, StepDisturbance
 
 LOOP = Loop(horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5)
 
 
 def controller() -> ObserverFeedback:
-    return ObserverFeedback.of(motor_model(), motor_design())
+    return ObserverFeedback.from_design(motor_model(), motor_design())
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_a_batch_is_its_rows(reference):
     loop = Loop(
         horizon_s=0.6, measurement_noise_variance=0.02, initial_conditions=5, reference=reference
     )
-    y0, noise = loop.draw(motor(), seed=1)
+    y0, noise = loop.draw_conditions(motor(), seed=1)
     together = loop.simulate(motor(), controller(), y0, noise)
     for i in range(len(y0)):
         alone = loop.simulate(motor(), controller(), y0[i : i + 1], noise[i : i + 1])
@@ -49,7 +49,7 @@ def test_the_loop_is_the_equations_written_out():
     design = motor_design()
     k = design.state_feedback.k
     observer_gain = design.observer.l
-    y0, noise = LOOP.draw(motor(), seed=3)
+    y0, noise = LOOP.draw_conditions(motor(), seed=3)
     run = LOOP.simulate(motor(), controller(), y0[:1], noise[:1])
     x = motor().states_at(y0[:1])
     x_hat = np.zeros(model.order)
@@ -70,7 +70,7 @@ def test_the_loop_is_the_equations_written_out():
 
 
 def test_the_seed_decides_the_draw_and_nothing_else_does():
-    first, again, other = (LOOP.draw(motor(), seed=s) for s in (4, 4, 5))
+    first, again, other = (LOOP.draw_conditions(motor(), seed=s) for s in (4, 4, 5))
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert not np.array_equal(first[0], other[0])
@@ -81,7 +81,8 @@ def test_the_seed_decides_the_draw_and_nothing_else_does():
 
 def test_noise_has_the_stated_variance():
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02, initial_conditions=100)
-    noise = loop.draw(motor(), seed=0)[1]
+    conditions = loop.draw_conditions(motor(), seed=0)
+    noise = conditions[1]
     assert noise.var() == pytest.approx(0.02, rel=0.02)
 
 
@@ -111,7 +112,7 @@ def test_the_disturbance_reaches_the_plant_and_not_the_model():
     )
     quiet = Loop(horizon_s=0.6, measurement_noise_variance=0.0, initial_conditions=3)
     loops = (pushed, quiet)
-    a, b = (loop.run(motor(), motor_model(), motor_design(), seed=2) for loop in loops)
+    a, b = (loop.run_design(motor(), motor_model(), motor_design(), seed=2) for loop in loops)
     controlled_y = a.controlled.y
     actual = controlled_y[:, :31]
     controlled_y = b.controlled.y
@@ -127,7 +128,7 @@ def test_the_disturbance_reaches_the_plant_and_not_the_model():
 
 def test_the_model_in_the_plants_place_replays_itself():
     model = random_model(0, inputs=2, outputs=2)
-    plant = IdentifiedPlant.of(model)
+    plant = IdentifiedPlant.from_model(model)
     input_equilibrium = model.scale.input_equilibrium
     rng = np.random.default_rng(0)
     white_noise = rng.standard_normal((3, 40, 2))
@@ -151,10 +152,10 @@ def test_the_units_of_input_and_output_change_nothing():
         output_scale = unit * scale.output_scale
         changed_scale = replace(scale, input_scale=input_scale, output_scale=output_scale)
         model = replace(motor_model(), scale=changed_scale)
-        plant = IdentifiedPlant.of(model)
+        plant = IdentifiedPlant.from_model(model)
         loop = Loop(initial_conditions=3, horizon_s=1.0)
-        law = ObserverFeedback.of(model, motor_design())
-        loop_runs = loop.on_plant(plant, law, 0)
+        law = ObserverFeedback.from_design(model, motor_design())
+        loop_runs = loop.run_on_plant(plant, law, 0)
         kept = loop_runs.controlled
         assert (kept.left_at_sample == STAYED).all()
         ends.append(kept.y / unit)
@@ -167,19 +168,19 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
     input_equilibrium = np.array([0.7])
     scale = replace(model.scale, input_equilibrium=input_equilibrium)
     model = replace(model, scale=scale)
-    plant = IdentifiedPlant.of(model)
+    plant = IdentifiedPlant.from_model(model)
     x0 = np.array([[1e3, 0.0, 0.0], [0.0, 0.0, 0.0]])
     noise = np.full((2, 5, 1), 0.01)
     reference = np.zeros((5, 1))
     disturbance = np.zeros((2, 5, 1))
     asked = {"x0": x0, "reference": reference, "noise": noise, "disturbance": disturbance}
-    uncontrolled = Uncontrolled.of(plant)
     bound = np.full(1, 10.0)
-    run = close_loop(plant, uncontrolled, **asked, bound=bound)
+    run = simulate_closed_loop(plant, Uncontrolled.for_plant(plant), **asked, bound=bound)
     expected = [0, STAYED]
     assert run.left_at_sample.tolist() == expected
     start = plant.output(x0)
-    difference = np.abs(start[0] - plant.equilibrium().y)
+    equilibrium = plant.equilibrium()
+    difference = np.abs(start[0] - equilibrium.y)
     assert difference > 10
     for found, shown in (
         (run.u, [[0.7]]),
@@ -193,9 +194,8 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 
 def test_every_column_is_a_number_or_nothing():
     result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
-    columns = behaviour(result) | certificate_columns(result, motor_design())
-    signals = columns.values()
-    assert all(value is None or np.isfinite(value) for value in signals)
+    columns = behaviour_columns(result) | certificate_columns(result, motor_design())
+    assert all(value is None or np.isfinite(value) for value in columns.values())
     assert columns["initial_conditions"] == 5
     assert columns["certified_bound_violations"] == 0
     rate = motor_design().observer.rate

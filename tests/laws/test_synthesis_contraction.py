@@ -13,7 +13,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
-from ssm_study.loop.certified_bound import certified_bound, distances, violations
+from ssm_study.loop.certified_bound import count_bound_violations, distance_bound, metric_distances
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.signals import Scale
@@ -94,8 +94,8 @@ def test_the_separation_bound_holds_on_the_model(seed: int, channels: int, metho
     x, xh = closed_loop(model, design, seed)
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
-    assert violations(x, xh, design.state_feedback, design.observer) == 0
-    _, error = distances(x, xh, design.state_feedback, design.observer)
+    assert count_bound_violations(x, xh, design.state_feedback, design.observer) == 0
+    _, error = metric_distances(x, xh, design.state_feedback, design.observer)
     contraction = design.observer.contraction
     upper_limit = contraction * error[:, :-1] * (1 + 1e-9) + 1e-12 * error[:, :1]
     assert (error[:, 1:] <= upper_limit).all()
@@ -109,7 +109,7 @@ def test_a_rate_that_is_not_certified_breaks_the_bound() -> None:
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
     bold = replace(design.state_feedback, rate=0.95), replace(design.observer, rate=0.999)
-    assert violations(x, xh, *bold) > 0
+    assert count_bound_violations(x, xh, *bold) > 0
 
 
 def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
@@ -118,10 +118,10 @@ def test_the_bound_starts_at_the_initial_distance_and_is_not_vacuous() -> None:
     x, xh = closed_loop(model, design, 5, steps=200)
     assert isinstance(design.state_feedback, StateFeedback)
     assert isinstance(design.observer, Observer)
-    d, e = distances(x, xh, design.state_feedback, design.observer)
+    d, e = metric_distances(x, xh, design.state_feedback, design.observer)
     d0 = d[:, 0]
     e0 = e[:, 0]
-    bound = certified_bound(d0, e0, 200, design.state_feedback, design.observer)
+    bound = distance_bound(d0, e0, 200, design.state_feedback, design.observer)
     actual = bound[:, 0]
     expected = d[:, 0]
     np.testing.assert_array_equal(actual, expected)

@@ -123,11 +123,11 @@ def test_a_record_of_the_board_is_what_its_equation_gives_sample_by_sample(
 
 def test_a_pi_regulates_the_board_within_its_limits(plant: Any, fake: FakeBoard) -> None:
     real = replace(plant, hardware=True)
-    law = PI.on(real, gain=4.0, integral_s=200.0)
+    law = PI.for_plant(real, gain=4.0, integral_s=200.0)
     reference = StepReference(before=8.0, after=-5.0, at_s=1000.0)
     asked = {"reference": reference, "horizon_s": 2000.0}
     loop = Loop(initial_conditions=1, input_lower=0.0, input_upper=100.0, **asked)
-    loop_runs = loop.on_plant(real, law, seed=0)
+    loop_runs = loop.run_on_plant(real, law, seed=0)
     run = loop_runs.controlled
     duties = np.array(fake.sent)[:, 1]
     assert duties.min() >= 0

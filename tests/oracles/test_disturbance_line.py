@@ -13,10 +13,10 @@ from export_cases import compiled
 
 import ssm_study as st
 from ssm_study.cli.main import main
-from ssm_study.export.c import c_files
+from ssm_study.export.c import render_c_files
 from ssm_study.export.device import Device
-from ssm_study.export.targets import load, python_control_system
-from ssm_study.loop.certified_bound import violations
+from ssm_study.export.targets import as_python_control, load_controller
+from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -105,10 +105,10 @@ def test_loops_contract_at_the_certified_rate_under_any_load(run: Path) -> None:
         n = design.model.order
         x = apart[None, :, :n]
         x_hat = apart[None, :, n:]
-        assert violations(x, x_hat, feedback, observer) == 0
+        assert count_bound_violations(x, x_hat, feedback, observer) == 0
     parts = (feedback, observer)
     both = (replace(part, rate=0.9999) for part in parts)
-    assert violations(x, x_hat, *both) > 0  # of rates that these gains do not have
+    assert count_bound_violations(x, x_hat, *both) > 0  # of rates that these gains do not have
 
 
 def test_a_loop_from_python_lasts_as_long_as_the_load(run: Path) -> None:
@@ -142,20 +142,20 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     k = -0.1 * np.ones((1, 3))
     l_z = np.zeros((2, 1))
     gains = {"k": k, "l": -0.1 * np.ones((3, 1)), "l_z": l_z}
-    from ssm_study.export.portable import PortableController, _neurons
+    from ssm_study.export.portable import PortableController, _convert_neurons
 
     e = np.zeros((3, 1))
     s_in = model.scaffold_in.portable()
     s_out = model.scaffold_out.portable()
-    neurons = _neurons(model, gains["l_z"], 0)
+    neurons = _convert_neurons(model, gains["l_z"], 0)
     controller = PortableController(
         a=model.a, b=model.b, c=model.c, d=model.d, k=gains["k"], l=gains["l"],
         e=e, s_in=s_in, s_out=s_out,
         scale=model.scale, step_s=model.step_s, neurons=neurons,
         b_d=model.b_d,
     )  # fmt: skip
-    device = Device.of(controller, "double", np.array([-9.0]), np.array([9.0]))
-    for name, text in c_files(device, about="test").items():
+    device = Device.from_controller(controller, "double", np.array([-9.0]), np.array([9.0]))
+    for name, text in render_c_files(device, about="test").items():
         (tmp_path / name).write_text(text)
     sources = ("controller_replay.c", "-lm")
     assert compiled(tmp_path, "-std=c99", sources=sources).startswith("0 of 200 inputs differ")
@@ -165,20 +165,20 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     reference = model.scale.output_equilibrium[None]
     plan = law.targets(reference)
     target = plan[0]
-    memory = law.start(1)
+    memory = law.initial_memory(1)
     x = np.zeros(3)
     y = np.array([3.2])
     for d in far_disturbance(model, 20):
         r = model.scale.output_equilibrium
-        u, x = device.track(x, y, r, d)
+        u, x = device.compute_step(x, y, r, d)
         memory = law.advance(memory, u[None], y[None], target, d)
         np.testing.assert_allclose(x, memory[0], atol=1e-9)
 
 
 def test_the_script_takes_the_load_behind_the_output(run: Path) -> None:
-    system = python_control_system(run)
+    system = as_python_control(run)
     assert system.input_labels == ["y[0]", "d[0]"]
-    controller = load(run)
+    controller = load_controller(run)
     x = np.array([0.3] * len(controller.a))
     rest = controller.scale.output_equilibrium
     mean = controller.scale.disturbance_equilibrium

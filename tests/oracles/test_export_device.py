@@ -17,11 +17,11 @@ import ssm_study as st
 from ssm_study.bounds.network import inverse_of
 from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
-from ssm_study.export.c import c_files, harmless
+from ssm_study.export.c import escape_comment, render_c_files
 from ssm_study.export.device import Device
-from ssm_study.export.targets import c_sources, deployed_rates, load
+from ssm_study.export.targets import load_controller, prove_deployed_rates, render_controller
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.trajectory import set_points
+from ssm_study.loop.trajectory import set_point_equilibria
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 
@@ -85,7 +85,7 @@ def test_the_header_counts_the_multiplications_of_a_sample(
     upper = made.upper + 1e9
     free = replace(made, lower=lower, upper=upper)
     expected = products(free, tmp_path / "c")
-    assert free.multiplications == expected
+    assert free.count_multiplications == expected
 
 
 @pytest.mark.parametrize(("real", "size"), [("double", 8), ("float", 4)])
@@ -115,19 +115,20 @@ def test_the_law_is_the_python_loop(
     model = SSM.from_json(content)
     certificate_path = tmp_path / "run" / "certificate.json"
     design = Design.load(certificate_path)
-    law = ObserverFeedback.of(model, design)
+    law = ObserverFeedback.from_design(model, design)
     y, r = signals(model, channels)
     targets = law.targets(r)
-    points = set_points(model, r)
+    points = set_point_equilibria(model, r)
     targets[:, : points.shape[1]] = points
     targets[:, points.shape[1] :] = r
-    memory = made.start(y[0])[None]
+    vector = made.equilibrium_state(y[0])
+    memory = vector[None]
     expected = []
     for seen, target in zip(y, targets, strict=True):
         inputs = law.input(memory, seen[None], target)
         expected.append(np.clip(inputs, made.lower, made.upper))
         memory = law.advance(memory, expected[-1], seen[None], target)
-    applied = made.replay(y, r)
+    applied = made.replay_inputs(y, r)
     difference = np.abs(applied - np.concatenate(expected))
     largest_difference = difference.max()
     assert largest_difference < 1e-7
@@ -148,12 +149,12 @@ def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_pa
     for _ in range(200):  # held at what it can reach, measured without error
         w = np.array([50.0])
         r = c.scale.physical_output(w)
-        u, x = made.track(x, rest, r)
+        u, x = made.compute_step(x, rest, r)
     difference = np.abs(x - far["x"])
     largest_difference = difference.max()
     assert largest_difference < 1e-9
     r = c.scale.output_equilibrium
-    u, _ = made.track(x, rest, r)
+    u, _ = made.compute_step(x, rest, r)
     difference = np.abs(u - c.scale.physical_input(far["v"]))
     assert difference > 0.1 * c.scale.input_scale
 
@@ -207,13 +208,13 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     """float64 changes nothing; float32 has its own verdict; float32 of a spoilt gain, or of a huge
     rate, has none."""
     design = Design.load(certified / "certificate.json")
-    controller = load(certified)
+    controller = load_controller(certified)
     none = np.array([np.inf])
-    exact = deployed_rates(Device.of(controller, "double", -none, none), design)
+    exact = prove_deployed_rates(Device.from_controller(controller, "double", -none, none), design)
     expected = {"state_feedback": 0.3, "observer": 0.4}
     assert exact == expected
-    single = Device.of(controller, "float", -none, none)
-    rounded = deployed_rates(single, design)
+    single = Device.from_controller(controller, "float", -none, none)
+    rounded = prove_deployed_rates(single, design)
     controller_a = single.controller.a
     controller_b = single.controller.b
     controller_k = single.controller.k
@@ -225,7 +226,7 @@ def test_rounding_is_certified_for_what_is_deployed(certified: Path) -> None:
     assert radius < np.sqrt(1 - rounded["state_feedback"])
     controller_k = single.controller.k
     spoilt = replace(single, controller=replace(single.controller, k=-3 * controller_k))
-    state_feedback = deployed_rates(spoilt, design)["state_feedback"]
+    state_feedback = prove_deployed_rates(spoilt, design)["state_feedback"]
     assert state_feedback is None
 
 
@@ -235,22 +236,22 @@ def test_a_rate_that_rounding_costs_is_the_largest_that_is_left(certified: Path)
     design = Design.load(certified / "certificate.json")
     none = np.array([np.inf])
     part = design.state_feedback
-    device = Device.of(load(certified), "double", -none, none)
+    device = Device.from_controller(load_controller(certified), "double", -none, none)
     state_feedback = replace(part, rate=0.99)
     faster = replace(design, state_feedback=state_feedback, extra_certificates={})
-    found = deployed_rates(device, faster)["state_feedback"]
+    found = prove_deployed_rates(device, faster)["state_feedback"]
     assert 0.3 < found < 0.99
     for rate, proved in ((found, True), (found + 0.99 / 4096, False)):
         state_feedback = replace(part, rate=rate)
         stored = replace(design, state_feedback=state_feedback, extra_certificates={})
-        state_feedback = deployed_rates(device, stored)["state_feedback"]
+        state_feedback = prove_deployed_rates(device, stored)["state_feedback"]
         assert (state_feedback == rate) is proved
 
 
 def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) -> None:
     """In single precision a few of its units; in double nothing is said."""
     reals = ("float", "double")
-    single, double = (c_sources(certified, real=real)["controller.h"] for real in reals)
+    single, double = (render_controller(certified, real=real)["controller.h"] for real in reals)
     assert "Rounding to" not in double
     (told,) = re.findall(
         r"Rounding to float moves the loop on the model by at most (\S+) output scales", single
@@ -265,7 +266,7 @@ def test_what_rounding_does_to_the_loop_is_measured_and_told(certified: Path) ->
 def test_a_name_ends_no_comment(tmp_path: Path, name: str) -> None:
     folder = written(device(tmp_path, kind="linear"), tmp_path / "c", about=name)
     assert compiled(folder, "-std=c99").startswith("0 of 200")
-    assert not set("*\\\n/?") & set(harmless(name))
+    assert not set("*\\\n/?") & set(escape_comment(name))
 
 
 def test_export_writes_what_was_asked(tmp_path: Path, smoke_run: Path) -> None:
@@ -301,9 +302,11 @@ def test_refusals(tmp_path: Path) -> None:
     made = device(tmp_path, kind="linear")
     for name in ("two words", "9lives", "float", "while", ""):
         with pytest.raises(BadRequest, match="is no name in C"):
-            c_files(made, name, about="")
+            render_c_files(made, name, about="")
     with pytest.raises(BadRequest, match=r"real = half: unknown; use double or float"):
         device(tmp_path / "half", kind="linear", real="half")
     coupled = device(tmp_path / "two", kind="mlp", channels=2)
-    assert coupled.set_points is None
-    assert "controller_track(controller_state" not in c_files(coupled, about="")["controller.h"]
+    assert coupled.set_point_maps is None
+    assert (
+        "controller_track(controller_state" not in render_c_files(coupled, about="")["controller.h"]
+    )

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssm_study.export.targets import export
+from ssm_study.export.targets import write_controller
 
 
 def tables_of(header: str) -> dict[str, np.ndarray]:
@@ -62,7 +62,7 @@ def holds(
 def test_the_rates_of_the_float_code_hold_for_the_numbers_in_its_header(
     smoke_run: Path, tmp_path: Path
 ) -> None:
-    export(smoke_run, tmp_path / "c", real="float")
+    write_controller(smoke_run, tmp_path / "c", real="float")
     controller_path = tmp_path / "c" / "controller.h"
     header = controller_path.read_text()
     claimed = re.search(r"in float: state feedback ([\d.]+), observer ([\d.]+)\.", header)

@@ -18,9 +18,15 @@ from structured_cases import model as structured
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.export.device import Device
-from ssm_study.export.targets import c_sources, deployed_rates, export, limits, load
+from ssm_study.export.targets import (
+    find_input_limits,
+    load_controller,
+    prove_deployed_rates,
+    render_controller,
+    write_controller,
+)
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.models.stored import model_from_json
 from ssm_study.models.structured import NEURONS, StructuredSSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -57,7 +63,7 @@ def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     model = model_from_json(content)
     design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
-    memory = law.start(1)
+    memory = law.initial_memory(1)
     m = model.scale.inputs
     output_equilibrium = model.scale.output_equilibrium
     target = np.concatenate([np.zeros(model.order + m), output_equilibrium])
@@ -84,7 +90,9 @@ def c_replay(folder: Path, y: np.ndarray, main: str = MAIN_C) -> np.ndarray:
 
 
 def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
-    runtime = pytest.importorskip("onnxruntime", reason="the extra `export` is not installed")
+    runtime = pytest.importorskip(
+        "onnxruntime", reason="the extra `write_controller` is not installed"
+    )
     session = runtime.InferenceSession(
         folder / "controller.onnx", providers=["CPUExecutionProvider"]
     )
@@ -98,7 +106,7 @@ def onnx_replay(folder: Path, y: np.ndarray) -> np.ndarray:
 
 
 def control_replay(folder: Path, y: np.ndarray) -> np.ndarray:
-    control = pytest.importorskip("control", reason="the extra `export` is not installed")
+    control = pytest.importorskip("control", reason="the extra `write_controller` is not installed")
     controller_path = str(folder / "controller.py")
     path = runpy.run_path(controller_path)
     system = path["controller"]
@@ -120,7 +128,7 @@ def test_export_replays_the_python_loop(
     run = random_run(
         tmp_path / "run", kind=kind, channels=channels, seed=channels, integral=integral
     )
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     rng = np.random.default_rng(7)
     white_noise = rng.standard_normal((SAMPLES, channels))
     y = 3 + 5 * white_noise
@@ -138,7 +146,7 @@ def test_export_replays_the_python_loop(
 def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> None:
     integral = ["step", "sine(5Hz)"]
     run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=3, integral=integral)
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     sine = np.sin(2 * np.pi * np.arange(SAMPLES) / 60)
     y = 40 * np.sign(sine)[:, None]
     limited = python_loop(run, y, limit=3.0)
@@ -152,7 +160,7 @@ def test_integrators_in_c_rest_while_a_limit_holds_the_input(tmp_path: Path) -> 
 
 def test_the_certificate_lies_beside_it_byte_for_byte(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="mlp", channels=1, seed=0)
-    paths = export(run, tmp_path / "out")
+    paths = write_controller(run, tmp_path / "out")
     names = {path.name for path in paths}
     assert {"controller.h", "controller.json", "controller.py", "certificate.json"} <= names
     certificate_path = tmp_path / "out" / "certificate.json"
@@ -188,7 +196,7 @@ def test_with_neurons_the_header_says_what_is_proved_and_how_set_points_are_foun
     tmp_path: Path,
 ) -> None:
     run = write_recordings(structured_run(tmp_path / "run", ("tanh",), 0.0))
-    header = c_sources(run, prefix="drive")["drive.h"]
+    header = render_controller(run, prefix="drive")["drive.h"]
     assert "Within the limits nothing is proved: the theorems on them know no neurons." in header
     assert "Set points lie on lines between stored rest points: missed by at most" in header
     assert "drive_track(&state, y, r, u);" in header
@@ -203,15 +211,17 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     content = json.loads(text)
     model = model_from_json(content)
     ends = (-2.0, 2.0)
-    device = Device.of(
-        load(run), "double", *(model.scale.physical_input(np.array([end])) for end in ends)
+    device = Device.from_controller(
+        load_controller(run),
+        "double",
+        *(model.scale.physical_input(np.array([end])) for end in ends),
     )
-    assert device.set_points is not None
-    missed = device.set_points.missed
+    assert device.set_point_maps is not None
+    missed = device.set_point_maps.missed
     assert 1e-6 < missed < 1e-2
     lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
     for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
-        x, u = equilibrium(model, r)
+        x, u = scaled_equilibrium(model, r)
         aimed = device.nearest_equilibrium(r)
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
         difference = np.abs(aimed["x"] - x)
@@ -219,12 +229,12 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
         assert largest_difference < 20 * missed
         assert aimed["v"] == pytest.approx(u, abs=20 * missed)
         output_equilibrium = model.scale.output_equilibrium
-        state = device.start(output_equilibrium)
+        state = device.equilibrium_state(output_equilibrium)
         truth = np.zeros(model.order)
         assert not state.any()
         for _ in range(200):
             y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
-            applied, state = device.track(state, y, r)
+            applied, state = device.compute_step(state, y, r)
             truth = model.advance(truth, lift(model, applied))
         difference = np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r))
         largest_difference = difference.max()
@@ -244,7 +254,7 @@ def rested(model: StructuredSSM, v: np.ndarray) -> np.ndarray:
 
 def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) -> None:
     """A relu that turns the falling output back at large inputs."""
-    made = load(structured_run(tmp_path / "run", ("relu",), 0.0))
+    made = load_controller(structured_run(tmp_path / "run", ("relu",), 0.0))
     assert made.neurons is not None
     f = np.zeros((1, 3))
     g = np.ones((1, 1))
@@ -255,12 +265,12 @@ def test_an_output_that_two_rest_points_share_has_no_set_points(tmp_path: Path) 
     neurons = replace(made.neurons, **turned, phi_bias=phi_bias)
     folded = replace(made, neurons=neurons)
     ends = [made.scale.physical_input(np.array([end])) for end in (-0.5, 0.5)]
-    device = Device.of(folded, "double", *ends)
-    set_points = device.set_points
-    assert set_points is None
-    device = Device.of(made, "double", *ends)
-    set_points = device.set_points
-    assert set_points is not None
+    device = Device.from_controller(folded, "double", *ends)
+    set_point_maps = device.set_point_maps
+    assert set_point_maps is None
+    device = Device.from_controller(made, "double", *ends)
+    set_point_maps = device.set_point_maps
+    assert set_point_maps is not None
 
 
 def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> None:
@@ -270,7 +280,7 @@ def test_the_limits_of_a_one_sided_log_leave_room_to_rest(tmp_path: Path) -> Non
     for rest in (-7.5, 9.0):
         text = json.dumps(stored | {"input_equilibrium": [rest]})
         (run / "model.json").write_text(text)
-        lower, upper = (float(end[0]) for end in limits(run))
+        lower, upper = (float(end[0]) for end in find_input_limits(run))
         assert rest in (lower, upper)
         assert lower < -4 < 4 < upper
 
@@ -283,7 +293,7 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
     """Far from rest, so that every neuron bends; a controller without them would not agree."""
     seen = 0.02 * (len(kinds) > 1)
     run = structured_run(tmp_path / "run", kinds, seen, integral)
-    export(run, tmp_path / "out")
+    write_controller(run, tmp_path / "out")
     rng = np.random.default_rng(7)
     white_noise = rng.standard_normal((SAMPLES, 1))
     y = 1 + 20 * white_noise
@@ -313,21 +323,23 @@ def test_neurons_are_exported(tmp_path: Path, kinds: tuple[str, ...], integral: 
 def test_the_replay_of_neurons_in_c(tmp_path: Path, kinds: tuple[str, ...], real: str) -> None:
     """To the last digit where they are piecewise linear, else within the bound that the replay
     itself holds."""
-    made = load(structured_run(tmp_path / "run", kinds, 0.02))
+    made = load_controller(structured_run(tmp_path / "run", kinds, 0.02))
     ends = (-0.5, 0.5)
-    device = Device.of(made, real, *(made.scale.physical_input(np.array([end])) for end in ends))
+    device = Device.from_controller(
+        made, real, *(made.scale.physical_input(np.array([end])) for end in ends)
+    )
     folder = written(device, tmp_path / "c")
     words = ("-fsanitize=address,undefined", "-lm") if real == "double" else ("-std=c99", "-lm")
     sources = ("controller_replay.c", *words)
     text = compiled(folder, sources=sources)
     assert "tanh" in kinds or text.startswith("0 of 200 inputs differ")
-    free = Device.of(
+    free = Device.from_controller(
         made, "double", *(made.scale.physical_input(np.array([end])) for end in (-1e6, 1e6))
     )
     assert (
         real == "float"
         or "tanh" in kinds
-        or free.multiplications == products(free, tmp_path / "counted")
+        or free.count_multiplications == products(free, tmp_path / "counted")
     )
     broken = (
         (folder / "controller.h")
@@ -345,7 +357,9 @@ def test_rates_of_neurons_are_proved_for_the_deployed_floats(tmp_path: Path) -> 
     run = structured_run(tmp_path / "run", kinds, 0.0)
     design = Design.load(run / "certificate.json")
     for real in ("double", "float"):
-        device = Device.of(load(run), real, np.array([-np.inf]), np.array([np.inf]))
-        rates = deployed_rates(device, design)
+        lower = np.array([-np.inf])
+        upper = np.array([np.inf])
+        device = Device.from_controller(load_controller(run), real, lower, upper)
+        rates = prove_deployed_rates(device, design)
         assert 0.45 < rates["state_feedback"] <= 0.5
         assert 0.45 < rates["observer"] <= 0.5

@@ -10,15 +10,15 @@ from loop_cases import random_model
 from ssm_study.certificates.certificate import Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.loop.certified_bound import (
-    certified_bound,
-    decay_rate,
-    distances,
-    excess,
-    violations,
+    count_bound_violations,
+    distance_bound,
+    estimation_decay_rate,
+    metric_distances,
+    relative_bound_excess,
 )
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant
-from ssm_study.loop.rollout import Rollouts, close_loop
+from ssm_study.loop.rollout import Rollouts, simulate_closed_loop
 from ssm_study.models.identified import SSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Gains, JacobianBall
@@ -45,9 +45,9 @@ def certified(model: SSM) -> tuple[StateFeedback, Observer]:
 def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int) -> Rollouts:
     m = model.scale.inputs
     p = model.scale.outputs
-    identified_plant = IdentifiedPlant.of(model)
+    plant = IdentifiedPlant.from_model(model)
     gains = Gains(k=feedback.k, l=observer.l)
-    observer_feedback = ObserverFeedback(model=model, gains=gains)
+    controller = ObserverFeedback(model=model, gains=gains)
     rng = np.random.default_rng(seed)
     x0 = rng.standard_normal((20, model.order))
     output_equilibrium = model.scale.output_equilibrium
@@ -55,9 +55,9 @@ def rollouts(model: SSM, feedback: StateFeedback, observer: Observer, seed: int)
     noise = np.zeros((20, 120, p))
     disturbance = np.zeros((20, 120, m))
     bound = np.full(p, 1e6)
-    return close_loop(
-        identified_plant,
-        observer_feedback,
+    return simulate_closed_loop(
+        plant,
+        controller,
         x0=x0,
         reference=reference,
         noise=noise,
@@ -74,8 +74,9 @@ def test_measured_is_within_certified(seed):
     model = random_model(seed, inputs=inputs, outputs=outputs, order=order)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
-    assert violations(run.states, run.estimate, feedback, observer) == 0
-    d, e = distances(run.states, run.estimate, feedback, observer)
+    bound_violations = count_bound_violations(run.states, run.estimate, feedback, observer)
+    assert bound_violations == 0
+    d, e = metric_distances(run.states, run.estimate, feedback, observer)
     floor = 1e-12 * e[:, :1]  # of the start: below it, differences of two states are rounding
     upper_limit = observer.contraction * e[:, :-1] * (1 + 1e-9) + floor
     assert (e[:, 1:] <= upper_limit).all()
@@ -92,9 +93,10 @@ def test_the_estimate_decays_at_least_as_certified_and_stays_within_its_bound(se
     model = random_model(seed, inputs=inputs, outputs=outputs, order=order)
     feedback, observer = certified(model)
     run = rollouts(model, feedback, observer, seed)
-    measured = decay_rate(run.states, run.estimate, feedback, observer)
+    measured = estimation_decay_rate(run.states, run.estimate, feedback, observer)
     assert observer.rate * (1 - 1e-9) <= measured <= 1.0
-    assert excess(run.estimate, run.states[:, 0], feedback, observer) == 0.0
+    x0 = run.states[:, 0]
+    assert relative_bound_excess(run.estimate, x0, feedback, observer) == 0.0
 
 
 def test_decay_of_a_known_error_is_that_decay():
@@ -105,8 +107,8 @@ def test_decay_of_a_known_error_is_that_decay():
     direction = rng.standard_normal(4)
     shrink = np.array([[0.8], [0.7]]) ** np.arange(200)
     x_hat = shrink[:, :, None] * direction
-    assert decay_rate(x, x_hat, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
-    assert decay_rate(x, x, feedback, observer) is None
+    assert estimation_decay_rate(x, x_hat, feedback, observer) == pytest.approx(1 - 0.64, rel=1e-9)
+    assert estimation_decay_rate(x, x, feedback, observer) is None
 
 
 def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
@@ -116,18 +118,19 @@ def test_an_estimate_beyond_its_bound_is_measured_as_a_share_of_the_start():
     run = rollouts(model, feedback, observer, 3)
     pushed = np.zeros_like(run.estimate)
     x0 = run.states[:, 0]
-    d, e = distances(run.states[:, :1], pushed[:, :1], feedback, observer)
-    matrixes = (feedback.p, observer.q)
-    root_p, root_q = (np.linalg.cholesky(matrix) for matrix in matrixes)
+    x_hat = pushed[:, :1]
+    d, e = metric_distances(run.states[:, :1], x_hat, feedback, observer)
+    matrices = (feedback.p, observer.q)
+    root_p, root_q = (np.linalg.cholesky(matrix) for matrix in matrices)
     inverse = np.linalg.inv(root_p)
     kappa = np.linalg.norm(inverse @ np.linalg.inv(root_q).T, 2)
     d0 = d[:, 0]
     e0 = e[:, 0]
-    bound = certified_bound(d0, e0, 120, feedback, observer)
+    bound = distance_bound(d0, e0, 120, feedback, observer)
     bound = bound + kappa * e * observer.contraction ** np.arange(120)
     pushed[7, 40] = root_p[:, 0] * (bound[7, 40] + 0.3 * bound[7, 0])
-    assert excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
-    assert excess(pushed, np.zeros_like(x0), feedback, observer) is None
+    assert relative_bound_excess(pushed, x0, feedback, observer) == pytest.approx(0.3, rel=1e-6)
+    assert relative_bound_excess(pushed, np.zeros_like(x0), feedback, observer) is None
 
 
 def test_a_rate_that_is_not_certified_is_caught():
@@ -136,8 +139,9 @@ def test_a_rate_that_is_not_certified_is_caught():
     run = rollouts(model, feedback, observer, 0)
     boast = replace(feedback, rate=0.9)
     boast_observer = replace(observer, rate=0.99)
-    assert violations(run.states, run.estimate, boast, boast_observer) > 0
-    assert decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
+    bound_violations = count_bound_violations(run.states, run.estimate, boast, boast_observer)
+    assert bound_violations > 0
+    assert estimation_decay_rate(run.states, run.estimate, feedback, observer) < boast_observer.rate
 
 
 def test_the_bound_is_the_sum_it_says():
@@ -157,6 +161,5 @@ def test_the_bound_is_the_sum_it_says():
     c = largest * into * out
     k = 7
     expected = r_c**k * 2.0 + c * 3.0 * sum(r_c ** (k - 1 - i) * r_o**i for i in range(k))
-    assert certified_bound(d0, e0, 10, feedback, observer)[0, k] == pytest.approx(
-        expected, rel=1e-9
-    )
+    distances = distance_bound(d0, e0, 10, feedback, observer)
+    assert distances[0, k] == pytest.approx(expected, rel=1e-9)

@@ -13,7 +13,7 @@ from structured_cases import model as with_neurons
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, digest
 from ssm_study.certificates.theorems.integral_action import controlled_system
-from ssm_study.export.portable import portable_controller
+from ssm_study.export.portable import convert_controller
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -80,14 +80,14 @@ def test_a_map_that_may_turn_gives_no_claim(made: tuple) -> None:
 def test_the_loop_is_that_of_the_model_without_the_map(made: tuple) -> None:
     """Sample by sample, from the same states: the same estimates and outputs."""
     stand, _, design = made
-    law = ObserverFeedback.of(stand, design)
+    law = ObserverFeedback.from_design(stand, design)
     other = ObserverFeedback(model=model_behind_map(stand), gains=design.pair)
     horizon_s = 60 * stand.step_s
     asked = Loop(initial_conditions=3, horizon_s=horizon_s, measurement_noise_variance=0.0)
     runs = []
     for controller in (law, other):
-        plant = IdentifiedPlant.of(controller.model)
-        y0, noise = asked.draw(plant, 0)
+        plant = IdentifiedPlant.from_model(controller.model)
+        y0, noise = asked.draw_conditions(plant, 0)
         initial_range = (-1.0, 1.0)
         changed_plant = replace(plant, initial_range=initial_range)
         response = asked.simulate(changed_plant, controller, y0, noise)
@@ -119,7 +119,9 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
     linear = replace(falling.linear, b=b)
     falling = falling.with_linear(linear)
     asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
-    asked = asked.within(np.array([-0.4]), np.array([0.1]))
+    lower = np.array([-0.4])
+    upper = np.array([0.1])
+    asked = asked.within(lower, upper)
     assert asked.design(falling, certified_balls(falling), (motor_record(),)).certified
     expected = [[[-0.1], [0.4]]]
     np.testing.assert_array_equal(scored, expected)
@@ -147,7 +149,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
 def test_a_flat_map_and_an_export_are_refused_in_a_sentence(made: tuple) -> None:
     stand, _, design = made
     with pytest.raises(BadRequest, match="undoes the input map, which no target computes"):
-        portable_controller(stand, design)
+        convert_controller(stand, design)
     breakpoints = np.array([[-0.2, 0.2]])
     slopes = np.array([[1.0, 0.0, 0.9]])
     flat_map = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)

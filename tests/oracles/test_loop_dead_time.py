@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import Linear
@@ -72,7 +72,7 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     """On the plant behind a dead time, which the simulator of delays makes, not the model that was
     designed for."""
     model = bent()
-    identified_plant = IdentifiedPlant.of(model)
+    identified_plant = IdentifiedPlant.from_model(model)
     plant = DelayedInput(plant=identified_plant, samples=LATE)
     jacobian_ball = JacobianBall.from_slopes(0.8, 1.0)
     output = JacobianBall(alpha=1.0, beta=0.0)
@@ -83,13 +83,13 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     assert told.certified
     assert untold.certified
     assert failed_checks(told.to_json(), model.delayed(LATE).linear, balls) == []
-    aware = loop.run(plant, model.delayed(LATE), told, seed=0)
-    assert behaviour(aware)["stable_count"] == 10
+    aware = loop.run_design(plant, model.delayed(LATE), told, seed=0)
+    assert behaviour_columns(aware)["stable_count"] == 10
     certified_bound_violations = certificate_columns(aware, told)["certified_bound_violations"]
     assert certified_bound_violations == 0
-    controller = ObserverFeedback.of(model, untold)
-    naive = loop.on_plant(plant, controller, seed=0)
-    assert behaviour(naive)["stable_count"] == 0
+    controller = ObserverFeedback.from_design(model, untold)
+    naive = loop.run_on_plant(plant, controller, seed=0)
+    assert behaviour_columns(naive)["stable_count"] == 0
 
 
 def test_no_dead_time_is_less_than_none_or_longer_than_a_record() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from loop_cases import motor, motor_design, motor_model
 
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.regulation import SAMPLES, Loop
 
 
@@ -21,9 +21,9 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     b = np.ones((2, 1))
     c = np.ones((1, 2))
     linear = replace(model.linear, a=a, b=b, c=c)
-    loop = Loop().fitted(model.with_linear(linear))
-    assert loop.samples(model.step_s) == samples
-    horizon_s = Loop(horizon_s=2.0).fitted(model).horizon_s
+    loop = Loop().with_fixed_horizon(model.with_linear(linear))
+    assert loop.horizon_samples(model.step_s) == samples
+    horizon_s = Loop(horizon_s=2.0).with_fixed_horizon(model).horizon_s
     assert horizon_s == 2.0
     assert Loop(horizon_s=1e-9).samples(model.step_s) == 2  # a motion
 
@@ -35,11 +35,11 @@ def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
     assert quiet.noise_free is None
     loop = Loop(measurement_noise_variance=20.0)
     noisy = loop.run(motor(), motor_model(), motor_design(), seed=0)
-    columns = behaviour(noisy)
+    columns = behaviour_columns(noisy)
     assert columns["judged_noise_free"]
     assert columns["stable_count"] == 10
     assert columns["unsettled_as"] is None
-    assert not behaviour(quiet)["judged_noise_free"]
+    assert not behaviour_columns(quiet)["judged_noise_free"]
 
 
 def test_without_noise_there_is_nothing_to_leave_out():
@@ -48,5 +48,5 @@ def test_without_noise_there_is_nothing_to_leave_out():
     loop = Loop(measurement_noise_variance=0.0)
     run = loop.run(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
-    assert behaviour(run)["stable_count"] < 10
-    assert behaviour(run)["unsettled_as"]
+    assert behaviour_columns(run)["stable_count"] < 10
+    assert behaviour_columns(run)["unsettled_as"]

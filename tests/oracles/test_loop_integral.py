@@ -12,12 +12,12 @@ from ssm_study.bounds.frequency import gains
 from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.theorems.integral_action import controlled_system, with_modes
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.loop.certified_bound import excess
+from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.plants.disturbance import RampDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
@@ -111,7 +111,7 @@ def _pair(model):
 
 def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
     loop = LOADED.run(motor(), motor_model(), design, seed=0)
-    columns = behaviour(loop)
+    columns = behaviour_columns(loop)
     assert columns["stable_count"] == 10
     assert columns["final_error_worst"] < 1e-3
 
@@ -119,7 +119,7 @@ def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
 def test_without_integral_action_the_load_leaves_an_error():
     plain = inner().design(motor_model(), BALLS)
     loop = LOADED.run(motor(), motor_model(), plain, seed=0)
-    columns = behaviour(loop)
+    columns = behaviour_columns(loop)
     assert columns["final_error_worst"] > 0.2
 
 
@@ -130,9 +130,10 @@ def test_the_certified_bound_holds_with_integrators(design):
     rate = design.observer.rate
     lower_limit = rate * (1 - 1e-9)
     assert columns["estimate_decay_rate"] >= lower_limit
-    estimate = result.on_model.estimate
+    x_hat = result.on_model.estimate
     states = result.on_model.states
-    assert excess(estimate, states[:, 0], *design.parts()) == 0.0
+    x0 = states[:, 0]
+    assert relative_bound_excess(x_hat, x0, *design.parts()) == 0.0
     assert (
         columns["certified_bound_excess_plant"] is None
     )  # the plant follows a reference, the model none
@@ -150,7 +151,9 @@ def test_limits_do_not_wind_the_integrator_up(design):
     )
     limited = replace(free, input_lower=-0.8, input_upper=1.6)
     loops = (limited, free)
-    run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in loops)
+    run, other = (
+        loop.run_design(motor(), motor_model(), design, seed=0).controlled for loop in loops
+    )
     smallest = run.u.min()
     assert smallest == -0.8
     smallest = other.u.min()
@@ -165,13 +168,13 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     nothing winds up."""
     step = StepReference(before=0.0, after=8.0, at_s=1.0)
     free = Loop(initial_conditions=3, horizon_s=5.0, measurement_noise_variance=0.0, reference=step)
-    held = (
-        float(equilibrium(motor_model(), np.array([8.0]))[1][0])
-        * motor_model().scale.input_scale[0]
-    )
+    y = np.array([8.0])
+    held = float(scaled_equilibrium(motor_model(), y)[1][0]) * motor_model().scale.input_scale[0]
     limited = replace(free, input_lower=-1.2 * held, input_upper=1.2 * held)
     loops = (limited, free)
-    run, other = (loop.run(motor(), motor_model(), design, seed=0).controlled for loop in loops)
+    run, other = (
+        loop.run_design(motor(), motor_model(), design, seed=0).controlled for loop in loops
+    )
     largest = other.u.max()
     assert largest > 1.3 * held
     assert (run.u[:, 100:] == 1.2 * held).sum() > 3
@@ -220,7 +223,7 @@ def test_auto_chooses_with_integral_action():
     shown = measure_mismatch(motor_model(), (motor_record(),))
     assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
     loop = LOADED.run(motor(), motor_model(), chosen, seed=0)
-    columns = behaviour(loop)
+    columns = behaviour_columns(loop)
     assert columns["final_error_worst"] < 1e-2
 
 

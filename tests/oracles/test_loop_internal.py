@@ -50,7 +50,9 @@ def made(*words: str) -> Design:
 
 def simulated(loop: Loop, design: Design) -> Rollouts:
     return loop.simulate(
-        motor(), ObserverFeedback.of(motor_model(), design), *loop.draw(motor(), seed=0)
+        motor(),
+        ObserverFeedback.from_design(motor_model(), design),
+        *loop.draw_conditions(motor(), seed=0),
     )
 
 

@@ -11,10 +11,10 @@ from structured_cases import model as with_neurons
 from ssm_study.loop.comparison import SITUATIONS, Comparison
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.design_grid import DesignGrid
-from ssm_study.loop.metrics import behaviour
-from ssm_study.loop.peers.lqg import lqg
-from ssm_study.loop.peers.peer import Identified, compared
-from ssm_study.loop.peers.pi import tyreus_luyben, ultimate
+from ssm_study.loop.metrics import behaviour_columns
+from ssm_study.loop.peers.lqg import lqg_controller
+from ssm_study.loop.peers.peer import Identified, build_compared_controller
+from ssm_study.loop.peers.pi import tyreus_luyben_pi, ultimate_gain
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import StepDisturbance
@@ -39,9 +39,9 @@ SMALL = Auto(
 
 def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
     model = motor_model()
-    limit = ultimate(motor_model())
+    limit = ultimate_gain(motor_model())
     weights = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1)
-    observer_feedback = lqg(model, weights)
+    observer_feedback = lqg_controller(model, weights)
     plain = observer_feedback.model
     linear_b = plain.linear.b
     b = linear_b @ plain.scaffold_in.jacobian(np.zeros(1))
@@ -55,7 +55,7 @@ def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
         poles = np.linalg.eigvals(difference)
         largest = np.abs(poles).max()
         assert (largest < 1) == stable
-    rule = tyreus_luyben(model)
+    rule = tyreus_luyben_pi(model)
     expected = limit.gain / 3.2
     assert rule.gain == pytest.approx(expected)
     expected = 2.2 * limit.period_s
@@ -63,7 +63,7 @@ def test_the_ultimate_gain_is_where_the_loop_just_oscillates():
 
 
 def test_pi_leaves_no_error_under_a_load():
-    identified_plant = IdentifiedPlant.of(motor_model())
+    identified_plant = IdentifiedPlant.from_model(motor_model())
     initial_range = (-4.0, 4.0)
     plant = replace(identified_plant, initial_range=initial_range)
     reference = StepReference(before=0.0, after=8.0, at_s=0.0)
@@ -71,9 +71,9 @@ def test_pi_leaves_no_error_under_a_load():
     loop = Loop(
         horizon_s=6.0, measurement_noise_variance=0.0, reference=reference, disturbance=disturbance
     )
-    controller = tyreus_luyben(motor_model())
-    loop_runs = loop.on_plant(plant, controller, seed=0)
-    columns = behaviour(loop_runs)
+    controller = tyreus_luyben_pi(motor_model())
+    loop_runs = loop.run_on_plant(plant, controller, seed=0)
+    columns = behaviour_columns(loop_runs)
     final_error_worst = columns["final_error_worst"]
     assert final_error_worst < 1e-3
 
@@ -91,19 +91,19 @@ def test_a_textbooks_design_knows_neurons_by_their_slopes_at_rest():
         -points[:, :n], -points[:, n:]
     )
     moved = difference.T / 2e-6
-    seen = known.without_neurons.linear
+    seen = known.linear_model.linear
     assert np.hstack([seen.a, seen.b]) == pytest.approx(moved, abs=1e-8)
-    built, _ = compared("lqg", motor(), known)
-    without = compared(
+    built, _ = build_compared_controller("lqg", motor(), known)
+    without = build_compared_controller(
         "lqg",
         motor(),
-        Identified(model=known.without_neurons, balls=BALLS, validation=(motor_record(),)),
+        Identified(model=known.linear_model, balls=BALLS, validation=(motor_record(),)),
     )
     gains_k = built.gains.k
     expected = without[0].gains.k
     assert gains_k == pytest.approx(expected)
-    plain = replace(known.without_neurons, linear=model.linear)
-    blind = compared(
+    plain = replace(known.linear_model, linear=model.linear)
+    blind = build_compared_controller(
         "lqg", motor(), Identified(model=plain, balls=BALLS, validation=(motor_record(),))
     )
     gains_k = built.gains.k
@@ -116,17 +116,15 @@ def test_lqg_is_optimal_for_the_linear_part():
     step."""
     model = random_model(1)
     weights = replace(WEIGHTS, input_weight=0.3)
-    law = lqg(model, weights)
+    law = lqg_controller(model, weights)
     a = law.model.linear.a
     linear_b = law.model.linear.b
     scaffold_in = law.model.scaffold_in
     b = linear_b @ scaffold_in.jacobian(np.zeros(1))
     linear_c = model.linear.c
-    q = linear_c.T @ model.linear.c + weights.state_weight * np.eye(4)
+    q = linear_c.T @ linear_c + weights.state_weight * np.eye(4)
     gains_k = law.gains.k
-    cost = scipy.linalg.solve_discrete_lyapunov(
-        (a + b @ gains_k).T, q + 0.3 * law.gains.k.T @ law.gains.k
-    )
+    cost = scipy.linalg.solve_discrete_lyapunov((a + b @ gains_k).T, q + 0.3 * gains_k.T @ gains_k)
     greedy = -np.linalg.solve(0.3 * np.eye(1) + b.T @ cost @ b, b.T @ cost @ a)
     actual = law.gains.k
     np.testing.assert_allclose(actual, greedy, rtol=1e-8)
@@ -138,7 +136,7 @@ def test_a_grid_of_gains_is_its_designs_one_by_one():
     k = design.pair.k
     l_ = design.pair.l
     gains = Gains(k=np.stack([k, 0.5 * k]), l=np.stack([l_, 0.7 * l_]))
-    y0, noise = SHORT.draw(motor(), seed=2)
+    y0, noise = SHORT.draw_conditions(motor(), seed=2)
     observer_feedback_gains = gains.at(np.repeat([0, 1], 3))
     grid = ObserverFeedback(model=model, gains=observer_feedback_gains)
     together = SHORT.simulate(motor(), grid, np.tile(y0, (2, 1)), np.tile(noise, (2, 1, 1)))
@@ -165,8 +163,7 @@ def test_the_design_grid_reports_each_designs_own_margin():
     ]
     for row in rows[1:]:
         assert np.isclose(margins, row["mismatch_margin"], rtol=1e-6).any()
-        signals = row.values()
-        assert all(isinstance(value, str | None) or np.isfinite(value) for value in signals)
+        assert all(isinstance(value, str | None) or np.isfinite(value) for value in row.values())
 
 
 def test_a_design_grid_without_a_choice_of_auto_has_the_designs_alone(monkeypatch):
@@ -200,7 +197,7 @@ def test_every_controller_has_a_row_in_every_situation():
 def test_the_spread_fills_its_range():
     spread_fields = ("resistance_ohm", "coulomb_torque_nm")
     table = Comparison(spread_fields=spread_fields, spread_plants=10)
-    plants = table.spread(motor(), seed=0)
+    plants = table.perturbed_plants(motor(), seed=0)
     for name in table.spread_fields:
         factors = np.array([getattr(p, name) for p in plants]) / getattr(motor(), name)
         expected = np.arange(10)
@@ -209,7 +206,7 @@ def test_the_spread_fills_its_range():
 
 def test_the_plants_own_pi_is_a_row_of_its_own():
     """Given the numbers of the rule, it is the rule's controller; at another gain it is not."""
-    rule = tyreus_luyben(KNOWN.model)
+    rule = tyreus_luyben_pi(KNOWN.model)
     plant = motor()
     same, other = (
         Comparison(controllers=("pi",), own_pi=(times * rule.gain, rule.integral_s)).rows(
@@ -247,7 +244,7 @@ def test_what_cannot_be_built_says_why():
     model = random_model(0, inputs=2, outputs=1)
     validation = (motor_record(),)
     known = Identified(model=model, balls=BALLS, validation=validation)
-    controller, said = compared("pi", motor(), known)
+    controller, said = build_compared_controller("pi", motor(), known)
     assert controller is None
     assert "tunes one loop" in said["reason"]
 
@@ -272,4 +269,4 @@ def test_values_out_of_range(values, names):
 def test_a_field_the_plant_does_not_have():
     comparison = Comparison(spread_fields=("colour",))
     with pytest.raises(BadRequest, match="spread_fields"):
-        comparison.spread(motor(), seed=0)
+        comparison.perturbed_plants(motor(), seed=0)

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ssm_study.loop.metrics import COLUMNS, is_faster, noise_gain, pool_columns
+from ssm_study.loop.metrics import COLUMNS, measured_noise_gain, pool_columns, settles_faster
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import (
     STAYED,
     Rollouts,
-    empirical_rate,
-    motions,
+    classify_motions,
+    measured_contraction_rate,
     overshoots,
-    remaining_swings,
+    residual_oscillations,
     settling_times_s,
 )
 
@@ -63,7 +63,7 @@ def test_the_last_tenth_of_the_horizon_is_the_least_that_counts():
     swinging = rollouts(*sines)
     expected = (None,) * 200
     assert settling_times_s(swinging, 0.2) == expected
-    assert set(motions(swinging, 0.2)) == {"oscillating"}
+    assert set(classify_motions(swinging, 0.2)) == {"oscillating"}
 
 
 def test_what_does_not_settle_is_told_apart():
@@ -79,14 +79,16 @@ def test_what_does_not_settle_is_told_apart():
         "lost": 0.01 * k,
     }
     left = (*(STAYED,) * 4, 100)
-    assert motions(rollouts(*[list(y) for y in signals.values()], left=left), 0.2) == tuple(signals)
+    assert classify_motions(
+        rollouts(*[list(y) for y in signals.values()], left=left), 0.2
+    ) == tuple(signals)
     offset = 0.5 + 0 * k
     ringing = 3 + np.cos(k)
     cosine = np.cos(k)
     growing = 0.3 * 1.01**k * cosine
     run = rollouts(list(offset), list(ringing), list(growing))
     expected = ("drifting", "oscillating", "oscillating")
-    assert motions(run, 0.2) == expected
+    assert classify_motions(run, 0.2) == expected
 
 
 def test_settled_is_measured_from_the_reference():
@@ -124,16 +126,16 @@ def test_empirical_rate_of_a_geometric_decay():
     r = 0.8
     run = rollouts(*[[y0 * r**k for k in range(30)] for y0 in (4.0, 1.0, -2.0)])
     expected = 1 - r**2
-    assert empirical_rate(run, 0.2) == pytest.approx(expected, rel=0.01)
+    assert measured_contraction_rate(run, 0.2) == pytest.approx(expected, rel=0.01)
 
 
 def test_trajectories_that_part_have_a_negative_rate():
-    assert empirical_rate(rollouts([1, 2, 4], [0, 0, 0]), 0.2) < 0
+    assert measured_contraction_rate(rollouts([1, 2, 4], [0, 0, 0]), 0.2) < 0
 
 
 def test_no_pairs_no_rate():
-    assert empirical_rate(rollouts([1, 0, 0]), 0.2) is None
-    assert empirical_rate(rollouts([1, 0], [1.1, 0]), 0.2) is None
+    assert measured_contraction_rate(rollouts([1, 0, 0]), 0.2) is None
+    assert measured_contraction_rate(rollouts([1, 0], [1.1, 0]), 0.2) is None
 
 
 def test_the_remaining_error_is_the_mean_over_the_last_tenth():
@@ -160,13 +162,13 @@ def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
     measured = run.y + noise
     changed_run = replace(run, measured=measured)
     expected = np.sqrt((1 + 9) / 2) / 2
-    assert noise_gain(changed_run) == pytest.approx(expected)
+    assert measured_noise_gain(changed_run) == pytest.approx(expected)
     changed_run = replace(run, measured=run.y)
-    assert noise_gain(changed_run) is None
+    assert measured_noise_gain(changed_run) is None
     measured = run.y + noise
     left_at_sample = np.full(3, 3)
     changed_run = replace(run, measured=measured, left_at_sample=left_at_sample)
-    assert noise_gain(changed_run) is None
+    assert measured_noise_gain(changed_run) is None
 
 
 @pytest.mark.parametrize(
@@ -181,7 +183,7 @@ def test_what_the_noise_leaves_is_read_where_the_loop_has_come_to_rest():
     ],
 )
 def test_faster_than_the_open_loop_needs_every_case_and_a_smaller_mean(controlled, alone, faster):
-    assert is_faster(controlled, alone) is faster
+    assert settles_faster(controlled, alone) is faster
 
 
 def test_a_swing_within_the_band_is_settled_and_not_at_rest():
@@ -193,7 +195,7 @@ def test_a_swing_within_the_band_is_settled_and_not_at_rest():
     run = rollouts(swinging.tolist(), sloping.tolist(), lost.tolist())
     expected = (0.0, 0.0, None)
     assert settling_times_s(run, 0.1) == expected
-    swings = remaining_swings(run, 0.1)
+    swings = residual_oscillations(run, 0.1)
     assert swings.shape == (2,)  # the third is not settled
     assert swings[0] == pytest.approx(0.04, rel=0.1)
     assert swings[1] == pytest.approx(0.0, abs=1e-9)

@@ -66,7 +66,7 @@ def test_a_plant_with_stiction_comes_to_rest_only_under_a_stable_controller(stab
     riccati_synthesis = RiccatiSynthesis(rate_controller=0.05, rate_observer=0.1, **weights)
     design = riccati_synthesis.design(model, ONES)
     assert design.certified
-    law = ObserverFeedback.of(model, design)
+    law = ObserverFeedback.from_design(model, design)
     radius = controller_radius(model.linear, law.gains, ONES)
     assert (radius < 1) == stable
     loop = Loop(initial_conditions=1, horizon_s=6.0)

@@ -11,7 +11,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.trajectory import equilibrium, guided_trajectory
+from ssm_study.loop.trajectory import feedback_trajectory, scaled_equilibrium
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.plants.disturbance import NoDisturbance, StepDisturbance
 from ssm_study.refusal import BadRequest
@@ -22,7 +22,7 @@ from ssm_study.systems import Gains
 @pytest.mark.parametrize("y", [0.4, 1.0, 1.9])
 def test_the_rest_point_is_where_a_constant_input_takes_the_model(y: float) -> None:
     stand = model()
-    x, u = equilibrium(stand, np.array([y]))
+    x, u = scaled_equilibrium(stand, np.array([y]))
     held = stand.simulate(np.tile(stand.scale.physical_input(u), (400, 1)))
     assert held[-1, 0] == pytest.approx(y, abs=1e-8)
     difference = np.abs(stand.advance(x, stand.scaffold_in(u[None])[0]) - x)
@@ -37,20 +37,21 @@ def test_an_output_that_saturation_forbids_is_refused() -> None:
     bias = np.zeros(1)
     inside = {"b": b, "g": g, "bias": bias}
     structured_ssm = StructuredSSM(**{**vars(stand), **inside})
+    y = np.array([500.0])
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(structured_ssm, np.array([500.0]))
+        scaled_equilibrium(structured_ssm, y)
 
 
 def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None:
     stand = model()
     k = 0.1 * np.ones((1, 3))
     reference = np.repeat([[1.0], [1.8], [0.7]], 200, axis=0)
-    plan = guided_trajectory(stand, k, reference)
+    plan = feedback_trajectory(stand, k, reference)
     replayed = stand.simulate(stand.scale.physical_input(plan[:, 3:]))
     planned = stand.read(plan[:, :3], stand.scaffold_in(plan[:, 3:]))
     np.testing.assert_allclose(replayed, planned, atol=1e-10)
     assert planned[399, 0] == pytest.approx(1.8, abs=1e-6)
-    assert not guided_trajectory(stand, k, np.ones((5, 1))).any()
+    assert not feedback_trajectory(stand, k, np.ones((5, 1))).any()
 
 
 @pytest.mark.parametrize("undone", [False, True])
@@ -74,12 +75,12 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
         reference=steps,
         disturbance=load,
     )
-    identified_plant = IdentifiedPlant.of(stand)
-    runs = loop.run(identified_plant, stand, design, 0)
+    plant = IdentifiedPlant.from_model(stand)
+    runs = loop.run_design(plant, stand, design, 0)
     controlled_y = runs.controlled.y
     assert controlled_y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
     changed_loop = replace(loop, disturbance=NoDisturbance())
-    identified_plant = IdentifiedPlant.of(stand)
+    identified_plant = IdentifiedPlant.from_model(stand)
     without = changed_loop.run(identified_plant, stand, design, 0)
     controlled_u = without.controlled.u
     difference = np.abs(controlled_u[:, -1] - runs.controlled.u[:, -1])

@@ -12,7 +12,12 @@ from loop_cases import motor, motor_design, motor_model, random_model
 from ssm_study.bounds.network import Network
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.trajectory import equilibrium, feasible_trajectory, inverse, set_points
+from ssm_study.loop.trajectory import (
+    feasible_trajectory,
+    invert_map,
+    scaled_equilibrium,
+    set_point_equilibria,
+)
 from ssm_study.models.scaffolds.mlp import MlpScaffold
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
 from ssm_study.refusal import BadRequest
@@ -22,7 +27,7 @@ from ssm_study.refusal import BadRequest
 def test_scalar_inverse_undoes_the_map(seed, v):
     scaffold = random_model(seed).scaffold_in
     w = scaffold(np.array([[v]]))
-    actual = inverse(scaffold, w)
+    actual = invert_map(scaffold, w)
     expected = [[v]]
     np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9)
 
@@ -32,7 +37,7 @@ def test_inverse_of_a_map_with_several_channels():
     model = random_model(3, inputs=3, outputs=2)
     v = rng.standard_normal((20, 3))
     w = model.scaffold_in(v)
-    actual = inverse(model.scaffold_in, w)
+    actual = invert_map(model.scaffold_in, w)
     np.testing.assert_allclose(actual, v, rtol=1e-8, atol=1e-8)
 
 
@@ -41,7 +46,7 @@ def test_inverse_of_a_map_with_several_channels():
 def test_what_is_left_of_zero_by_rounding_is_reached(inputs, size):
     scaffold = random_model(3, inputs=inputs, outputs=1).scaffold_in
     w = np.full((1, inputs), size)
-    matrix = inverse(scaffold, w)
+    matrix = invert_map(scaffold, w)
     largest = np.abs(matrix).max()
     assert largest < 1e-11
 
@@ -60,7 +65,7 @@ def test_a_value_the_map_does_not_reach_is_refused():
     scaffold = MlpScaffold(network=flat)
     w = np.array([[5.0]])
     with pytest.raises(BadRequest, match="does not reach"):
-        inverse(scaffold, w)
+        invert_map(scaffold, w)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -69,7 +74,7 @@ def test_an_equilibrium_is_one(seed):
     model = random_model(seed, inputs=inputs, outputs=1)
     output_equilibrium = model.scale.output_equilibrium
     y = output_equilibrium + 0.7 * model.scale.output_scale
-    x, u = equilibrium(model, y)
+    x, u = scaled_equilibrium(model, y)
     lifted = model.scaffold_in(u)
     actual = model.advance(x, lifted)
     np.testing.assert_allclose(actual, x, atol=1e-9)
@@ -125,12 +130,13 @@ def test_no_other_trajectory_costs_less():
 
 def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     model = motor_model()
-    identified_plant = IdentifiedPlant.of(model)
+    identified_plant = IdentifiedPlant.from_model(model)
     initial_range = (-4.0, 4.0)
     plant = replace(identified_plant, initial_range=initial_range)
     reference = PeriodicDisturbance(amplitude=4.0, frequency_hz=1.0)
     loop = Loop(horizon_s=4.0, measurement_noise_variance=0.0, reference=reference)
-    run = loop.run(plant, model, motor_design(), seed=0).controlled
+    loop_runs = loop.run_design(plant, model, motor_design(), seed=0)
+    run = loop_runs.controlled
     plan = feasible_trajectory(model, run.reference)
     target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
     difference = np.abs(run.y - target)
@@ -145,8 +151,9 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
 def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
     reference = StepReference(before=0.0, after=speed, at_s=0.5)
     loop = Loop(horizon_s=3.0, measurement_noise_variance=0.0, reference=reference)
-    run = loop.run(motor(), motor_model(), motor_design(), seed=0).controlled
-    assert run.stayed.all()
+    loop_runs = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
+    run = loop_runs.controlled
+    assert run.stayed_within_bound.all()
     difference = np.abs(run.y[:, -1, 0] - speed)
     largest_difference = difference.max()
     assert largest_difference < 1.5
@@ -155,9 +162,9 @@ def test_the_true_motor_reaches_a_set_speed_within_what_the_model_misses(speed):
 def test_set_points_hold_each_value():
     model = motor_model()
     reference = np.repeat([[1.0], [-3.0], [1.0]], 5, axis=0)
-    points = set_points(model, reference)
+    points = set_point_equilibria(model, reference)
     for k in (0, 7, 14):
-        expected = np.concatenate(equilibrium(model, reference[k]))
+        expected = np.concatenate(scaled_equilibrium(model, reference[k]))
         np.testing.assert_allclose(points[k], expected)
 
 
@@ -186,8 +193,9 @@ def test_reference_signals(tmp_path):
 def test_a_reference_without_equilibrium_is_refused():
     model = random_model(0, inputs=1, outputs=2)
     output_equilibrium = model.scale.output_equilibrium
+    y = output_equilibrium + np.array([1.0, -1.0])
     with pytest.raises(BadRequest, match="no constant input"):
-        equilibrium(model, output_equilibrium + np.array([1.0, -1.0]))
+        scaled_equilibrium(model, y)
 
 
 def test_rest_is_planned_as_rest():
@@ -201,6 +209,7 @@ def test_a_planned_step_ends_at_its_set_point():
     reference = np.repeat([[0.0], [5.0]], 300, axis=0)
     plan = feasible_trajectory(model, reference)
     actual = plan[-1]
-    expected = np.concatenate(equilibrium(model, np.array([5.0])))
+    y = np.array([5.0])
+    expected = np.concatenate(scaled_equilibrium(model, y))
     np.testing.assert_allclose(actual, expected, atol=1e-6)
     np.testing.assert_allclose(plan[0], 0, atol=1e-3)

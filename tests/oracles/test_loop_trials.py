@@ -25,11 +25,11 @@ def looped(
 ) -> Trajectory:
     """The model under its own controller, its output moved by `relay tanh(50 y)`: a gain that peaks
     at rest."""
-    controller = ObserverFeedback.of(model, design)
+    controller = ObserverFeedback.from_design(model, design)
     rng = np.random.default_rng(0)
     reference = np.zeros((samples, 1))
     plan = controller.targets(reference)
-    memory = controller.start(1)
+    memory = controller.initial_memory(1)
     x = np.ones(model.order)
     u = np.zeros((samples, 1))
     y = np.zeros((samples, 1))
@@ -70,9 +70,9 @@ def recorded(noise: float = 0.01) -> Trajectory:
     rng = np.random.default_rng(1)
     white_noise = rng.standard_normal((1024, 1))
     u = np.tile(3 * white_noise, (2, 1))
-    model = MODEL.simulate(u)
+    response = MODEL.simulate(u)
     white_noise = rng.standard_normal(u.shape)
-    y = model + noise * white_noise
+    y = response + noise * white_noise
     return Trajectory(u=u, y=y, step_s=MODEL.step_s)
 
 
@@ -116,8 +116,8 @@ def test_a_motion_asked_of_a_good_loop_shows_little():
     sine = np.sin(np.arange(SAMPLES) / 7)
     moved = 2 * sine[:, None]
     u = trial.u + moved
-    model = MODEL.simulate(moved)
-    y = trial.y + model
+    response = MODEL.simulate(moved)
+    y = trial.y + response
     changed_trial = replace(trial, u=u, y=y)
     shown = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))
     assert shown.loop is not None
@@ -132,9 +132,9 @@ def test_of_a_moving_loop_the_noise_goes_in_every_band(size):
     k = np.arange(SAMPLES)[:, None]
     sine = np.sin(k / 7)
     moved = 2 * sine
-    model = MODEL.simulate(moved)
+    response = MODEL.simulate(moved)
     cosine = np.cos(np.pi * k)
-    y = trial.y + model + size * (1 + cosine)
+    y = trial.y + response + size * (1 + cosine)
     u = trial.u + moved
     changed_trial = replace(trial, u=u, y=y)
     mismatch = measure_mismatch(MODEL, (recorded(0.05),), 0, (changed_trial,))

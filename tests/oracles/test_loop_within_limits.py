@@ -14,10 +14,10 @@ from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.limited_input import ball_behind_limits, certify_under_limits
 from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
-from ssm_study.loop.certified_bound import violations
+from ssm_study.loop.certified_bound import count_bound_violations
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
-from ssm_study.loop.trajectory import equilibrium
+from ssm_study.loop.trajectory import scaled_equilibrium
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
@@ -61,8 +61,8 @@ def pair() -> tuple[SSM, Design]:
 
 def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
     """Inputs that the unlimited loop requests from rest at `y0`, noise-free."""
-    law = ObserverFeedback.of(model, design)
-    x = equilibrium(model, np.array([y0]))[0][None]
+    law = ObserverFeedback.from_design(model, design)
+    x = scaled_equilibrium(model, np.array([y0]))[0][None]
     memory = x.copy()
     target = np.zeros(model.order + 2)
     asked = []
@@ -145,14 +145,18 @@ def test_the_loop_with_its_observer_obeys_the_bound_at_the_limit(pair: tuple[SSM
     loop = Loop(
         horizon_s=8.0, measurement_noise_variance=0.0, input_lower=input_lower, input_upper=LIMIT[0]
     )
-    law = ObserverFeedback.of(model, design)
+    law = ObserverFeedback.from_design(model, design)
     starts = np.array([[-20.0], [-3.0], [0.05], [9.0]])
-    identified_plant = IdentifiedPlant.of(model)
+    identified_plant = IdentifiedPlant.from_model(model)
     run = loop.simulate(identified_plant, law, starts, np.zeros((4, 80, 1)))
     expected = [[True], [True], [False], [True]]
     assert (np.abs(run.u) == LIMIT).any(axis=1).tolist() == expected
-    assert violations(run.states, run.estimate, saturated, design.observer) == 0
-    assert violations(run.states, run.estimate, design.state_feedback, design.observer) > 0
+    bound_violations = count_bound_violations(run.states, run.estimate, saturated, design.observer)
+    assert bound_violations == 0
+    bound_violations = count_bound_violations(
+        run.states, run.estimate, design.state_feedback, design.observer
+    )
+    assert bound_violations > 0
 
 
 def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> None:
@@ -161,7 +165,8 @@ def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> N
     model, design = pair
     found = within_limits(model, design, -LIMIT, LIMIT)
     feedback = design.state_feedback
-    x = equilibrium(model, np.array([1.0]))[0][:, None]
+    y = np.array([1.0])
+    x = scaled_equilibrium(model, y)[0][:, None]
     asked = []
     for _ in range(40):
         item = (feedback.k @ x).item()

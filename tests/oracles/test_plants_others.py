@@ -177,12 +177,13 @@ def test_a_loops_disturbance_enters_the_first_of_the_tanks_inflows(
 ) -> None:
     plant = from_yaml("plant", "quadruple_tank")
     close_loop = Mock(side_effect=InterruptedError)
-    monkeypatch.setattr(regulation, "close_loop", close_loop)
+    monkeypatch.setattr(regulation, "simulate_closed_loop", close_loop)
     disturbance = StepDisturbance(size=2.0, at_s=0.0)
     loop = regulation.Loop(horizon_s=1.0, disturbance=disturbance)
     mock = Mock(spec=Controller)
+    equilibrium = plant.equilibrium()
     with pytest.raises(InterruptedError):
-        loop.simulate(plant, mock, plant.equilibrium().y[None], np.zeros((1, 5, 2)))
+        loop.simulate(plant, mock, equilibrium.y[None], np.zeros((1, 5, 2)))
     disturbance = close_loop.call_args.kwargs["disturbance"]
     actual = disturbance[0]
     expected = [[2.0, 0.0]] * 5

@@ -59,7 +59,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     assert design.record["evidence"] == "doubt"
     assert "The output integrates its input" in design.record["evidence_reasons"]
     assert "data.decimate" not in design.record["evidence_reasons"]
-    law = ObserverFeedback.of(design.model, design.certificate)
+    law = ObserverFeedback.from_design(design.model, design.certificate)
     limit_lower = design.record["limit_lower"]
     limit_upper = design.record["limit_upper"]
     limits = (limit_lower, limit_upper)
@@ -68,7 +68,7 @@ def test_a_position_is_identified_certified_doubted_and_brought_to_rest() -> Non
     rest = plan[0]
     for start in (0.2, -2.0):  # from positions far beyond one step
         x = np.array([0.0, start])
-        memory = law.start(1)
+        memory = law.initial_memory(1)
         for _ in range(800):
             seen = x[None, 1:]
             inputs = law.input(memory, seen, rest)

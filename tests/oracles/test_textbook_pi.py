@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from report_runs import random_model
 
-from ssm_study.loop.peers.peer import without_neurons
-from ssm_study.loop.peers.pi import tyreus_luyben
+from ssm_study.loop.peers.peer import linearise_neurons
+from ssm_study.loop.peers.pi import tyreus_luyben_pi
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.loop.rollout import settling_times_s
-from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.signals import Scale
@@ -36,11 +36,11 @@ def lag() -> SSM:
 def test_its_columns_are_those_of_the_loop_written_out() -> None:
     """`u = gain (e + i)`, `i+ = i + step / T e` by hand, sample by sample."""
     model = lag()
-    plant = IdentifiedPlant.of(model)
-    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).fitted(model)
-    facts = pi_facts(plant, model, loop, seed=1)
-    pi = tyreus_luyben(without_neurons(model))
-    y0, noise = loop.draw(plant, 1)
+    plant = IdentifiedPlant.from_model(model)
+    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_fixed_horizon(model)
+    facts = textbook_pi_columns(plant, model, loop, seed=1)
+    pi = tyreus_luyben_pi(linearise_neurons(model))
+    y0, noise = loop.draw_conditions(plant, 1)
     times_s = []
     for start in y0:
         x = plant.states_at(start[None])[0]
@@ -64,12 +64,12 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
 
 def test_it_starts_where_every_controller_starts() -> None:
     model = lag()
-    plant = IdentifiedPlant.of(model)
-    loop = Loop(initial_conditions=4).fitted(model)
-    runs = loop.on_plant(plant, tyreus_luyben(model), 7)
-    times = settling_times_s(runs.judged, plant.settling_band)
+    plant = IdentifiedPlant.from_model(model)
+    loop = Loop(initial_conditions=4).with_fixed_horizon(model)
+    runs = loop.run_on_plant(plant, tyreus_luyben_pi(model), 7)
+    times = settling_times_s(runs.runs_for_settling, plant.settling_band)
     settled = [time for time in times if time]
-    settling_time_pi_s = pi_facts(plant, model, loop, 7)["settling_time_pi_s"]
+    settling_time_pi_s = textbook_pi_columns(plant, model, loop, 7)["settling_time_pi_s"]
     expected = np.mean(settled)
     assert settling_time_pi_s == pytest.approx(expected)
 
@@ -77,6 +77,6 @@ def test_it_starts_where_every_controller_starts() -> None:
 def test_nothing_is_said_where_the_rule_has_no_answer_or_there_is_no_plant() -> None:
     rng = np.random.default_rng(0)
     two = random_model(rng, "linear", 2)
-    assert pi_facts(None, lag(), Loop(), 0) == {}
-    plant = IdentifiedPlant.of(lag())
-    assert pi_facts(plant, two, Loop(), 0) == {}
+    assert textbook_pi_columns(None, lag(), Loop(), 0) == {}
+    plant = IdentifiedPlant.from_model(lag())
+    assert textbook_pi_columns(plant, two, Loop(), 0) == {}

@@ -9,7 +9,7 @@ import report_tables
 from report_runs import random_run
 
 from ssm_study import style
-from ssm_study.export.targets import export
+from ssm_study.export.targets import write_controller
 from ssm_study.refusal import BadRequest
 from ssm_study.report.page.live import is_loopback, serve
 from ssm_study.report.page.writing import write_page
@@ -63,7 +63,7 @@ def test_the_export_replaces_links(tmp_path: Path, victim: Path) -> None:
     folder.mkdir()
     for name in ("controller.h", "controller.json", "controller.py"):
         (folder / name).symlink_to(victim)
-    written = export(run, folder)
+    written = write_controller(run, folder)
     assert victim.read_text() == INTACT
     assert not any(path.is_symlink() for path in written)
 

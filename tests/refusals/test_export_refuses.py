@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from report_runs import random_run
 
-from ssm_study.export.targets import export
+from ssm_study.export.targets import write_controller
 from ssm_study.refusal import BadRequest
 
 
 def test_a_run_without_controller(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match=r"it has no model\.json; name the folder of a run"):
-        export(tmp_path, tmp_path / "out")
+        write_controller(tmp_path, tmp_path / "out")
 
 
 def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
@@ -31,14 +31,14 @@ def test_an_infeasible_run_gives_its_reason(tmp_path: Path) -> None:
     with pytest.raises(
         BadRequest, match=r"rate 0\.9 lies beyond the frontier 0\.2; export another"
     ):
-        export(run, tmp_path / "out")
+        write_controller(run, tmp_path / "out")
 
 
 def test_a_file_in_the_way(tmp_path: Path) -> None:
     run = random_run(tmp_path / "run", kind="linear", channels=1, seed=0)
     (tmp_path / "out").write_text("mine")
     with pytest.raises(BadRequest, match="is a file; name a folder"):
-        export(run, tmp_path / "out")
+        write_controller(run, tmp_path / "out")
     text = (tmp_path / "out").read_text()
     assert text == "mine"
 
@@ -54,4 +54,4 @@ def test_a_certificate_of_another_model(tmp_path: Path) -> None:
     text = json.dumps(model)
     (run / "model.json").write_text(text)
     with pytest.raises(BadRequest, match="the model has order 1"):
-        export(run, tmp_path / "out")
+        write_controller(run, tmp_path / "out")

@@ -9,7 +9,7 @@ from loop_cases import motor, motor_design, motor_model, random_model
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.comparison import Comparison
 from ssm_study.loop.controller import ObserverFeedback
-from ssm_study.loop.metrics import behaviour
+from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.loop.reference import FileReference, StepReference
 from ssm_study.loop.regulation import IdentifiedPlant, Loop
 from ssm_study.plants.disturbance import PeriodicDisturbance, RampDisturbance
@@ -42,7 +42,7 @@ def test_a_controller_for_other_dimensions():
     gains = Gains(k=k, l=np.zeros((4, 1)))
     controller = ObserverFeedback(model=model, gains=gains)
     with pytest.raises(BadRequest, match="controller inputs, outputs"):
-        LOOP.on_plant(motor(), controller, seed=0)
+        LOOP.run_on_plant(motor(), controller, seed=0)
 
 
 def test_a_controller_for_another_sampling_time():
@@ -50,7 +50,7 @@ def test_a_controller_for_another_sampling_time():
     model = replace(motor_model(), step_s=0.02)
     controller = ObserverFeedback(model=model, gains=design.pair)
     with pytest.raises(BadRequest, match="step_s"):
-        LOOP.on_plant(motor(), controller, seed=0)
+        LOOP.run_on_plant(motor(), controller, seed=0)
 
 
 def test_gains_of_another_model():
@@ -86,10 +86,11 @@ def test_a_model_with_feedthrough_in_the_plants_place():
     d = np.ones((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
     with pytest.raises(BadRequest, match="feedthrough"):
-        IdentifiedPlant.of(model.with_linear(linear))
+        IdentifiedPlant.from_model(model.with_linear(linear))
     channel = Channel(name="x", unit="1")
+    inputs = (channel,) * 2
     with pytest.raises(BadRequest, match="name each of its signals"):
-        IdentifiedPlant.of(model, (channel,) * 2)
+        IdentifiedPlant.from_model(model, inputs)
 
 
 def test_a_diverging_loop_is_stopped_and_labelled():
@@ -103,16 +104,15 @@ def test_a_diverging_loop_is_stopped_and_labelled():
     loop = Loop(
         horizon_s=1.0, measurement_noise_variance=0.02
     )  # noise carries the slowest case out of the dead-zone
-    result = loop.on_plant(motor(), wrong, seed=0)
-    columns = behaviour(result)
+    result = loop.run_on_plant(motor(), wrong, seed=0)
+    columns = behaviour_columns(result)
     assert columns["stable_count"] == 0
     assert columns["left_bound_count"] == 10
     assert 0 < columns["left_bound_first_s"] < 1.0
     assert columns["settling_time_mean_s"] is None
     assert columns["settling_time_worst_s"] is None
     assert columns["unsettled_as"] == "10 lost"
-    signals = columns.values()
-    assert all(isinstance(value, str | None) or np.isfinite(value) for value in signals)
+    assert all(isinstance(value, str | None) or np.isfinite(value) for value in columns.values())
     run = result.controlled
     assert (np.abs(run.y) <= run.bound).all()
     for case, at in enumerate(run.left_at_sample):
@@ -127,9 +127,9 @@ def test_an_unstable_observer_is_stopped_before_it_overflows():
     gains = Gains(k=k, l=1e3 * observer_l)
     wild = ObserverFeedback(model=motor_model(), gains=gains)
     loop = Loop(horizon_s=5.0, measurement_noise_variance=0.02)
-    loop_runs = loop.on_plant(motor(), wild, seed=0)
+    loop_runs = loop.run_on_plant(motor(), wild, seed=0)
     run = loop_runs.controlled
-    assert not run.stayed.any()
+    assert not run.stayed_within_bound.any()
     assert np.isfinite(run.estimate).all()
 
 
@@ -168,7 +168,7 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
         input_lower=-3.0,
     )
     with pytest.raises(BadRequest, match=r"loop\.reference"):
-        loop.run(motor(), motor_model(), motor_design(), seed=0)
+        loop.run_design(motor(), motor_model(), motor_design(), seed=0)
 
 
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from ssm_study.certificates.certificate import digest
 from ssm_study.cli.main import main
-from ssm_study.export.targets import describe
+from ssm_study.export.targets import describe_origin
 from ssm_study.table import gather
 
 
@@ -58,9 +58,9 @@ def test_damage_is_one_sentence(what: str, study: Path, capsys: pytest.CaptureFi
 
 
 def test_a_forged_certificate_is_not_exported_as_one(study: Path) -> None:
-    assert "certified for its model" in describe(run_of(study))
+    assert "certified for its model" in describe_origin(run_of(study))
     forged(study)
-    assert "NOT certified" in describe(run_of(study))
+    assert "NOT certified" in describe_origin(run_of(study))
 
 
 def test_a_full_disk_is_one_sentence(

@@ -64,7 +64,7 @@ def set_point_picture(
     `size` in the output's unit; without it the largest share of the output's scale in `SIZES` that
     an input within the limits of `loop` holds. Raises `NothingToShow` where none does.
     """
-    controller = ObserverFeedback.of(model, design)
+    controller = ObserverFeedback.from_design(model, design)
     output_scale = model.scale.output_scale
     scale = float(output_scale.min())
     sizes = (size,) if size is not None else tuple(share * scale for share in SIZES)
@@ -81,7 +81,7 @@ def set_point_picture(
 
 def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> Rollouts:
     """One run from rest through a step."""
-    samples = loop.samples(plant.step_s)
+    samples = loop.horizon_samples(plant.step_s)
     at_s = BEFORE * samples * plant.step_s
     reference = StepReference(before=0.0, after=size, at_s=at_s)
     rest = plant.equilibrium().y[None]

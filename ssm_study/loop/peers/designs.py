@@ -12,42 +12,42 @@ from ssm_study.synthesis.lmi import LmiSynthesis
 
 
 class UncontrolledPeer(Peer, names=("uncontrolled",)):
-    """Peer that leaves the plant uncontrolled."""
+    """Comparison method that leaves the plant uncontrolled."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> Uncontrolled:
-        return Uncontrolled.of(plant)
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Uncontrolled:
+        return Uncontrolled.for_plant(plant)
 
 
 class PaperLmiPeer(Peer, names=("paper_lmi",)):
-    """Peer with any solution of the inequalities of the paper's theorems."""
+    """Comparison method that takes any solution of the linear matrix inequalities of the paper's
+    theorems."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         synthesis = LmiSynthesis(
             rate_controller=rate, rate_observer=rate, objective="feasibility", full=True
         )
-        return synthesis.design(known.model, known.balls)
+        return synthesis.design(identified.model, identified.balls)
 
 
 class GuaranteedCostPeer(Peer, names=("guaranteed_cost",)):
-    """Peer with the Riccati design of least guaranteed cost, with the weights of
-    `synthesis=riccati`."""
+    """Comparison method with the Riccati design of least guaranteed cost."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         synthesis = RiccatiSynthesis(rate_controller=rate, rate_observer=rate)
-        return synthesis.design(known.model, known.balls)
+        return synthesis.design(identified.model, identified.balls)
 
 
 class ChosenPeer(Peer, names=("auto",)):
-    """Peer with our own automatic choice, `synthesis=auto`."""
+    """Comparison method with this project's automatic design, `synthesis=auto`."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
-        return known.chosen(Auto())
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
+        return identified.auto_design(Auto())
 
 
 class ChosenIntegralPeer(Peer, names=("auto_integral",)):
-    """Peer with our own automatic choice and integral action."""
+    """Comparison method with this project's automatic design and integral action."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> Design:
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Design:
         integral_weights = (1e-4, 1e-3, 1e-2)
         synthesis = Auto(integral_weights=integral_weights)
-        return known.chosen(synthesis)
+        return identified.auto_design(synthesis)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ssm_study.certificates.problem import Problem
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.peers.peer import Identified, Peer
-from ssm_study.loop.peers.pi import mean_slope
+from ssm_study.loop.peers.pi import mean_input_slope
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.plants.plant import Plant
@@ -21,13 +21,13 @@ from ssm_study.systems import Gains, JacobianBall
 LINEAR = JacobianBall(alpha=1.0, beta=0.0)
 
 
-def lqg(model: SSM, weights: Synthesis) -> ObserverFeedback:
-    """LQG controller of a model whose nonlinearity S_u is replaced by its mean slope.
+def lqg_controller(model: SSM, weights: Synthesis) -> ObserverFeedback:
+    """LQG controller of a model whose input nonlinearity is replaced by its mean slope.
 
     `K = -(R + B^T S B)^{-1} B^T S A` and the predictor's Kalman gain. The cost and the noise are
     those of `weights`; its rates do not count.
     """
-    slope = mean_slope(model)
+    slope = mean_input_slope(model)
     b = model.linear.b @ slope
     linear = replace(model.linear, b=b)
     problem = weights.problem(linear, LINEAR, False)
@@ -40,7 +40,7 @@ def lqg(model: SSM, weights: Synthesis) -> ObserverFeedback:
 
 
 def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
-    """State feedback that minimises the problem's quadratic cost."""
+    """State-feedback gain that minimises a quadratic cost, from the Riccati equation."""
     a = problem.a
     b = problem.b
     r = problem.input_weight * np.eye(b.shape[1])
@@ -49,20 +49,19 @@ def _riccati_gain(problem: Problem) -> Float[np.ndarray, "m n"]:
 
 
 class LqgPeer(Peer, names=("lqg",)):
-    """Peer with an LQG controller, with the weights of `synthesis=riccati` and the sensor's
-    noise."""
+    """Comparison method with an LQG controller."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> ObserverFeedback:
-        weights = lqg_weights(plant, known, rate)
-        return lqg(known.without_neurons, weights)
+    def build(self, plant: Plant, identified: Identified, rate: float) -> ObserverFeedback:
+        weights = lqg_weights(plant, identified, rate)
+        return lqg_controller(identified.linear_model, weights)
 
 
-def lqg_weights(plant: Plant, known: Identified, rate: float) -> Synthesis:
-    """Weights of `synthesis=riccati` with the sensor's noise variance, averaged over the outputs.
+def lqg_weights(plant: Plant, identified: Identified, rate: float) -> Synthesis:
+    """Cost weights of `synthesis=riccati` with the noise variance of the plant's sensors.
 
     One input scale drives the states; a linear design has no rate.
     """
-    output_scale = known.model.scale.output_scale
+    output_scale = identified.model.scale.output_scale
     scaled_variance = np.array(plant.noise_variance) / output_scale**2
     noise = max(float(np.mean(scaled_variance)), 1e-6)
     return RiccatiSynthesis(rate_controller=rate, rate_observer=rate, output_noise=noise)

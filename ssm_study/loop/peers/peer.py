@@ -28,8 +28,7 @@ UNSAID: Row = {"controller": "", "certified": False, **dict.fromkeys(PREDICTED),
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """Data that every controller of the comparison may use, such as the model, balls of its
-    Jacobians and validation records."""
+    """Data that every compared controller may use: model, Jacobian balls and validation records."""
 
     model: Model
     balls: Balls
@@ -38,8 +37,9 @@ class Identified:
     start_up_samples: int = 0
 
     @classmethod
-    def of(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
-        """Data of the comparison from a model, its balls and a data set."""
+    def from_data_set(cls, model: Model, balls: Balls, data: DataSet) -> "Identified":
+        """Data that the compared controllers may use, from a model and the data set it was
+        identified from."""
         return cls(
             model=model,
             balls=balls,
@@ -49,25 +49,24 @@ class Identified:
         )
 
     @cached_property
-    def without_neurons(self) -> SSM:
-        """Linear model for a textbook's design, with the neurons replaced by their slopes at the
-        equilibrium."""
-        return without_neurons(self.model)
+    def linear_model(self) -> SSM:
+        """Linear model in which the neurons are replaced by their slopes at the equilibrium."""
+        return linearise_neurons(self.model)
 
     @cached_property
     def mismatch(self) -> Mismatch:
-        """Mismatch between plant and model, measured from the records."""
+        """Model error that the records show."""
         return measure_mismatch(
             self.model, self.validation, self.start_up_samples, self.mismatch_records
         )
 
-    def chosen(self, synthesis: "Auto") -> Design:
-        """Design that `auto` chooses from model, balls, validation records and mismatch."""
+    def auto_design(self, synthesis: "Auto") -> Design:
+        """Design that `synthesis=auto` chooses for the identified model."""
         return synthesis.design(self.model, self.balls, self.validation, self.mismatch)
 
 
-def without_neurons(model: Model) -> SSM:
-    """Model of one layer in which A, B, C and D include the neurons' slopes at the equilibrium."""
+def linearise_neurons(model: Model) -> SSM:
+    """Linear model in which the neurons are replaced by their slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model
     return SSM(
@@ -81,36 +80,40 @@ def without_neurons(model: Model) -> SSM:
 
 
 class Peer(Family):
-    """Interface of one method that yields a controller. `names` is what the comparison calls it."""
+    """Interface of a method that yields a controller for the comparison. `names` is what the
+    comparison calls it."""
 
     @abstractmethod
-    def build(self, plant: Plant, known: Identified, rate: float) -> Controller | Design:
-        """Controller or design for this plant, with `rate` where the method takes rates.
+    def build(self, plant: Plant, identified: Identified, rate: float) -> Controller | Design:
+        """Build a controller or a certified design for a plant.
 
         Raises `BadRequest` for a model or plant that the method has no controller for.
         """
 
 
-def compared(
-    name: str, plant: Plant, known: Identified, rate: float = 0.05
+def build_compared_controller(
+    name: str, plant: Plant, identified: Identified, rate: float = 0.05
 ) -> tuple[Controller | None, Row]:
-    """Build the controller of a peer, with columns on what is proved and predicted for it.
+    """Build the controller of one comparison method, with columns on what is proved and predicted
+    for it.
 
     None, and a row with the reason, where the peer has no controller.
     """
     columns = UNSAID | {"controller": name}
     is_certified = False
     try:
-        built = Peer.known[name]().build(plant, known, rate)
+        built = Peer.known[name]().build(plant, identified, rate)
         if isinstance(built, Design):
-            controller: Controller = ObserverFeedback.of(known.model, built)
+            controller: Controller = ObserverFeedback.from_design(identified.model, built)
             is_certified = built.certified
         else:
             controller = built
     except BadRequest as refusal:
         return None, columns | {"reason": str(refusal)}
     if isinstance(controller, ObserverFeedback):
-        prediction = predict(known.model, controller.gains, known.balls, known.mismatch)
+        prediction = predict(
+            identified.model, controller.gains, identified.balls, identified.mismatch
+        )
         columns |= vars(prediction)
     columns["certified"] = is_certified
     return controller, columns

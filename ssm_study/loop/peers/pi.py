@@ -18,7 +18,7 @@ from ssm_study.refusal import require
 
 @dataclass(frozen=True, kw_only=True)
 class PI(Controller):
-    """PI controller for one input and one output.
+    """PI controller for a plant with one input and one output.
 
     `u = u_eq + gain (e + i),  i+ = i + (step_s / integral_s) e,  e = r - y`. `gain` in input per
     output unit, `integral_s` in seconds; i is held while a limit keeps the
@@ -32,18 +32,19 @@ class PI(Controller):
     dimensions: tuple[int, int] = (1, 1)
 
     @classmethod
-    def on(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
-        """PI controller around the equilibrium of a plant, at its sampling time.
+    def for_plant(cls, plant: Plant, gain: float, integral_s: float) -> "PI":
+        """PI controller around a plant's equilibrium, at the plant's sampling time.
 
         Raises `BadRequest` for more than one input or output.
         """
         shape = (len(plant.inputs), len(plant.outputs))
         problem = "inputs and outputs of the plant"
         require(shape == (1, 1), "loop.comparison.own_pi", shape, problem, "leave it out")
-        u_eq = float(plant.equilibrium().u[0])
+        equilibrium = plant.equilibrium()
+        u_eq = float(equilibrium.u[0])
         return cls(gain=gain, integral_s=integral_s, input_equilibrium=u_eq, step_s=plant.step_s)
 
-    def start(self, cases: int) -> Memory:
+    def initial_memory(self, cases: int) -> Memory:
         return np.zeros((cases, 1))
 
     def input(self, memory: Memory, y: Outputs, target: Target) -> Inputs:
@@ -58,9 +59,9 @@ class PI(Controller):
         return memory + np.where(is_unlimited, increment, 0.0)
 
 
-class Ultimate(NamedTuple):
-    """Proportional gain at which the linearised loop just oscillates (ultimate gain), and the
-    period of the oscillation.
+class UltimateGain(NamedTuple):
+    """Proportional gain at which a loop just oscillates (ultimate gain), and the period of the
+    oscillation.
 
     Physical units, seconds.
     """
@@ -69,7 +70,7 @@ class Ultimate(NamedTuple):
     period_s: float
 
 
-def ultimate(model: SSM) -> Ultimate:
+def ultimate_gain(model: SSM) -> UltimateGain:
     """Ultimate gain and period of a model with one input and one output.
 
     `u = -gain y` puts the first pole of the model (S_u by its mean slope) on the unit circle, at
@@ -83,47 +84,47 @@ def ultimate(model: SSM) -> Ultimate:
     require(shape == (1, 1), "model inputs, outputs", shape, problem, remedy)
     outward = model.scaffold_out
     a = model.linear.a
-    b = model.linear.b @ mean_slope(model)
+    b = model.linear.b @ mean_input_slope(model)
     linear_c = model.linear.c
     c = outward.jacobian(np.zeros(outward.inputs)) @ linear_c
     static_gain = c @ np.linalg.solve(np.eye(model.order) - a, b)
     sign = float(np.sign(static_gain[0, 0]))
 
-    def poles(gain: float) -> Complex[np.ndarray, "n"]:
+    def closed_loop_poles(gain: float) -> Complex[np.ndarray, "n"]:
         """Poles of the loop with this proportional gain."""
         eigenvalues = np.linalg.eigvals(a - sign * gain * b @ c)
         return eigenvalues.astype(complex)
 
-    def excess(gain: float) -> float:
+    def instability_margin(gain: float) -> float:
         """Spectral radius of the loop minus one."""
-        return float(np.abs(poles(gain)).max() - 1)
+        return float(np.abs(closed_loop_poles(gain)).max() - 1)
 
     grid = np.geomspace(1e-3, 1e6, 2000)  # the first crossing, then bisection
-    first_unstable = next((i for i, gain in enumerate(grid) if excess(gain) >= 0), 0)
+    first_unstable = next((i for i, gain in enumerate(grid) if instability_margin(gain) >= 0), 0)
     problem = "no gain brings the loop to oscillate"
     require(first_unstable > 0, "model", sign, problem, "leave the PI peer out")
     below = grid[first_unstable - 1]
     above = grid[first_unstable]
-    limit = float(scipy.optimize.bisect(excess, below, above, xtol=1e-12))
-    poles_at_limit = poles(limit)
+    limit = float(scipy.optimize.bisect(instability_margin, below, above, xtol=1e-12))
+    poles_at_limit = closed_loop_poles(limit)
     slowest = poles_at_limit[np.argmax(np.abs(poles_at_limit))]
     angle = float(np.abs(np.angle(slowest)))
     unit = float(scale.input_scale[0] / scale.output_scale[0])
     period_samples = 2 * np.pi / max(angle, 1e-6)
-    ultimate_gain = sign * limit * unit
+    ultimate_gain_gain = sign * limit * unit
     period_s = period_samples * model.step_s
-    return Ultimate(gain=ultimate_gain, period_s=period_s)
+    return UltimateGain(gain=ultimate_gain_gain, period_s=period_s)
 
 
-def tyreus_luyben(model: SSM) -> PI:
-    """PI controller by the rule of Tyreus and Luyben, a more cautious form of Ziegler and Nichols'
-    rule.
+def tyreus_luyben_pi(model: SSM) -> PI:
+    """PI controller tuned by the rule of Tyreus and Luyben, a more cautious form of Ziegler and
+    Nichols' rule.
 
     `gain = ultimate / 3.2,  integral = 2.2 periods`. Source: Tyreus & Luyben, Ind. Eng. Chem. Res.
     31 (1992) 2625-2628. (Rules from a first-order
     fit, SIMC among them, do not see an elastic shaft: on the motor they excite its resonance.)
     """
-    limit = ultimate(model)
+    limit = ultimate_gain(model)
     gain = limit.gain / 3.2
     integral_s = 2.2 * limit.period_s
     input_equilibrium = float(model.scale.input_equilibrium[0])
@@ -132,7 +133,7 @@ def tyreus_luyben(model: SSM) -> PI:
     )
 
 
-def mean_slope(model: SSM) -> Float[np.ndarray, "k m"]:
+def mean_input_slope(model: SSM) -> Float[np.ndarray, "k m"]:
     """Mean slope of the input nonlinearity, which replaces it in a linear design.
 
     `(S_u(e_i) - S_u(-e_i)) / 2` for each scaled input i.
@@ -143,7 +144,7 @@ def mean_slope(model: SSM) -> Float[np.ndarray, "k m"]:
 
 
 class PiPeer(Peer, names=("pi",)):
-    """Peer with a PI controller tuned by Tyreus and Luyben's rule on the linearised model."""
+    """Comparison method with a PI controller that is tuned by Tyreus and Luyben's rule."""
 
-    def build(self, plant: Plant, known: Identified, rate: float) -> PI:
-        return tyreus_luyben(known.without_neurons)
+    def build(self, plant: Plant, identified: Identified, rate: float) -> PI:
+        return tyreus_luyben_pi(identified.linear_model)

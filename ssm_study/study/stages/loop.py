@@ -6,9 +6,9 @@ from typing import Any
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.loop.metrics import behaviour, certificate_columns
+from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.peers.peer import Identified
-from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, answers_at_once
+from ssm_study.loop.regulation import IdentifiedPlant, Loop, LoopRuns, has_direct_feedthrough
 from ssm_study.signals import DataSet
 from ssm_study.study.loop_recordings import (
     NOISE_FREE,
@@ -43,19 +43,19 @@ def compute_loop(
     import pandas as pd
 
     model = bounded.model
-    if not design.feasible or (plant is None and answers_at_once(model)):
+    if not design.feasible or (plant is None and has_direct_feedthrough(model)):
         return None
-    twin = IdentifiedPlant.of(model, data.inputs, data.outputs)
+    twin = IdentifiedPlant.from_model(model, data.inputs, data.outputs)
     on = plant or twin
     loop_on = loop_subject(plant)
     stays_within_records = plant is None or design.inverts
-    limited = loop.within(data.training_inputs) if stays_within_records else loop
-    experiment = limited.fitted(model)
-    closed = experiment.run(on, model, design, loop_seed)
+    limited = loop.with_default_limits(data.training_inputs) if stays_within_records else loop
+    experiment = limited.with_fixed_horizon(model)
+    closed = experiment.run_design(on, model, design, loop_seed)
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}
     write_experiment(folder, closed, on, twin, about)
     if experiment.comparison is not None:
-        identified = Identified.of(model, certified_balls(model), data)
+        identified = Identified.from_data_set(model, certified_balls(model), data)
         rows = experiment.comparison.rows(on, identified, experiment, loop_seed)
         # As objects: else whole numbers beside an empty field become fractions.
         table = pd.DataFrame(rows, dtype=object)
@@ -75,7 +75,7 @@ def measure_loop(
     if experiment is None:
         return {}
     closed, loop_on = experiment
-    return {"loop_on": loop_on} | behaviour(closed) | certificate_columns(closed, design)
+    return {"loop_on": loop_on} | behaviour_columns(closed) | certificate_columns(closed, design)
 
 
 LOOP = Stage("loop", compute_loop, read_loop, measure_loop, LOOPS)

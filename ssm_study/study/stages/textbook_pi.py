@@ -5,7 +5,7 @@ from typing import Any
 
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.loop.regulation import Loop
-from ssm_study.loop.textbook_pi import pi_facts
+from ssm_study.loop.textbook_pi import textbook_pi_columns
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 
@@ -17,7 +17,9 @@ def compute_textbook_pi(
 ) -> None:
     """Run the PI controller from the same initial states as the certified design, and write its
     columns."""
-    facts = pi_facts(plant, bounded.model, loop.fitted(bounded.model), loop_seed)
+    facts = textbook_pi_columns(
+        plant, bounded.model, loop.with_fixed_horizon(bounded.model), loop_seed
+    )
     write_json(folder / FILE, facts)
 
 
