@@ -18,7 +18,7 @@ from common import REFERENCE, Row, keep
 
 from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
-from ssm_study.api.steps import identify
+from ssm_study.api.steps import identify_model
 from ssm_study.data.look import look
 from ssm_study.models.baselines.regression import baseline_facts
 
@@ -83,12 +83,12 @@ def read_and_fitted(log: PublicLog, folder: Path) -> Model:
         {"data": "recorded", "model": "structured", "training": "default", "loop": "regulation"},
         (STEPS,),
     )
-    parts.set_given("data", path=str(folder / log.name), input=log.input, output=log.output)
-    parts.set_given("data", step_s=log.step_s)
-    parts.set_given("model", **SPEC)
+    parts.set_fields("data", path=str(folder / log.name), input=log.input, output=log.output)
+    parts.set_fields("data", step_s=log.step_s)
+    parts.set_fields("model", **SPEC)
     data = parts.build("data").build(0)
     with TemporaryDirectory() as place:
-        simulator, identification = identify(
+        simulator, identification = identify_model(
             parts.build("model"),
             parts.build("training"),
             data,

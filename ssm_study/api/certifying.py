@@ -11,7 +11,7 @@ import pandas as pd
 import scipy
 from jaxtyping import Float
 
-from ssm_study.api.controlling import read_ball
+from ssm_study.api.controlling import slope_ball
 from ssm_study.api.summaries import html_table
 from ssm_study.api.systems import read_matrix
 from ssm_study.certificates.certificate import Side
@@ -34,8 +34,8 @@ SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 @dataclass(frozen=True, kw_only=True)
 class GainCertificate:
-    """Result of certifying one gain. Guarantee for one gain: its certified rate, the theorem's
-    certificate, and the rates possible.
+    """Result of certifying one gain: the proved rate, or the reason why none is proved. Guarantee
+    for one gain: its certified rate, the theorem's certificate, and the rates possible.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
     there is none; `certificate` holds its matrices. `rate_of_gain` is the supremum for this gain
@@ -50,7 +50,7 @@ class GainCertificate:
 
     @property
     def certified(self) -> bool:
-        """Whether a rate is proved in exact arithmetic."""
+        """Whether a contraction rate is proved in exact arithmetic."""
         return self.certificate is not None and self.certificate.certified
 
 
@@ -64,12 +64,12 @@ class Certification:
 
     @property
     def certified(self) -> bool:
-        """Whether every gain that was given has a rate proved in exact arithmetic."""
+        """Whether a contraction rate is proved for every given gain."""
         gains = [gain for gain in (self.controller, self.observer) if gain is not None]
         return bool(gains) and all(gain.certified for gain in gains)
 
     def summary(self) -> pd.Series:
-        """Rate, limit and reason of each gain."""
+        """Table with rate, limit and reason of each gain."""
         lines: dict[str, str] = {}
         for name, gain in (("controller", self.controller), ("observer", self.observer)):
             if gain is None:
@@ -78,8 +78,8 @@ class Certification:
                 lines[name] = f"nothing is proved: {gain.reason}"
             else:
                 lines[name] = f"contracts at rate {gain.rate:.6g} per sample, decided exactly"
-            lines[f"{name}, this gain"] = _limit_words(gain.rate_of_gain)
-            lines[f"{name}, any gain"] = _limit_words(gain.rate_limit)
+            lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
+            lines[f"{name}, any gain"] = _describe_limit(gain.rate_limit)
         return pd.Series(lines, name="certification", dtype=object)
 
     def __repr__(self) -> str:
@@ -92,8 +92,8 @@ class Certification:
         return html_table("Certification", self.summary())
 
 
-def _limit_words(rate: float) -> str:
-    """Words on the largest contraction rate that any certificate can reach."""
+def _describe_limit(rate: float) -> str:
+    """Words on the largest contraction rate that any certificate of a gain can reach."""
     return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
 
 
@@ -107,7 +107,8 @@ def certify(
     slopes: tuple[float, float] = (1.0, 1.0),
     output_slopes: tuple[float, float] = (1.0, 1.0),
 ) -> Certification:
-    """Find and prove the largest contraction rate of given gains.
+    """Certify given state-feedback and observer gains with the largest contraction rate that can be
+    proved.
 
     The state feedback `u = K x` for `x+ = A x + B S_u(u)`, every slope of `S_u` in `slopes`; the
     observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)`, every slope of `S_y` in `output_slopes`.
@@ -130,13 +131,13 @@ def certify(
         require(B is not None, "B", None, "a state feedback needs it", "give the input matrix")
         b = read_matrix("B", B, (n, None))
         k = read_matrix("K", K, (b.shape[1], n))
-        jacobian_ball = read_ball("slopes", slopes)
+        jacobian_ball = slope_ball("slopes", slopes)
         controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
     if L is not None:
         require(C is not None, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
         gain = read_matrix("L", L, (n, len(c)))
-        ball = read_ball("output_slopes", output_slopes)
+        ball = slope_ball("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
     return Certification(controller=controller, observer=observer)
 
@@ -148,7 +149,7 @@ def certify_gain(
     ball: JacobianBall,
     theorem: type[Side],
 ) -> GainCertificate:
-    """Find a metric near the gain's largest rate and decide the theorem's inequality exactly.
+    """Find the largest contraction rate of one gain and prove it in exact arithmetic.
 
     For an observer the matrices are transposed: `a = A^T, b = C^T, k = L^T`.
     """
@@ -173,7 +174,7 @@ def certify_gain(
     )
     for inside, slack in product(INSIDE, SLACKS):
         rate = supremum * (1 - inside)
-        part = _prove_at(problem.at(rate), k, slack, supremum, limit, theorem)
+        part = _prove_rate(problem.at(rate), k, slack, supremum, limit, theorem)
         if part is not None and part.certified:
             return GainCertificate(
                 rate=rate,
@@ -188,7 +189,7 @@ def certify_gain(
     )
 
 
-def _prove_at(
+def _prove_rate(
     problem: Problem,
     k: Float[np.ndarray, "m n"],
     slack: float,
@@ -196,13 +197,13 @@ def _prove_at(
     limit: float,
     theorem: type[Side],
 ) -> Side | None:
-    """Try to prove the theorem at one rate. The theorem's certificate at the problem's rate;
-    None where floats find no metric."""
+    """Try to prove a gain's contraction at one rate. The theorem's certificate at the problem's
+    rate; None where floats find no metric."""
     started = time.perf_counter()
     factor = float(((1 - supremum) * (1 - problem.rate)) ** 0.25)  # between the two, in log r
     try:
         with linear_algebra_failures_as_no_solution():
-            coordinates = _coordinates(problem, k, factor)
+            coordinates = _conditioned_coordinates(problem, k, factor)
             inverse = np.linalg.inv(coordinates)
             p = least_metric(problem, k, factor, coordinates, inverse, slack)
     except NoSolution:
@@ -215,11 +216,11 @@ def _prove_at(
     return part
 
 
-def _coordinates(
+def _conditioned_coordinates(
     problem: Problem, k: Float[np.ndarray, "m n"], factor: float
 ) -> Float[np.ndarray, "n n"]:
-    """State coordinates in which the certification is numerically well conditioned. Cholesky factor
-    of the loop's own Gramian at the mean slope: well-scaled coordinates."""
+    """State coordinates in which the certification of a gain is numerically well conditioned.
+    Cholesky factor of the loop's own Gramian at the mean slope: well-scaled coordinates."""
     alpha = problem.ball.alpha
     closed = (problem.a + alpha * problem.b @ k) / factor
     drive = problem.b @ problem.b.T / factor**2

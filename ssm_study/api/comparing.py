@@ -20,7 +20,7 @@ Records = Sequence[Float[np.ndarray, "_ p"]]  # of any lengths
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ModelComparison:
-    """Free runs of several models on one record, and their scores.
+    """Free runs of several models on one record, with their scores.
 
     `table` has one row per model: fit in percent of each output and in total, root mean square
     error in the output's unit, largest error, states. `simulated` holds the outputs by name.
@@ -41,7 +41,8 @@ class ModelComparison:
         return text
 
     def plot(self) -> Any:
-        """Draw measured and simulated outputs, residuals below. Returns the Matplotlib figure."""
+        """Draw measured and simulated outputs, with the residuals below. Returns the Matplotlib
+        figure."""
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.free_run import free_run_picture
 
@@ -57,8 +58,8 @@ def compare(
     y: Values,
     disturbance: Values | None = None,
 ) -> ModelComparison:
-    """Simulate models on one record, from the equilibrium, and score them. A measured disturbance
-    is given to the models that have a path for it.
+    """Simulate several models on one record and score them. A measured disturbance is given to the
+    models that have a path for it.
 
     `models` is a list, or a mapping from names to models. Best fit first. Raises `BadRequest` for
     no models, and where a model has other channels than the record.
@@ -106,7 +107,8 @@ def compare_simulations(
     states: Mapping[str, int | None],
     start_up_samples: int = 0,
 ) -> ModelComparison:
-    """Score simulations of the same records, best fit first. The longest record is drawn.
+    """Score simulations of the same records by several models, best fit first. The longest record
+    is drawn.
 
     The first `start_up_samples` of each record are not scored: they tell the initial state.
     """
@@ -131,7 +133,7 @@ def compare_simulations(
 
 
 def _name_models(models: Sequence[Model]) -> dict[str, Model]:
-    """Give each model the name of its class, with a number where several share one."""
+    """Name each model by its class, with a number where several share one."""
     kinds = [type(model.simulator).__name__ for model in models]
     names = []
     for i, kind in enumerate(kinds):

@@ -7,7 +7,7 @@ import numpy as np
 
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
-from ssm_study.api.parts import Parts, part_of
+from ssm_study.api.parts import Parts, part_name
 from ssm_study.api.steps import design_controller
 from ssm_study.api.systems import read_linear_system
 from ssm_study.bounds.slopes import certified_balls
@@ -33,7 +33,8 @@ def control(
     input_limits: tuple[Any, Any] = (None, None),
     **settings: Any,
 ) -> Design:
-    """Design `u = K xh` with `xh+ = A xh + B S_u(u) + L (yh - y)`, certified for the model.
+    """Design a certified controller with an observer for a model. `u = K xh`, `xh+ = A xh + B
+    S_u(u) + L (yh - y)`.
 
     `model` is what `fit` returned; rates and weights are then chosen from its records
     (`method="auto"`), unless `rate` and `observer_rate` ask for some. Or it is a discrete-time
@@ -56,26 +57,26 @@ def control(
     """
     identified = isinstance(model, Model)
     chosen = method or ("auto" if identified else "riccati")
-    refuse_settings_of_the_model(overrides)
+    refuse_model_settings(overrides)
     earlier = model.later_words if isinstance(model, Model) else ()
     words = (*earlier, *((f"synthesis={method}",) if method else ()), *overrides)
     choices = LOOP | {"synthesis": chosen}
     parts = Parts(choices, words)
     if not identified:
-        rate, observer_rate = _rates_of_a_bare_system(parts, rate, observer_rate)
-    parts.set_given("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
+        rate, observer_rate = _rates_for_bare_system(parts, rate, observer_rate)
+    parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):
         problem = "are bounds of a bare system's maps; this model has its own"
         given = slopes or output_slopes
         require(given is None, "slopes", given, problem, "leave them out")
-        return _design_for_identified(model, parts, input_limits)
+        return _design_for_model(model, parts, input_limits)
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
 
 
-def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
-    """Raise `BadRequest` for a setting of the control design that would change the model."""
+def refuse_model_settings(overrides: tuple[str, ...]) -> None:
+    """Refuse settings of a control design that would change the model."""
     for word in overrides:
-        part = part_of(word)
+        part = part_name(word)
         remedy = "give it to fit"
         require(
             part not in OF_THE_MODEL,
@@ -86,11 +87,11 @@ def refuse_settings_of_the_model(overrides: tuple[str, ...]) -> None:
         )
 
 
-def _rates_of_a_bare_system(
+def _rates_for_bare_system(
     parts: Parts, rate: float | None, observer_rate: float | None
 ) -> tuple[float | None, float | None]:
-    """Rates of the design of a linear system that comes without records. Raises `BadRequest` where
-    they would be chosen by them."""
+    """Contraction rates of the design for a linear system that comes without records. Raises
+    `BadRequest` where they would be chosen by them."""
     choice = parts.choices["synthesis"]
     problem = "chooses by a validation record, and there is none"
     remedy = "use method='riccati' with rate and observer_rate"
@@ -98,10 +99,10 @@ def _rates_of_a_bare_system(
     return rate, rate if observer_rate is None else observer_rate
 
 
-def _design_for_identified(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
-    """Design a controller for a model that has records."""
+def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> Design:
+    """Design a controller for an identified model with records."""
     lower, upper = limits
-    parts.set_given("loop", input_lower=lower, input_upper=upper)
+    parts.set_fields("loop", input_lower=lower, input_upper=upper)
     loop = parts.build("loop")
     synthesis = parts.build("synthesis")
     certificate = design_controller(
@@ -131,23 +132,22 @@ def _design_for_system(
     output_slopes: tuple[float, float] | None,
     overrides: tuple[str, ...],
 ) -> Design:
-    """Design a controller for a linear system behind maps of which only the slopes are known."""
+    """Design a controller for a linear system behind static maps with known slopes."""
     linear, step_s = read_linear_system(system)
     model = SSM.of(linear, step_s)
     balls = certified_balls(model)
     if slopes is not None:
-        jacobian_ball = read_ball("slopes", slopes)
+        jacobian_ball = slope_ball("slopes", slopes)
         balls = replace(balls, input=jacobian_ball)
     if output_slopes is not None:
-        output = read_ball("output_slopes", output_slopes)
+        output = slope_ball("output_slopes", output_slopes)
         balls = replace(balls, output=output)
     certificate = parts.build("synthesis").design(model, balls)
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 
-def read_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
-    """Ball of Jacobians of a map from the smallest and the largest of its slopes, which have the
-    same sign."""
+def slope_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
+    """Ball of Jacobians of a static map, from its smallest and largest slope."""
     pair = np.asarray(slopes, dtype=float)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"

@@ -14,7 +14,7 @@ from jaxtyping import Complex, Float
 from ssm_study import save_as_run
 from ssm_study.api.design_files import write_records
 from ssm_study.api.model import Model, Values, draw_or_refuse
-from ssm_study.api.scratch import new_folder
+from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, summarise_design, text_table
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
@@ -40,7 +40,7 @@ STARTS = (-1.0, 1.0)  # from where a loop is drawn unless it is told, in output 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Design:
-    """Controller `u = K xh` with its observer, and the certificates of both.
+    """Certified controller with its observer, as Python users hold it. `u = K xh`.
 
     `certificate` holds `state_feedback` and `observer` with their gains and matrices; `model` is
     what is certified. `origin` is the identified model it was designed for, None for a bare system
@@ -58,7 +58,7 @@ class Design:
 
     @classmethod
     def load(cls, folder: Path) -> "Design":
-        """Load the controller of a run folder or of a design that was saved.
+        """Load the controller of a run folder or of a saved design.
 
         Raises `BadRequest` where the folder has no controller.
         """
@@ -74,9 +74,8 @@ class Design:
 
     @cached_property
     def folder(self) -> Path:
-        """Folder with the files that the export reads, a temporary one unless the design was
-        loaded."""
-        return self.run_folder or self._write_files(new_folder())
+        """Folder with the files of the design that the export reads."""
+        return self.run_folder or self._write_files(make_scratch_folder())
 
     def _write_files(self, folder: Path) -> Path:
         """Write model, certificates and the ranges of the records into a folder."""
@@ -94,13 +93,13 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns of the record that describe the design: rates, limits, gains, prediction."""
+        """Columns that describe the design: rates, limits, gains and predictions."""
         if self.origin is None:
             return dict(self.stored_record)
         balls = certified_balls(self.model)
         mismatch = self.origin.mismatch
         facts = design_facts(self.certificate, self.model, balls, mismatch)
-        facts |= self._coverage_facts()
+        facts |= self._coverage_columns()
         data = self.origin.data
         facts |= response_facts(
             self.certificate,
@@ -114,8 +113,8 @@ class Design:
         facts |= {"evidence": evidence.level, "evidence_reasons": evidence.reasons}
         return facts
 
-    def _coverage_facts(self) -> dict[str, Any]:
-        """Columns of the coverage, with the test records of the log as fresh data."""
+    def _coverage_columns(self) -> dict[str, Any]:
+        """Columns on how far the proof covers the model error in the records."""
         from ssm_study.api.steps import measure_coverage_premise
         from ssm_study.robustness.coverage import measure_premise
 
@@ -128,14 +127,14 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Columns of the record on data, model, design and loop. A loaded design has its run's."""
+        """All columns on data, model, design and loop. A loaded design has its run's."""
         if self.origin is None:
             return dict(self.stored_record)
         facts = self.origin.facts
-        return facts | self.facts | self._loop_facts()
+        return facts | self.facts | self._loop_columns()
 
-    def _loop_facts(self) -> dict[str, Any]:
-        """Columns of the loop, closed on the identified model."""
+    def _loop_columns(self) -> dict[str, Any]:
+        """Columns on the loop that is closed on the identified model."""
         from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 
         assert self.origin is not None
@@ -152,7 +151,7 @@ class Design:
         )
 
     def eigenvalues(self) -> dict[str, Complex[np.ndarray, "n"]]:
-        """Eigenvalues at the equilibrium: of the model, under control, and of the estimate's error.
+        """Eigenvalues at the equilibrium: of model, controlled model and estimation error.
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
@@ -174,7 +173,8 @@ class Design:
         return within_limits(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
-        """Write C99: header `path`, and beside it the source and a replay, named as the header.
+        """Write the controller as C99: header `path`, and beside it the source and a replay
+        program.
 
         `real` is "double" or "float". Raises `BadRequest` where there is no controller.
         """
@@ -185,11 +185,11 @@ class Design:
         return path
 
     def to_control(self) -> "python_control.NonlinearIOSystem":
-        """The controller as a python-control system from measured outputs to inputs, physical."""
+        """Controller as a python-control system from measured outputs to inputs."""
         return targets.as_python_control(self.folder)
 
     def save(self, folder: str | Path) -> Path:
-        """Save as a run folder that `ssm-study verify`, `export` and `load_controller` read.
+        """Save the design as a run folder that `ssm-study verify`, `export` and `load` read.
 
         Raises `BadRequest` for a folder that exists.
         """
@@ -204,7 +204,7 @@ class Design:
         return saved
 
     def summary(self) -> pd.Series:
-        """Table of what is proved and what is predicted of the design, with units."""
+        """Table of what is proved and what is predicted of the design."""
         return summarise_design(self)
 
     def __repr__(self) -> str:
@@ -214,40 +214,40 @@ class Design:
         return html_table("Design", self.summary())
 
     def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:
-        """Draw outputs and inputs of the loop from initial outputs, beside the open loop.
+        """Draw outputs and inputs of the closed loop from initial outputs, beside the open loop.
 
         By default from one output scale above and below the equilibrium, on the identified model or
         on `plant`; dashed is the range of the recorded inputs. Returns the Matplotlib figure.
         """
-        from ssm_study.api.loops import close_loop, identified_plant
+        from ssm_study.api.loops import make_identified_plant, simulate_loop
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.loop_response import initial_response_picture
         from ssm_study.loop.controller import Uncontrolled
 
-        on = plant or identified_plant(self)
+        on = plant or make_identified_plant(self)
         scale = self.model.scale
         if y0 is None:
             outer_product = np.outer(STARTS, scale.output_scale)
             y0 = scale.output_equilibrium + outer_product
-        controlled = close_loop(self, y0, on)
+        controlled = simulate_loop(self, y0, on)
         controller = Uncontrolled.for_plant(on)
-        uncontrolled = close_loop(self, y0, on, controller=controller)
+        uncontrolled = simulate_loop(self, y0, on, controller=controller)
         picture = initial_response_picture(
-            controlled, uncontrolled, on, self._recorded_inputs, _place(plant)
+            controlled, uncontrolled, on, self._recorded_inputs, _loop_place_words(plant)
         )
         return draw_picture(picture)
 
     def step(self, size: float | None = None, *, plant: "Plant | None" = None) -> Any:
-        """Draw a step of the set point by `size`, and the input with the range of the records.
+        """Draw the closed loop's response to a step of the set point by `size`.
 
         In the output's unit; by default half the output's scale, or less where the recorded inputs
         cannot hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no
         input holds.
         """
-        from ssm_study.api.loops import identified_plant
+        from ssm_study.api.loops import make_identified_plant
         from ssm_study.api.pictures.loop_response import set_point_picture
 
-        on = plant or identified_plant(self)
+        on = plant or make_identified_plant(self)
         loop = Loop().with_fixed_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:
@@ -256,12 +256,12 @@ class Design:
         return draw_or_refuse(
             "step",
             lambda: set_point_picture(
-                on, self.certificate, self.model, loop, recorded, _place(plant), size
+                on, self.certificate, self.model, loop, recorded, _loop_place_words(plant), size
             ),
         )
 
     def margin_plot(self) -> Any:
-        """Draw the stability margin over frequency for every recorded amplitude, with a line at 1.
+        """Draw the stability margin over frequency for every recorded amplitude.
 
         A dot marks what decides. Returns the Matplotlib figure. Raises `BadRequest` for a design
         without records.
@@ -269,7 +269,7 @@ class Design:
         from ssm_study.api.pictures.margin import margin_picture
         from ssm_study.robustness.margin_by_frequency import margin_curves
 
-        origin = self._origin_with_records()
+        origin = self._model_with_records()
         balls = certified_balls(self.model)
         pair = self.certificate.pair
         curves = margin_curves(self.model, pair, balls, origin.mismatch)
@@ -279,7 +279,7 @@ class Design:
         )
 
     def coverage_plot(self) -> Any:
-        """Draw how many times the measured model error the proof tolerates, band by band.
+        """Draw how many times the measured model error the proof tolerates, for each band.
 
         Returns the Matplotlib figure. Raises `BadRequest` for a design without records, and where
         nothing is covered for want of a proof.
@@ -287,14 +287,14 @@ class Design:
         from ssm_study.api.pictures.coverage import coverage_picture
         from ssm_study.api.steps import measure_coverage_premise
 
-        origin = self._origin_with_records()
+        origin = self._model_with_records()
         premise = measure_coverage_premise(self.model, origin.data, origin.mismatch)
         return draw_or_refuse(
             "coverage_plot", lambda: coverage_picture(self.certificate, premise, self.model.step_s)
         )
 
     def nyquist(self) -> Any:
-        """Draw the loop's Nyquist curve with a disc of the measured model error in each band.
+        """Draw the loop's Nyquist curve, with a disc of the measured model error in each band.
 
         Returns the Matplotlib figure. Raises `BadRequest` for several inputs or outputs.
         """
@@ -306,7 +306,7 @@ class Design:
         )
 
     def poles(self) -> Any:
-        """Draw the eigenvalues of model, controlled model and estimate in the unit circle.
+        """Draw the eigenvalues of model, controlled model and estimation error in the unit circle.
 
         The inner circle is the factor per sample of the certified rate. Returns the Matplotlib
         figure. The numbers: `eigenvalues`.
@@ -323,8 +323,8 @@ class Design:
         """Inputs of the training records, if the design has any."""
         return [] if self.origin is None else [record.u for record in self.origin.data.training]
 
-    def _origin_with_records(self) -> Model:
-        """Identified model of the design. Raises `BadRequest` for a design without records."""
+    def _model_with_records(self) -> Model:
+        """Identified model of the design; raises `BadRequest` if it has no records."""
         origin = self.origin
         require(
             origin is not None, "design", "loaded or bare", "has no records", "use st.fit first"
@@ -333,6 +333,6 @@ class Design:
         return origin
 
 
-def _place(plant: "Plant | None") -> str:
-    """Words for where the loop was closed, on a plant or on the model."""
+def _loop_place_words(plant: "Plant | None") -> str:
+    """Words that say whether a loop was closed on a plant or on the model."""
     return "the simulated plant" if plant else "the identified model"

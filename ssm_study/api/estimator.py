@@ -18,7 +18,7 @@ FEWEST_SCORED = 2  # samples
 
 @dataclass(kw_only=True, eq=False)
 class Estimator:
-    """Identification with settings that can be searched: `fit(u, y)`, `predict(u)`, `score(u, y)`.
+    """Model identification as an estimator in scikit-learn's conventions.
 
     The parameters are those of `fit`; `settings` are further fields of the model. A fold of a
     search begins in the middle of a motion, so the first `start_up_samples` of what is scored
@@ -48,12 +48,13 @@ class Estimator:
     model_: Model = field(init=False, repr=False)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
-        """Settings by name, as scikit-learn reads them. No setting has settings of its own, so
-        `deep` changes nothing. None has parameters of its own, so `deep` changes nothing."""
+        """Settings of the estimator by name, as scikit-learn reads them. No setting has settings of
+        its own, so `deep` changes nothing. None has parameters of its own, so `deep` changes
+        nothing."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":
-        """Change settings by name. Raises `BadRequest` for a name that is none."""
+        """Change settings of the estimator by name. Raises `BadRequest` for a name that is none."""
         names = self.get_params()
         for name, value in parameters.items():
             known = ", ".join(names)
@@ -62,7 +63,8 @@ class Estimator:
         return self
 
     def fit(self, u: Signals, y: Signals, disturbance: Signals | None = None) -> "Estimator":
-        """Identify the model, `model_`. Raises `BadRequest` for whatever `st.fit` refuses."""
+        """Identify the model from inputs and outputs. Raises `BadRequest` for whatever `st.fit`
+        refuses."""
         self.model_ = fit(
             u,
             y,
@@ -81,17 +83,17 @@ class Estimator:
         return self
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
-        """Simulate from rest at the equilibrium. Raises `BadRequest` before `fit`."""
-        model = self._fitted()
+        """Simulate the identified model from its equilibrium. Raises `BadRequest` before `fit`."""
+        model = self._require_model()
         return model.predict(u, disturbance)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit in percent of a free run whose initial state the first samples estimate.
+        """Fit in percent of a free run whose initial state is estimated from the first samples.
 
         Measured disturbances stay at their mean where they are not given. Raises `BadRequest`
         before `fit`, and for a record that is no longer than its start.
         """
-        model = self._fitted()
+        model = self._require_model()
         require_at_least(0, "start_up_samples", self.start_up_samples, "use 20")
         channels = len(model.data.inputs)
         inputs = signal_columns(u, "u", channels, model.input_names)[1]
@@ -108,8 +110,9 @@ class Estimator:
         simulation = Simulation.of(model.simulator, (record,), self.start_up_samples)
         return simulation.fit_percent
 
-    def _fitted(self) -> Model:
-        """The identified model. Raises `BadRequest` where there is none yet."""
+    def _require_model(self) -> Model:
+        """Identified model; refuses an estimator that has not been fitted. Raises `BadRequest`
+        where there is none yet."""
         if not hasattr(self, "model_"):
             raise BadRequest("estimator", "Estimator", "is not fitted", "call fit(u, y) first")
         return self.model_

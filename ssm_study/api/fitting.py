@@ -10,8 +10,8 @@ import pandas as pd
 
 from ssm_study.api.model import Model, Values
 from ssm_study.api.parts import Parts
-from ssm_study.api.scratch import new_folder
-from ssm_study.api.steps import identify
+from ssm_study.api.scratch import make_scratch_folder
+from ssm_study.api.steps import identify_model
 from ssm_study.data.arrays import write_log_files
 from ssm_study.refusal import BadRequest, require_positive
 
@@ -72,27 +72,27 @@ def fit(
     >>> model.score(u, y[:800]) > 95
     True
     """
-    step_s = sampling_time_in_seconds(step_s)
+    step_s = sampling_time_s(step_s)
     parts = Parts(CHOICES | {"model": model}, overrides)
-    parts.set_given("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
+    parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
         slope_lower = float(slopes[0])
         slope_upper = float(slopes[1])
-        parts.set_given("model", slope_lower=slope_lower, slope_upper=slope_upper)
+        parts.set_fields("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed
     spec = parts.build("model")
     training = parts.build("training")
     reduction = parts.build("reduction")
 
-    folder = new_folder() if results_dir is None else Path(results_dir)
+    folder = make_scratch_folder() if results_dir is None else Path(results_dir)
     log = write_log_files(u, y, folder, float(step_s), disturbance)
-    parts.set_given("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
-    parts.set_given("data", disturbance=log.disturbances or None)
+    parts.set_fields("data", path=log.paths, input=log.inputs, output=log.outputs, step_s=step_s)
+    parts.set_fields("data", disturbance=log.disturbances or None)
     data = parts.build("data").build(parts.numbers["seed"])
 
     seed = parts.numbers["seed"]
-    trained, identification = identify(
+    trained, identification = identify_model(
         spec,
         training,
         data,
@@ -108,13 +108,13 @@ def fit(
         identification=identification,
         seed=seed,
         overrides=parts.words_for_command(),
-        later_words=parts.words_about("synthesis", "loop", "loop_seed"),
+        later_words=parts.words_for_parts("synthesis", "loop", "loop_seed"),
     )
 
 
-def sampling_time_in_seconds(step_s: Any) -> float:
-    """Sampling time in seconds, from a number or a time difference. Raises `BadRequest` for what is
-    none."""
+def sampling_time_s(step_s: Any) -> float:
+    """Convert a sampling time, a number or a time difference, to seconds. Raises `BadRequest` for
+    what is none."""
     remedy = "give it in seconds"
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()

@@ -6,7 +6,7 @@ from ssm_study.api.design import Design
 
 
 def load(folder: str | Path) -> Design:
-    """Load a design that was saved, or the controller of any run folder.
+    """Load a saved design, or the controller of any run folder.
 
     Raises `BadRequest` where there is no controller.
     """

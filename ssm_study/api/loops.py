@@ -21,15 +21,15 @@ LOOP = {"loop": "regulation"}
 Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 
-def identified_plant(design: "Design") -> IdentifiedPlant:
-    """Make a plant of the identified model, with the channels of its records."""
+def make_identified_plant(design: "Design") -> IdentifiedPlant:
+    """Make a simulated plant of the identified model, with the channels of its records."""
     if design.origin is None:
         return IdentifiedPlant.from_model(design.model)
     data = design.origin.data
     return IdentifiedPlant.from_model(design.model, data.inputs, data.outputs)
 
 
-def close_loop(
+def simulate_loop(
     design: "Design",
     y0: Values,
     plant: Plant | IdentifiedPlant,
@@ -37,7 +37,7 @@ def close_loop(
     controller: Controller | None = None,
     disturbance: Values | None = None,
 ) -> Rollouts:
-    """Run the loop without noise from initial outputs `(N, p)` or `(N,)`.
+    """Simulate the closed loop of a design without noise from initial outputs `(N, p)` or `(N,)`.
 
     With a measured disturbance it lasts as long as that.
     """
@@ -64,9 +64,9 @@ def _disturbance_names(design: "Design") -> list[str]:
     return [channel.name for channel in channels]
 
 
-def rollout_table(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
-    """Table of closed loops with one row per case and sample. Its columns are `case, time_s`,
-    inputs and outputs by name."""
+def tabulate_rollouts(rollouts: Rollouts, plant: Plant | IdentifiedPlant) -> pd.DataFrame:
+    """Table of simulated closed loops with one row for each case and sample. Its columns are `case,
+    time_s`, inputs and outputs by name."""
     channels = (*plant.inputs, *plant.outputs)
     names = [channel.name for channel in channels]
     tables = []

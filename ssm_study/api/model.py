@@ -40,12 +40,11 @@ Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Model:
-    """Model identified from records, `y = simulate(u)`, in physical units.
+    """Model that was identified from records, as Python users hold it. `y = simulate(u)`.
 
     `simulator` holds the numbers: a `StructuredSSM`, an `SSM`, or a baseline. `data` are the
-    records with their parts. `facts` are the columns that a run's table has up to the model
-    (`fit_test_percent`, `input_slope_lower`, ...). `overrides` are the command's words for it,
-    `later_words` those among them that speak of the design.
+    records with their parts. `facts` are a run's columns up to the model (`fit_test_percent`, ...).
+    `overrides` are the command's words for it, `later_words` those that speak of the design.
     """
 
     simulator: Simulator
@@ -57,7 +56,7 @@ class Model:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns of the record that describe data and model."""
+        """Columns that describe data and model."""
         data = self.data
         validation, test = simulate_parts(self.simulator, data)
         training = self.identification
@@ -80,12 +79,12 @@ class Model:
 
     @cached_property
     def evidence(self) -> Judgement:
-        """Judgement of what the records allow to be said of the plant: `level` and `reasons`."""
+        """Judgement of what the records allow to be said of the plant."""
         return judge_evidence(self.ssm, self.data, self.mismatch)
 
     @property
     def ssm(self) -> SSM | StructuredSSM:
-        """State-space model that can be certified. Raises `BadRequest` for a baseline."""
+        """State-space model that can be certified; raises `BadRequest` for a baseline."""
         if isinstance(self.simulator, SSM | StructuredSSM):
             return self.simulator
         kind = type(self.simulator).__name__
@@ -94,13 +93,13 @@ class Model:
 
     @property
     def input_names(self) -> list[str]:
-        """Names of the inputs, in order."""
+        """Names of the model's inputs, in order."""
         channels = self.data.inputs
         return [channel.name for channel in channels]
 
     @property
     def output_names(self) -> list[str]:
-        """Names of the outputs, in order."""
+        """Names of the model's outputs, in order."""
         channels = self.data.outputs
         return [channel.name for channel in channels]
 
@@ -111,7 +110,7 @@ class Model:
         return [channel.name for channel in channels]
 
     def predict(self, u: Values, disturbance: Values | None = None) -> Values:
-        """Simulate outputs `(T, p)` from the equilibrium for inputs `(T, m)` or `(T,)`.
+        """Simulate the model's outputs `(T, p)` from its equilibrium for inputs `(T, m)` or `(T,)`.
 
         With `model.members` the mean of the members' outputs; control stays with `simulator`.
         A frame or series in gives a frame out, with its index. Measured disturbances of the same
@@ -130,12 +129,12 @@ class Model:
         return pd.DataFrame(y, index=u.index, columns=self.output_names)
 
     def score(self, u: Values, y: Values, disturbance: Values | None = None) -> float:
-        """Fit of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y - mean(y)||)` in
-        percent.
+        """Fit in percent of a free run from the equilibrium, `100 (1 - ||y - y_hat|| / ||y -
+        mean||)`.
 
         Raises `BadRequest` where the shapes differ.
         """
-        measured, predicted = self._measured_and_predicted(u, y, disturbance)
+        measured, predicted = self._measured_and_simulated(u, y, disturbance)
         moves = bool(np.ptp(measured, axis=0).any())
         problem = "is constant, and the score compares the error with its deviation from the mean"
         require(moves, "y", "one value", problem, "score a record in which it moves")
@@ -144,11 +143,11 @@ class Model:
     def simulation_errors(
         self, u: Values, y: Values, disturbance: Values | None = None
     ) -> pd.DataFrame:
-        """Measured minus simulated outputs of a free run, one column per output."""
-        measured, predicted = self._measured_and_predicted(u, y, disturbance)
+        """Measured minus simulated outputs of a free run, one column for each output."""
+        measured, predicted = self._measured_and_simulated(u, y, disturbance)
         return pd.DataFrame(measured - predicted, columns=self.output_names)
 
-    def _measured_and_predicted(
+    def _measured_and_simulated(
         self, u: Values, y: Values, disturbance: Values | None
     ) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
         """Measured and simulated outputs of one record."""
@@ -162,12 +161,12 @@ class Model:
         return measured, predicted
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
-        """Eigenvalues of the model linearised at its equilibrium, per sample."""
+        """Eigenvalues of the model, linearised at its equilibrium."""
         state_space = at_rest(self.ssm)
         return np.asarray(np.linalg.eigvals(state_space.a), dtype=complex)
 
     def to_control(self) -> "python_control.StateSpace":
-        """Linearise at the equilibrium, as python-control's state space of physical deviations.
+        """Linearise the model at its equilibrium, as a discrete-time state space of python-control.
 
         `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
         within A, B, C, D. Raises `BadRequest` for a baseline, which has no state space.
@@ -175,7 +174,7 @@ class Model:
         return linearise(self.ssm)
 
     def to_continuous(self) -> "python_control.StateSpace":
-        """Linearise, and undo the sampling: the continuous system whose input is held.
+        """Linearise the model at its equilibrium and convert it to continuous time.
 
         By the matrix logarithm of `[A B; 0 I]`. Raises `BadRequest` where a pole lies on the
         negative real axis or at zero, for then no such system of the same order exists.
@@ -183,7 +182,7 @@ class Model:
         return undo_sampling(self.to_control())
 
     def frequency_response(self, points: int = 200) -> pd.DataFrame:
-        """Frequency response at the equilibrium from each input to each output, physical units.
+        """Frequency response at the equilibrium from each input to each output.
 
         Columns `input, output, frequency_rad_s, magnitude, phase_deg`; frequencies up to half the
         sampling rate.
@@ -192,7 +191,7 @@ class Model:
         return response_table(system, self.input_names, self.output_names, points)
 
     def summary(self) -> pd.Series:
-        """Table of the model's properties: class, size, fits, poles, slopes, evidence."""
+        """Table of the model's properties: class, size, fits, poles, slopes and evidence."""
         return summarise_model(self)
 
     def __repr__(self) -> str:
@@ -202,26 +201,26 @@ class Model:
         return html_table("Model", self.summary())
 
     def plot(self) -> Any:
-        """Draw measured and simulated outputs of the longest test record, errors below.
+        """Draw measured and simulated outputs of the longest test record, with errors below.
 
         Returns the Matplotlib figure.
         """
         from ssm_study.api.pictures.drawing import draw_picture
         from ssm_study.api.pictures.free_run import free_run_picture
-        from ssm_study.api.pictures.loop_response import label_of
+        from ssm_study.api.pictures.loop_response import channel_label
 
         data = self.data
         _, simulation = simulate_parts(self.simulator, data)
         longest = int(np.argmax([len(record) for record in data.test]))
         record = data.test[longest]
         simulated = {"model": simulation.simulated[longest]}
-        labels = [label_of(channel) for channel in data.outputs]
+        labels = [channel_label(channel) for channel in data.outputs]
         start_up = data.start_up_samples
         picture = free_run_picture(record.time_s, record.y, simulated, labels, start_up)
         return draw_picture(picture)
 
     def bode(self) -> Any:
-        """Draw gain and phase at the equilibrium, beside what the validation record shows.
+        """Draw gain and phase at the equilibrium, beside the estimate from the validation record.
 
         First input to first output. Returns the Matplotlib figure. The numbers of all channels:
         `frequency_response`.
@@ -239,7 +238,7 @@ class Model:
         return draw_picture(picture)
 
     def residuals(self) -> Any:
-        """Draw the correlations of the test records' residuals with themselves and the input.
+        """Draw the correlations of the test records' errors with themselves and with the input.
 
         Returns the Matplotlib figure. The numbers: `simulation_errors`.
         """
@@ -257,7 +256,7 @@ class Model:
         return draw_picture(picture)
 
     def poles(self) -> Any:
-        """Draw the eigenvalues at the equilibrium in the unit circle.
+        """Draw the model's eigenvalues at the equilibrium in the unit circle.
 
         Returns the Matplotlib figure. The numbers: `eigenvalues`.
         """
@@ -269,20 +268,20 @@ class Model:
         return draw_picture(picture)
 
     def input_map(self) -> Any:
-        """Draw the learned input map and its slope within the interval that is certified.
+        """Draw the learned input map and its slope within the certified interval.
 
         Returns the Matplotlib figure. Raises `BadRequest` for several inputs.
         """
         from ssm_study.api.pictures.input_map import input_map_picture
-        from ssm_study.api.pictures.loop_response import label_of
+        from ssm_study.api.pictures.loop_response import channel_label
 
         channel = self.data.inputs[0]
-        label = label_of(channel)
+        label = channel_label(channel)
         slopes = certified_balls(self.ssm).input
         return draw_or_refuse("input_map", lambda: input_map_picture(self.ssm, slopes, label))
 
     def save(self, folder: str | Path) -> Path:
-        """Write `model.json`, complete enough to simulate the model without torch.
+        """Write the model to `model.json`, from which it can be simulated without torch.
 
         Returns the folder. Raises `BadRequest` for a folder that exists.
         """
@@ -295,7 +294,7 @@ class Model:
 
 
 def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:
-    """Draw a picture, or raise `BadRequest` where there is nothing to show. Raises `BadRequest`
+    """Draw a picture, or refuse in one sentence where there is nothing to show. Raises `BadRequest`
     with the reason where there is none."""
     from ssm_study.api.pictures.drawing import draw_picture
     from ssm_study.api.pictures.picture import NothingToShow

@@ -30,15 +30,15 @@ REMEDY = "write key=value, as in model.order=4; sweeps and experiments are for s
 
 
 def configuration_folders() -> list[Path]:
-    """Folders of yaml files, ours first, then those of trusted packages."""
+    """Folders of configuration files, the project's own first, then those of trusted packages."""
     package = Path(ssm_study.__file__).resolve().parent
     installed = package / "conf"
     ours = installed if installed.is_dir() else package.parent / "conf"
     return [ours, *extension_configuration_folders()]
 
 
-def load_tree(group: str, choice: str) -> Tree:
-    """Settings of one choice of a group, its `defaults` merged in.
+def load_choice(group: str, choice: str) -> Tree:
+    """Load the settings of one choice of a configuration group, with its defaults merged in.
 
     Raises `BadRequest` for a choice that no yaml file describes.
     """
@@ -57,14 +57,14 @@ def load_tree(group: str, choice: str) -> Tree:
     tree: Tree = {}
     for entry in entries:
         other = own if entry == SELF else _load_default(group, entry)
-        merge(tree, other)
+        merge_trees(tree, other)
     return tree
 
 
 def _load_default(group: str, entry: Any) -> Tree:
     """Load the settings that one entry of a defaults list names."""
     if isinstance(entry, str):
-        return load_tree(group, entry)
+        return load_choice(group, entry)
     ((name, choice),) = entry.items()
     name = str(name).removeprefix("override ").removeprefix("optional ")
     if PACKAGE in name:  # a choice of another group, made by the command's `data=recorded`
@@ -74,30 +74,30 @@ def _load_default(group: str, entry: Any) -> Tree:
     nested = path.removeprefix("/") if is_absolute else f"{group}/{path}"
     place = place or path.rpartition("/")[2]
     tree: Tree = {}
-    replacement = Replacement(deepcopy(load_tree(nested, str(choice))))
+    replacement = Replacement(deepcopy(load_choice(nested, str(choice))))
     assign_nested(tree, place, replacement)
     return tree
 
 
 class Replacement(dict[str, Any]):
-    """Tree of settings that replaces another one, where other trees are merged key by key."""
+    """Tree of settings that replaces another one as a whole instead of being merged with it."""
 
 
-def merge(tree: Tree, other: Mapping[str, Any]) -> None:
-    """Merge `other` into `tree`, in place. A `Replacement` replaces instead."""
+def merge_trees(tree: Tree, other: Mapping[str, Any]) -> None:
+    """Merge one tree of settings into another, in place. A `Replacement` replaces instead."""
     for key, value in other.items():
         is_merged = isinstance(value, dict) and isinstance(tree.get(key), dict)
         if is_merged and not isinstance(value, Replacement):
-            merge(tree[key], value)
+            merge_trees(tree[key], value)
         elif isinstance(value, dict):
             tree[key] = deepcopy(dict(value))
         else:
             tree[key] = deepcopy(value)
 
 
-def assign(tree: Tree, path: str, value: Any) -> None:
-    """Assign a value at a dotted path of a settings tree. Raises `BadRequest` where the path
-    leads through a value."""
+def assign_value(tree: Tree, path: str, value: Any) -> None:
+    """Assign a value at a dotted path of a settings tree. Raises `BadRequest` where the path leads
+    through a value."""
     *parents, last = path.split(".")
     place: Any = tree
     for name in parents:
@@ -108,25 +108,25 @@ def assign(tree: Tree, path: str, value: Any) -> None:
 
 
 def assign_nested(tree: Tree, path: str, value: Any) -> None:
-    """Assign a value at a dotted path, making the trees above it where there are none."""
+    """Assign a value at a dotted path of a settings tree, and create missing subtrees."""
     *parents, last = path.split(".")
     for name in parents:
         tree = tree.setdefault(name, {})
     tree[last] = value
 
 
-def read_value(text: str) -> Any:
-    """Value of a setting written as text: a number, true, false, null, a list or a text."""
+def parse_value(text: str) -> Any:
+    """Parse the text of a setting: a number, true, false, null, a list or a text."""
     try:
-        return _read_numbers(yaml.safe_load(text))
+        return _parse_numbers(yaml.safe_load(text))
     except yaml.YAMLError:
         return text
 
 
-def _read_numbers(value: Any) -> Any:
-    """Convert texts such as 1e-3, which YAML does not read as numbers; lists item by item."""
+def _parse_numbers(value: Any) -> Any:
+    """Convert texts such as 1e-3 to numbers, in lists item by item, as YAML reads them as texts."""
     if isinstance(value, list):
-        return [_read_numbers(item) for item in value]
+        return [_parse_numbers(item) for item in value]
     if not isinstance(value, str):
         return value
     try:
@@ -136,7 +136,8 @@ def _read_numbers(value: Any) -> Any:
 
 
 def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
-    """Keys and values of words such as `model.order=4`. Raises `BadRequest` for other words."""
+    """Split words such as `model.order=4` into keys and values. Raises `BadRequest` for other
+    words."""
     pairs = []
     for word in words:
         key, equals, value = str(word).partition("=")
@@ -146,15 +147,15 @@ def split_words(words: Iterable[str]) -> list[tuple[str, str]]:
     return pairs
 
 
-def part_of(word: str) -> str:
-    """Name of the part that a word of the command sets, `loop` of
-    `reference@loop.reference=step`."""
+def part_name(word: str) -> str:
+    """Name of the part of a study that a word of the command sets."""
     key = word.partition("=")[0].lstrip("+").rpartition("@")[2]
     return key.replace("/", ".").partition(".")[0]
 
 
 class Parts:
-    """Choices and settings of a study's parts. `build` constructs one of them.
+    """Choices and settings of a study's parts, from which the parts are built. `build` constructs
+    one of them.
 
     `words` are the command's: `model=ssm`, `model.order=4`, `training/optimiser=adam`,
     `reference@loop.reference=step`. A value given twice is the later one. Raises `BadRequest` for
@@ -167,7 +168,7 @@ class Parts:
         self.numbers: dict[str, Any] = {"seed": 0, "loop_seed": 0}
         self.choices = dict(choices)
         self.choices |= {key: value for key, value in pairs if key in GROUPS}
-        self.trees = {name: load_tree(name, choice) for name, choice in self.choices.items()}
+        self.trees = {name: load_choice(name, choice) for name, choice in self.choices.items()}
         self.details: list[str] = []
         self.added: set[str] = set()
         nested = [(key, value) for key, value in pairs if "@" in key or "/" in key]
@@ -176,21 +177,22 @@ class Parts:
             self._choose(key, value)
         for key, value in settings:
             if key not in (*GROUPS, *OF_THE_PLACE):
-                self._set(key, value)
+                self._set_field(key, value)
 
     def _choose(self, key: str, choice: str) -> None:
-        """Make a choice inside a part, `scaffold@model.scaffold_in` or `training/optimiser`."""
+        """Choose an option inside a part, such as `scaffold@model.scaffold_in` or
+        `training/optimiser`."""
         group, _, place = key.partition("@")
         place = place or group.replace("/", ".")
         part = place.partition(".")[0]
         require(part in self.trees, key, choice, "is no part of a model or design", REMEDY)
         self.details.append(f"{key}={choice}")
-        tree = load_tree(group, choice)
-        assign(self.trees, place, tree)
+        tree = load_choice(group, choice)
+        assign_value(self.trees, place, tree)
 
-    def _set(self, key: str, text: str) -> None:
-        """Set one number or one field of a part."""
-        value = read_value(text)
+    def _set_field(self, key: str, text: str) -> None:
+        """Set one number or field of a part."""
+        value = parse_value(text)
         if key in NUMBERS:
             whole = type(value) is int and 0 <= value < 2**32
             require(whole, key, value, "not a whole number from 0 to 2^32 - 1", "use 0")
@@ -199,18 +201,18 @@ class Parts:
         part = key.partition(".")[0]
         known = part in self.trees and "." in key
         require(known, key, text, "is no setting of data, model or design", REMEDY)
-        self.details.append(f"{self._sign(key)}{key}={text}")
-        assign(self.trees, key, value)
+        self.details.append(f"{self._override_sign(key)}{key}={text}")
+        assign_value(self.trees, key, value)
 
-    def _sign(self, path: str) -> str:
-        """Sign that a word of the command needs before it. Hydra takes fields that the yaml files
-        lack only as additions."""
-        if not self._has(path):
+    def _override_sign(self, path: str) -> str:
+        """Sign, `+` or none, that an override needs before it on the command line. Hydra takes
+        fields that the yaml files lack only as additions."""
+        if not self._has_setting(path):
             self.added.add(path)
         return "++" if path in self.added else ""
 
-    def _has(self, path: str) -> bool:
-        """Whether the yaml files have a value at a dotted path."""
+    def _has_setting(self, path: str) -> bool:
+        """Whether the configuration files have a value at a dotted path."""
         place: Any = self.trees
         for name in path.split("."):
             if not isinstance(place, dict) or name not in place:
@@ -218,36 +220,37 @@ class Parts:
             place = place[name]
         return True
 
-    def set_given(self, part: str, **settings: Any) -> None:
-        """Set the fields of a part that are given, not None."""
+    def set_fields(self, part: str, **settings: Any) -> None:
+        """Set those fields of a part whose new value is not None."""
         for name, value in settings.items():
             if value is not None:
-                sign = self._sign(f"{part}.{name}")
-                assign(self.trees, f"{part}.{name}", value)
-                self.details.append(f"{sign}{part}.{name}={write_value(value)}")
+                sign = self._override_sign(f"{part}.{name}")
+                assign_value(self.trees, f"{part}.{name}", value)
+                self.details.append(f"{sign}{part}.{name}={format_value(value)}")
 
     def build(self, part: str) -> Any:
-        """Construct a part. Raises `BadRequest` for missing, unknown or unusable settings."""
+        """Build the object that a part of the study describes. Raises `BadRequest` for missing,
+        unknown or unusable settings."""
         tree = self.trees[part]
         missing = next((key for key, value in tree.items() if value == MISSING), None)
         require(missing is None, f"{part}.{missing}", MISSING, "is missing", "give it a value")
         return construct_part(part, tree)
 
-    def words_about(self, *names: str) -> tuple[str, ...]:
-        """Select the words of the command that concern these parts, or the seeds named here."""
-        return tuple(word for word in self.given if part_of(word) in names)
+    def words_for_parts(self, *names: str) -> tuple[str, ...]:
+        """Words of the command that concern the named parts or seeds."""
+        return tuple(word for word in self.given if part_name(word) in names)
 
     def words_for_command(self) -> tuple[str, ...]:
-        """Choices and settings as words that `ssm-study run` understands, in order."""
+        """Choices and settings as words that `ssm-study run` understands."""
         chosen = [f"{name}={choice}" for name, choice in self.choices.items()]
         numbers = [f"{name}={value}" for name, value in self.numbers.items()]
         return (*chosen, *self.details, *numbers)
 
 
-def write_value(value: Any) -> str:
-    """Text of a value as Hydra reads it back."""
+def format_value(value: Any) -> str:
+    """Text of a setting's value that Hydra reads back as the same value."""
     if isinstance(value, list | tuple):
-        return f"[{','.join(map(write_value, value))}]"
+        return f"[{','.join(map(format_value, value))}]"
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -9,12 +9,12 @@ from pathlib import Path
 
 @cache
 def scratch_folder() -> Path:
-    """The program's temporary folder, deleted when the program ends."""
+    """Temporary folder of the program, deleted when the program ends."""
     folder = Path(tempfile.mkdtemp(prefix="ssm-study-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
 
-def new_folder() -> Path:
-    """A fresh folder in the scratch folder."""
+def make_scratch_folder() -> Path:
+    """Make a new folder in the program's temporary folder."""
     return Path(tempfile.mkdtemp(dir=scratch_folder()))

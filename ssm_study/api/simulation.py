@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.api.design import Design
-from ssm_study.api.loops import close_loop, identified_plant, rollout_table
+from ssm_study.api.loops import make_identified_plant, simulate_loop, tabulate_rollouts
 from ssm_study.api.model import Model, Values
 from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.plants.plant import Plant
@@ -12,12 +12,12 @@ from ssm_study.plants.plant import Plant
 
 def simulate(
     subject: Model | Design,
-    given: Values,
+    values: Values,
     *overrides: str,
     plant: Plant | None = None,
     disturbance: Values | None = None,
 ) -> pd.DataFrame:
-    """Simulate a model for given inputs, or a designed loop from given initial outputs.
+    """Simulate a model for given inputs, or a designed closed loop from given initial outputs.
 
     A model runs from rest for the inputs `given (T, m)`. A loop runs on the identified model, or
     on `plant`, from each row of `given (N, p)` or number of `given (N,)`, without noise, as the
@@ -30,12 +30,12 @@ def simulate(
     """
     if isinstance(subject, Model):
         step_s = subject.data.step_s
-        check_time_index(given, None, step_s)
-        inputs = signal_columns(given, "u", columns=subject.input_names)[1]
+        check_time_index(values, None, step_s)
+        inputs = signal_columns(values, "u", columns=subject.input_names)[1]
         table = pd.DataFrame(inputs)
         predicted = pd.DataFrame(subject.predict(table, disturbance))
         time_s = np.arange(len(predicted)) * subject.data.step_s
         return predicted.assign(time_s=time_s)
-    on = plant or identified_plant(subject)
-    rollouts = close_loop(subject, given, on, overrides, disturbance=disturbance)
-    return rollout_table(rollouts, on)
+    on = plant or make_identified_plant(subject)
+    rollouts = simulate_loop(subject, values, on, overrides, disturbance=disturbance)
+    return tabulate_rollouts(rollouts, on)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Limit = float | list[float] | None
 
 
-def identify(
+def identify_model(
     spec: "ModelSpec",
     training: "Training",
     data: DataSet,
@@ -52,20 +52,20 @@ def identify(
 
 
 def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
-    """Measure how far the plant is from the model, as the validation record and trials show it."""
+    """Measure the model's error from the validation record and the mismatch records."""
     return measure_mismatch_of_records(
         model, data.validation, data.start_up_samples, data.mismatch_records
     )
 
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
-    """Judge what records and model allow to be said of the plant."""
+    """Judge what the records and the model allow to be said of the plant."""
     validation, test = simulate_parts(model, data)
     return collect_findings(data, model, validation, test, plant_mismatch)
 
 
 def measure_coverage_premise(model: StateSpaceModel, data: DataSet, mismatch: Mismatch) -> Premise:
-    """Measure by frequency what a proof about the plant has to cover."""
+    """Measure the model error in each frequency band that a proof about the plant has to cover."""
     records = data.mismatch_records
     return measure_premise(model, data.validation, mismatch, data.start_up_samples, records)
 
@@ -78,7 +78,7 @@ def design_controller(
     judgement: Judgement,
     limits: tuple[Limit, Limit],
 ) -> Certificates:
-    """Design controller and observer and decide their certificates in exact arithmetic.
+    """Design controller and observer, and decide their certificates in exact arithmetic.
 
     `limits` of the input are physical; None is the range that the records visited. Where the
     evidence allows no judgement, `auto` takes the largest stability margin.
@@ -97,7 +97,7 @@ def design_controller(
             synthesis = synthesis.with_largest_margin()
         decays = decays_of(model, data.mismatch_records, data.validation)
         synthesis = synthesis.covering(premise).starting_from(decays)
-        synthesis = synthesis.within(scaled(model, lower), scaled(model, upper))
+        synthesis = synthesis.within(scale_deviation(model, lower), scale_deviation(model, upper))
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = with_gain_certificates(design, model, balls, (lower, upper))
     if is_coverage_sought(model, synthesis):
@@ -105,6 +105,6 @@ def design_controller(
     return design
 
 
-def scaled(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
-    """Deviation of a physical input from the equilibrium, in the model's units."""
+def scale_deviation(model: StateSpaceModel, u: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m"]:
+    """Deviation of a physical input from the equilibrium, in the model's scaled units."""
     return model.scale.scaled_input(u)

@@ -12,23 +12,23 @@ FORMS = "give control.StateSpace, control.TransferFunction, or (A, B, C, D, step
 
 
 def read_linear_system(system: Any) -> tuple[StateSpace, float]:
-    """Matrices and sampling time in seconds of a discrete-time linear system.
+    """Read the matrices and the sampling time of a discrete-time linear system.
 
     Raises `BadRequest` for a continuous-time system and for what is no such system.
     """
     if isinstance(system, tuple):
-        return _read_tuple(system)
+        return _read_matrices(system)
     if hasattr(system, "num") and hasattr(system, "den"):  # a transfer function
-        system = _state_space_of(system)
+        system = _realise_transfer_function(system)
     matrices = [getattr(system, name, None) for name in "ABCD"]
     kind = type(system).__name__
     complete = all(matrix is not None for matrix in matrices)
     require(complete, "model", kind, "is no model and no linear system", FORMS)
-    return _state_space(matrices), read_step(getattr(system, "dt", None))
+    return _build_state_space(matrices), read_sampling_time(getattr(system, "dt", None))
 
 
-def read_step(step_s: Any) -> float:
-    """Sampling time of a discrete-time system. Raises `BadRequest` for anything else."""
+def read_sampling_time(step_s: Any) -> float:
+    """Read the sampling time of a discrete-time system. Raises `BadRequest` for anything else."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
     discrete = is_number and 0 < float(step_s) < np.inf
     remedy = "sample it: control.c2d(system, step_s)"
@@ -57,15 +57,15 @@ def read_matrix(
     return matrix
 
 
-def _read_tuple(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
-    """Read a system that is given as (A, B, C, D, step_s)."""
+def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:
+    """Read a linear system that is given as (A, B, C, D, step_s)."""
     require(len(system) == 5, "model", f"a tuple of {len(system)}", "is no linear system", FORMS)
     *matrices, step_s = system
-    return _state_space(matrices), read_step(step_s)
+    return _build_state_space(matrices), read_sampling_time(step_s)
 
 
-def _state_space(matrices: list[Any]) -> StateSpace:
-    """Make a state space of four matrices, their shapes checked."""
+def _build_state_space(matrices: list[Any]) -> StateSpace:
+    """Build a state space from four matrices whose shapes are checked."""
     a = read_matrix("A", matrices[0], (None, None))
     n = len(a)
     a = read_matrix("A", a, (n, n))
@@ -75,8 +75,8 @@ def _state_space(matrices: list[Any]) -> StateSpace:
     return StateSpace(a=a, b=b, c=c, d=d)
 
 
-def _state_space_of(transfer_function: Any) -> Any:
-    """A realisation of a transfer function by python-control."""
+def _realise_transfer_function(transfer_function: Any) -> Any:
+    """State-space realisation of a transfer function, by python-control."""
     try:
         from control import tf2ss
     except ImportError as error:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_tree
+from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_choice
 from ssm_study.cli.from_python import composed
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
@@ -33,7 +33,7 @@ def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
     config = composed([f"{group}={choice}", "study=any"])
     settings = plain_settings(config)
     theirs = settings[group]
-    tree = load_tree(group, choice)
+    tree = load_choice(group, choice)
     assert tree == dict(theirs)
 
 

@@ -49,7 +49,7 @@ def fit_on_test(name: str, settings: dict[str, object], model: str, *words: str)
     parts = Parts(choices, words)
     columns = {"input": "u", "output": "y"}
     path = str(FOLDER / name)
-    parts.set_given("data", path=path, **(columns | settings))
+    parts.set_fields("data", path=path, **(columns | settings))
     data = parts.build("data").build(0)
     trained = parts.build("model").solve(data)
     return simulate_parts(trained, data)[1].fit_percent

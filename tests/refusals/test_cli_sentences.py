@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ssm_study.api.fitting import sampling_time_in_seconds
+from ssm_study.api.fitting import sampling_time_s
 from ssm_study.api.linearisation import import_python_control
-from ssm_study.api.parts import write_value
+from ssm_study.api.parts import format_value
 from ssm_study.cli.main import WRONG_REQUEST, main
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest
@@ -70,14 +70,14 @@ def test_a_column_that_is_named_twice_is_refused_before_any_run(
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), None, "often", 0.0, -1.0, [0.1]])
 def test_what_is_no_sampling_time_is_refused(value: object) -> None:
     with pytest.raises(BadRequest, match="step_s"):
-        sampling_time_in_seconds(value)
+        sampling_time_s(value)
 
 
 @pytest.mark.parametrize(
     "value", [0.1, np.float64(0.1), pd.Timedelta("100ms"), timedelta(milliseconds=100)]
 )
 def test_a_time_difference_is_a_sampling_time(value: object) -> None:
-    assert sampling_time_in_seconds(value) == 0.1
+    assert sampling_time_s(value) == 0.1
 
 
 TEXTS = ["a\\b", "a\\", "it's", "a\\'b", "\\\\server\\share", "a b", "", "[x]", "\\\\'", "'\\"]
@@ -88,7 +88,7 @@ def test_texts_from_python_arrive_as_they_are() -> None:
     from hydra.core.override_parser.overrides_parser import OverridesParser
 
     parser = OverridesParser.create()
-    override = parser.parse_override(f"key={write_value(TEXTS)}")
+    override = parser.parse_override(f"key={format_value(TEXTS)}")
     assert override.value() == TEXTS
 
 

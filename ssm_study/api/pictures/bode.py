@@ -24,7 +24,8 @@ def bode_picture(
     slopes: JacobianBall | None = None,
     units: tuple[str, str] = ("", ""),
 ) -> Picture:
-    """Gain and phase of the first output to the first input, physical, with the record's own dots.
+    """Bode plot of the model at its equilibrium, with dots estimated from a record without any
+    model.
 
     `slopes` of the input map shade the gains that they allow, for one input. `units` are those of
     output and input.
@@ -32,7 +33,7 @@ def bode_picture(
     nyquist = 0.5 / model.step_s
     hertz = np.geomspace(10.0**-DECADES * nyquist, nyquist, POINTS)
     angles = 2 * np.pi * hertz * model.step_s
-    response = response_at_rest(model, angles)
+    response = equilibrium_response(model, angles)
     angle = np.unwrap(np.angle(response))
     magnitude = np.abs(response)
     series = Series(x=hertz, y=magnitude, name="model at rest")
@@ -40,7 +41,7 @@ def bode_picture(
     y = np.rad2deg(angle)
     phases = [Series(x=hertz, y=y)]
     u = record.u[:, 0]
-    at_hertz, estimate = estimated_response(u, record.y[:, 0], record.step_s)
+    at_hertz, estimate = estimate_response(u, record.y[:, 0], record.step_s)
     if len(at_hertz):
         dots = np.abs(estimate)
         name = "record"
@@ -51,9 +52,9 @@ def bode_picture(
         phases.append(Series(x=at_hertz, y=degrees, mark="dots", colour=style.GREY))
     shared = {"x_label": "Frequency (Hz)", "log_x": True}
     upper = PicturePanel(
-        y_label=f"Gain{_ratio(units)}",
+        y_label=f"Gain{_gain_unit(units)}",
         series=tuple(gains),
-        bands=_bands(model, slopes, hertz, magnitude),
+        bands=_gain_band(model, slopes, hertz, magnitude),
         log_y=True,
         height=1.2,
         **shared,  # type: ignore[arg-type]
@@ -64,12 +65,12 @@ def bode_picture(
     return Picture(title=title, panels=panels)
 
 
-def _ratio(units: tuple[str, str]) -> str:
+def _gain_unit(units: tuple[str, str]) -> str:
     """Unit of the gain in parentheses."""
     return f" ({units[0] or '1'} per {units[1] or '1'})"
 
 
-def _bands(
+def _gain_band(
     model: Model, slopes: JacobianBall | None, hertz: Angles, magnitude: Angles
 ) -> tuple[Band, ...]:
     """Shaded range of the gain between the smallest and the largest slope of the input map."""
@@ -84,8 +85,9 @@ def _bands(
     return (band,)
 
 
-def response_at_rest(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
-    """`s_y J_y (C (zI - A)^-1 B + D) J_u / s_u` of the first channels at `z = exp(j angle)`."""
+def equilibrium_response(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
+    """Frequency response of the model at its equilibrium, from the first input to the first output.
+    `s_y J_y (C (zI - A)^-1 B + D) J_u / s_u`, `z = exp(j angle)`."""
     linear = at_rest(model)
     inputs = model.scaffold_in.inputs
     slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
@@ -100,10 +102,10 @@ def response_at_rest(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
     return np.asarray((outward @ linear.c) @ states[:, :, 0].T + outward @ linear.d @ inward)
 
 
-def estimated_response(
+def estimate_response(
     u: Float[np.ndarray, "T"], y: Float[np.ndarray, "T"], step_s: float
 ) -> tuple[Float[np.ndarray, "K"], Complex[np.ndarray, "K"]]:
-    """Frequencies in Hz and the ratio of cross spectrum to input power; empty for a short record.
+    """Estimate a frequency response from a record as the ratio of cross spectrum to input power.
 
     By Welch's method; frequencies without input power or coherence are left out.
     """

@@ -14,8 +14,8 @@ HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
 
 def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture:
-    """Proved over needed radius of each band, a line per record, rule at 1, the deciding band
-    marked.
+    """Picture of the coverage: how many times the measured model error the proof tolerates in each
+    frequency band.
 
     Bands in which the record shows no error are left out; crosses are bands without excitation,
     where noise counts as error. Raises `NothingToShow` without a certificate or a premise.
@@ -40,9 +40,9 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
     coverage = part.kappa / need
     band = next((row for row in rows if row.decides), None)
     if band is not None and np.isclose(band.need, need, rtol=1e-6):
-        series.append(_mark(band, part.kappa, step_s))
+        series.append(_deciding_dot(band, part.kappa, step_s))
     verdict = "covered" if coverage >= 1 else "not covered"
-    title = f"Coverage {_two_digits(coverage)}, {verdict}; decided by: {where}"
+    title = f"Coverage {_format_coverage(coverage)}, {verdict}; decided by: {where}"
     guide_line = GuideLine(y=1.0, dashed=False, name="1: no longer covered")
     rules = (guide_line,)
     panel = PicturePanel(
@@ -60,7 +60,7 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
 def _record_series(
     rows: list[CoverageBand], kappa: float, step_s: float, name: str, colour: str
 ) -> list[Series]:
-    """Line over the bands of one record, with crosses where its input has no power."""
+    """Curve of the coverage over the frequency bands of one record."""
     frequencies = [row.frequency for row in rows]
     hertz = np.array(frequencies) / (2 * np.pi * step_s)
     times = np.minimum([kappa / row.need for row in rows], HIGHEST)
@@ -74,8 +74,8 @@ def _record_series(
     return [lit, series]
 
 
-def _mark(band: CoverageBand, kappa: float, step_s: float) -> Series:
-    """Dot at the band that decides."""
+def _deciding_dot(band: CoverageBand, kappa: float, step_s: float) -> Series:
+    """Dot at the frequency band with the smallest coverage."""
     hertz = band.frequency / (2 * np.pi * step_s)
     y = np.array([kappa / band.need])
     return Series(
@@ -83,6 +83,6 @@ def _mark(band: CoverageBand, kappa: float, step_s: float) -> Series:
     )
 
 
-def _two_digits(coverage: float) -> str:
-    """Coverage as text, rounded down so that no value below one is printed as one."""
+def _format_coverage(coverage: float) -> str:
+    """Coverage as text of two digits, rounded down so that no value below one is printed as one."""
     return f"{np.floor(100 * coverage) / 100:.2f}"

@@ -25,13 +25,14 @@ FEW_DECADES = 200  # ratio of the ends of a logarithmic axis below which more ti
 
 
 def draw_picture(picture: Picture) -> "Figure":
-    """Draw a picture in the style of the paper. Returns the figure; nothing is shown."""
+    """Draw a picture with Matplotlib in the style of the paper. Returns the figure; nothing is
+    shown."""
     with style.paper_style():
         return draw_unstyled(picture)
 
 
 def draw_unstyled(picture: Picture) -> "Figure":
-    """Draw a picture with the settings that are in force."""
+    """Draw a picture with the Matplotlib settings that are in force."""
     rows = [
         picture.panels[i : i + picture.columns]
         for i in range(0, len(picture.panels), picture.columns)
@@ -54,14 +55,14 @@ def draw_unstyled(picture: Picture) -> "Figure":
 
 
 def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
-    """Draw one panel into its axes."""
+    """Draw one panel of a picture into its axes."""
     for band in panel.bands:
         label = band.name or None
         axes.fill_between(
             band.x, band.low, band.high, color=band.colour, lw=0, label=label, alpha=0.6
         )
     for rule in panel.rules:
-        _draw_rule(axes, rule)
+        _draw_guide_line(axes, rule)
     for series in panel.series:
         _draw_series(axes, series)
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label, title=panel.title)
@@ -85,7 +86,7 @@ def draw_panel(axes: "Axes", panel: PicturePanel) -> None:
 
 
 def _thin_minor_labels(axes: "Axes") -> None:
-    """Label 2 and 5 between decades, as plain numbers, where the axis spans few decades."""
+    """Label only 2 and 5 between powers of ten, where a logarithmic axis spans few of them."""
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     low, high = axes.get_ylim()
@@ -107,7 +108,7 @@ def _is_wide(axes: "Axes") -> bool:
 
 
 def _draw_series(axes: "Axes", series: Series) -> None:
-    """Draw one series by its mark."""
+    """Draw one series of a picture as line, dots or another mark."""
     label = series.name or None
     look: dict[str, Any] = {"color": series.colour, "label": label}
     linewidth = 0.7 if series.thin else 1.1
@@ -128,8 +129,8 @@ def _draw_series(axes: "Axes", series: Series) -> None:
         axes.plot(series.x, series.y, marker=shape, linestyle="", fillstyle=fill, zorder=4, **look)
 
 
-def _draw_rule(axes: "Axes", rule: GuideLine) -> None:
-    """Draw a line across the axes."""
+def _draw_guide_line(axes: "Axes", rule: GuideLine) -> None:
+    """Draw a horizontal or vertical guide line across the axes."""
     linestyle = "--" if rule.dashed else "-"
     label = rule.name or None
     look: dict[str, Any] = {
@@ -145,7 +146,7 @@ def _draw_rule(axes: "Axes", rule: GuideLine) -> None:
 
 
 def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> None:
-    """Label the horizontal axis once where a column of panels shares it."""
+    """Hide the repeated labels of a horizontal axis that several panels of a column share."""
     for j in range(len(rows[0])):
         labels = [row[j].x_label for row in rows if j < len(row)]
         if len(set(labels)) > 1:
@@ -158,9 +159,9 @@ def _hide_repeated_labels(grid: Any, rows: list[tuple[PicturePanel, ...]]) -> No
                 grid[i][j].tick_params(labelbottom=False)
 
 
-def circle(
+def circle_points(
     radius: float = 1.0, points: int = 181
 ) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
-    """Coordinates of a circle around the origin."""
+    """Coordinates of points on a circle around the origin."""
     angles = np.linspace(0, 2 * np.pi, points)
     return radius * np.cos(angles), radius * np.sin(angles)

@@ -20,7 +20,7 @@ def free_run_picture(
     labels: Sequence[str],
     start_up: int = 0,
 ) -> Picture:
-    """One column per output; the legend holds each model's fit after `start_up` samples.
+    """Picture of free runs on a record: measured and simulated outputs, with errors below.
 
     Of a longer record the first `LONGEST` samples are drawn; the fit is of the whole.
     """
@@ -63,32 +63,32 @@ def _error_panel(errors: list[Series], label: str) -> PicturePanel:
     zero = GuideLine(y=0.0, dashed=False)
     return PicturePanel(
         x_label="Time (s)",
-        y_label=f"Error{_unit(label)}",
-        series=tuple(errors) if len(errors) > 1 else _recoloured(errors),
+        y_label=f"Error{_label_unit(label)}",
+        series=tuple(errors) if len(errors) > 1 else _recolour_single_error(errors),
         rules=(zero,),
         height=0.7,
     )
 
 
 def _error_colour(i: int) -> str:
-    """Colour of the error of the i-th model: that of its run."""
+    """Colour for the error of one of several models, that of the model's free run."""
     return style.CYCLE[i % len(style.CYCLE)]
 
 
-def _recoloured(errors: list[Series]) -> tuple[Series, ...]:
-    """The error of a single model, in a colour of its own."""
+def _recolour_single_error(errors: list[Series]) -> tuple[Series, ...]:
+    """Give the error of a single model a colour of its own."""
     return tuple(Series(x=one.x, y=one.y, colour=style.VERMILLION, thin=True) for one in errors)
 
 
-def _unit(label: str) -> str:
-    """Unit of a label, with its parentheses."""
+def _label_unit(label: str) -> str:
+    """Unit of an axis label, with its parentheses."""
     return f" ({label.rpartition('(')[2]}" if "(" in label else ""
 
 
 def _start_up_band(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T"], samples: int
 ) -> tuple[Band, ...]:
-    """Shade the samples that estimate the initial state and are not scored."""
+    """Shaded band over the samples that estimate the initial state and are not scored."""
     if not samples:
         return ()
     ends = time_s[[0, min(samples, len(time_s) - 1)]]

@@ -13,7 +13,8 @@ LINEAR = 1e-9  # relative spread of the slope below which a map is called linear
 
 
 def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> Picture:
-    """S_u of one input, left, and its slope, right, in the band that the certificate assumes.
+    """Picture of one input's learned static map and its slope, with the certified interval of
+    slopes.
 
     Raises `NothingToShow` for several inputs.
     """
@@ -41,12 +42,12 @@ def input_map_picture(model: Model, slopes: JacobianBall, input_label: str) -> P
         bands=(band,),
     )
     is_linear = np.ptp(local) <= LINEAR * np.abs(local).max()
-    title = "Input map: linear" if is_linear else _title(local)
+    title = "Input map: linear" if is_linear else _slope_title(local)
     panels = (left, right)
     return Picture(title=title, panels=panels, columns=2)
 
 
-def _title(local: np.ndarray) -> str:
-    """How much the slope varies."""
+def _slope_title(local: np.ndarray) -> str:
+    """Title that says how much the slope of the input map varies."""
     ratio = np.abs(local).min() / np.abs(local).max()
     return f"Learned input map: its smallest slope is {100 * ratio:.0f} % of its largest"

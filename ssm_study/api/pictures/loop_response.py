@@ -35,17 +35,18 @@ Inputs = Sequence[Float[np.ndarray, "_ m"]]
 def initial_response_picture(
     controlled: Rollouts, uncontrolled: Rollouts, plant: Any, recorded: Inputs, place: str
 ) -> Picture:
-    """Outputs and inputs from initial outputs, the open loop in grey, recorded range dashed."""
+    """Picture of outputs and inputs of the closed loop from initial outputs, beside the open
+    loop."""
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
-        open_loop = _bundle(uncontrolled, "y", j, "open loop", style.GREY)
-        closed = _bundle(controlled, "y", j, "under control", style.BLUE)
+        open_loop = _case_curves(uncontrolled, "y", j, "open loop", style.GREY)
+        closed = _case_curves(controlled, "y", j, "under control", style.BLUE)
         series = (*open_loop, *closed)
-        panel = PicturePanel(x_label="Time (s)", y_label=label_of(channel), series=series)
+        panel = PicturePanel(x_label="Time (s)", y_label=channel_label(channel), series=series)
         upper.append(panel)
     lower = _input_panels(controlled, plant.inputs, recorded)
-    panels = (*_padded(upper, columns), *_padded(lower, columns))
+    panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
     title = f"Closed loop on {place}"
     return Picture(title=title, panels=panels, columns=columns, wide=True)
 
@@ -59,7 +60,7 @@ def set_point_picture(
     place: str,
     size: float | None = None,
 ) -> Picture:
-    """Step of the set point from the equilibrium, without noise, and the input that follows it.
+    """Picture of the closed loop's response to a step of the set point, without noise.
 
     `size` in the output's unit; without it the largest share of the output's scale in `SIZES` that
     an input within the limits of `loop` holds. Raises `NothingToShow` where none does.
@@ -71,7 +72,7 @@ def set_point_picture(
     reason = "No step of the set point can be held."
     for one in sizes:
         try:
-            run = _step(plant, controller, loop, one)
+            run = _simulate_step(plant, controller, loop, one)
         except BadRequest as refusal:
             reason = f"No step of the set point can be held: {refusal}"
             continue
@@ -79,8 +80,8 @@ def set_point_picture(
     raise NothingToShow(reason)
 
 
-def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> Rollouts:
-    """One run from rest through a step."""
+def _simulate_step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> Rollouts:
+    """Simulate the closed loop from the equilibrium through a step of the set point."""
     samples = loop.horizon_samples(plant.step_s)
     at_s = BEFORE * samples * plant.step_s
     reference = StepReference(before=0.0, after=size, at_s=at_s)
@@ -90,7 +91,7 @@ def _step(plant: Any, controller: ObserverFeedback, loop: Loop, size: float) -> 
 
 
 def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size: float) -> Picture:
-    """Output beside its reference, settling band in grey, and the input."""
+    """Picture of a step response: the output beside its reference, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
     seen = _drawn_time_range(run, time_s)
     columns = max(len(plant.outputs), len(plant.inputs))
@@ -109,14 +110,14 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
         series = (set_point, output)
         panel = PicturePanel(
             x_label="Time (s)",
-            y_label=label_of(channel),
+            y_label=channel_label(channel),
             series=series,
             bands=(band,),
             x_range=seen,
         )
         upper.append(panel)
     lower = [replace(panel, x_range=seen) for panel in _input_panels(run, plant.inputs, recorded)]
-    panels = (*_padded(upper, columns), *_padded(lower, columns))
+    panels = (*_pad_panels(upper, columns), *_pad_panels(lower, columns))
     ending = "does not settle" if time_s is None else f"settles in {time_s:.3g} s"
     unit = f" {plant.outputs[0].unit}" if plant.outputs[0].unit else ""
     title = f"Step of the set point by {size:.3g}{unit} on {place}: {ending}"
@@ -124,7 +125,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
 
 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
-    """Times that are drawn: around the step, as long as what follows it takes."""
+    """Time range of a step response that is drawn."""
     end_s = float(run.time_s[-1])
     at_s = BEFORE * len(run.time_s) * run.step_s
     if settling_time_s is None:
@@ -133,7 +134,7 @@ def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[flo
     return max(0.0, at_s - span_s / 4), min(end_s, at_s + span_s)
 
 
-def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
+def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
     """Curves of one signal in all cases, of which the first is named in the legend."""
     values = getattr(runs, signal)
     mark: Any = "steps" if signal == "u" else "line"
@@ -153,7 +154,7 @@ def _bundle(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tupl
 def _input_panels(
     runs: Rollouts, inputs: Sequence[Channel], recorded: Inputs
 ) -> list[PicturePanel]:
-    """Inputs, with the ends of their recorded range."""
+    """Panels of the inputs, with the ends of their recorded range."""
     panels = []
     for j, channel in enumerate(inputs):
         rules: tuple[GuideLine, ...] = ()
@@ -162,21 +163,21 @@ def _input_panels(
             guide_line = GuideLine(y=float(values.min()), name="recorded range")
             y = float(values.max())
             rules = (guide_line, GuideLine(y=y))
-        series = _bundle(runs, "u", j, "input", style.VERMILLION)
+        series = _case_curves(runs, "u", j, "input", style.VERMILLION)
         panel = PicturePanel(
-            x_label="Time (s)", y_label=label_of(channel), series=series, rules=rules
+            x_label="Time (s)", y_label=channel_label(channel), series=series, rules=rules
         )
         panels.append(panel)
     return panels
 
 
-def _padded(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
-    """Fill a row whose panels are fewer than its columns with empty ones."""
+def _pad_panels(panels: list[PicturePanel], columns: int) -> list[PicturePanel]:
+    """Fill a row of panels with empty ones up to a number of columns."""
     empty = PicturePanel(x_label="", y_label="", series=())
     return panels + [empty] * (columns - len(panels))
 
 
-def label_of(channel: Any) -> str:
-    """Name of a channel with its unit in parentheses."""
+def channel_label(channel: Any) -> str:
+    """Axis label of a channel: its name, with its unit in parentheses."""
     name = str(channel.name).replace("_", " ")
     return f"{name[:1].upper()}{name[1:]} ({channel.unit})" if channel.unit else name

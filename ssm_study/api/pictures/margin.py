@@ -16,7 +16,7 @@ DECADES = 3  # below half the sampling rate
 def margin_picture(
     curves: Sequence[MarginCurve], step_s: float, margin: float | None = None
 ) -> Picture:
-    """Margin at each frequency, a line for each recorded amplitude, a dot where it is decided.
+    """Picture of the stability margin over frequency, with a line for each recorded amplitude.
 
     `margin` is the design's own: where it lies below every curve, a mixture of amplitudes or an
     offset decides it, and a dashed line shows it. Raises `NothingToShow` without a curve.
@@ -34,7 +34,7 @@ def margin_picture(
         Series(
             x=hertz[visible],
             y=np.where(curve.margin < HIGHEST, curve.margin, np.nan)[visible],
-            name=_name(curve),
+            name=_curve_label(curve),
             colour=style.CYCLE[i % len(style.CYCLE)],
         )
         for i, curve in enumerate(drawn)
@@ -72,8 +72,8 @@ def _deciding_point(hertz: float, margin: float) -> Series:
     )
 
 
-def _name(curve: MarginCurve) -> str:
-    """Legend of one curve."""
+def _curve_label(curve: MarginCurve) -> str:
+    """Legend entry of one curve of the stability margin."""
     if curve.amplitude is None:
         return "trials in closed loop"
     return f"input of rms {curve.amplitude:.2g}"

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ssm_study import style
-from ssm_study.api.pictures.drawing import circle
+from ssm_study.api.pictures.drawing import circle_points
 from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel, Series
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.structured import Model, at_rest
@@ -21,7 +21,8 @@ SMALLEST_DISC = 0.01  # a smaller one is not seen
 
 
 def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Picture:
-    """Loop gain `-C P` broken at the plant's input, at the slopes of rest, and its discs.
+    """Nyquist plot of the loop gain `-C P` at the equilibrium, with discs for the measured model
+    error.
 
     The plant at one amplitude is `P (1 + Q)` up to a gain `g_r` from input to output, so the curve
     is `L (1 + Q)` and its discs have the radius `|C| g_r`: the loop is stable at these slopes if
@@ -31,9 +32,9 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     inputs = model.scale.inputs
     if inputs != 1 or model.scale.outputs != 1:
         raise NothingToShow("A Nyquist curve is drawn for one input and one output.")
-    plant, controller = loop_parts(model, pair, FINE_ANGLES)
+    plant, controller = loop_responses(model, pair, FINE_ANGLES)
     loop = -plant * controller
-    series = [_curve(loop, "model", style.BLUE)]
+    series = [_visible_curve(loop, "model", style.BLUE)]
     title = "Nyquist curve of the loop at the equilibrium"
     if mismatch is not None:
         discs, distance = _nearest_discs(model, pair, mismatch.views)
@@ -43,8 +44,8 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
             if distance > 0
             else "A disc of the measured error holds the point -1"
         )
-    series.append(_point())
-    unit = circle()
+    series.append(_critical_point())
+    unit = circle_points()
     circle_series = Series(x=unit[0], y=unit[1], colour=style.PALE, thin=True, name="gain 1")
     x_range = (-REACH, REACH)
     y_range = (-REACH, REACH)
@@ -60,10 +61,10 @@ def nyquist_picture(model: Model, pair: Gains, mismatch: Mismatch | None) -> Pic
     return Picture(title=title, panels=(panel,))
 
 
-def loop_parts(
+def loop_responses(
     model: Model, pair: Gains, angles: Float[np.ndarray, "F"]
 ) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
-    """Plant and controller, scaled, at these angles: `C = T_ue / (1 + P T_ue)`."""
+    """Frequency responses of plant and controller in the loop. `C = T_ue / (1 + P T_ue)`."""
     linear = at_rest(model)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
@@ -74,13 +75,13 @@ def loop_parts(
 
 
 def _nearest_discs(model: Model, pair: Gains, views: Sequence[View]) -> tuple[Series, float]:
-    """Discs of the amplitude that come nearest to -1, and the least distance.
+    """Discs of the recorded amplitude that come nearest to -1, and their distance from it.
 
     Of an amplitude's two descriptions, by size alone and with the phase of its linear part, the one
     that lies farther away counts: either is sufficient.
     """
     angles = np.maximum(ANGLES, 1e-4)
-    plant, controller = loop_parts(model, pair, angles)
+    plant, controller = loop_responses(model, pair, angles)
     nearest: tuple[Series, float] | None = None
     for view in views:
         linear_part = 0 * view.linear
@@ -99,24 +100,25 @@ def _nyquist_discs(
     linear_part: Complex[np.ndarray, "F"],
     remainder: Float[np.ndarray, "F"],
 ) -> tuple[Series, float]:
-    """Discs around `L (1 + Q)` with the radius `|C| g`, and how far -1 lies outside all."""
+    """Discs around the loop gain for the measured model error, and their distance from -1. `L (1 +
+    Q)`."""
     centres = -plant * controller * (1 + linear_part)
     radii = np.abs(controller) * remainder
-    series = _discs(centres, radii)
+    series = _disc_outlines(centres, radii)
     return series, float((np.abs(centres + 1) - radii).min())
 
 
-def _curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
-    """The part of a complex curve that is near enough to be seen."""
+def _visible_curve(values: Complex[np.ndarray, "F"], name: str, colour: str) -> Series:
+    """Part of a complex curve that lies within the picture."""
     near = np.abs(values) < 2 * REACH
     y = np.where(near, values.imag, np.nan)
     return Series(x=np.where(near, values.real, np.nan), y=y, name=name, colour=colour)
 
 
-def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
-    """The rims of all discs that can be seen, as one broken line."""
+def _disc_outlines(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> Series:
+    """Outlines of all discs within the picture, as one broken line."""
     rims = []
-    x, y = circle(points=25)
+    x, y = circle_points(points=25)
     for centre, radius in zip(centres, radii, strict=True):
         if radius > SMALLEST_DISC and np.abs(centre) < 2 * REACH:
             rim = centre + radius * (x + 1j * y)
@@ -131,7 +133,7 @@ def _discs(centres: Complex[np.ndarray, "F"], radii: Float[np.ndarray, "F"]) -> 
     )
 
 
-def _point() -> Series:
-    """The point that must not be reached."""
+def _critical_point() -> Series:
+    """Critical point -1, which the Nyquist curve must not enclose."""
     y = np.array([0.0])
     return Series(x=np.array([-1.0]), y=y, mark="crosses", colour=style.INK, name="-1")

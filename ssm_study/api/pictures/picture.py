@@ -14,7 +14,7 @@ Values = Float[np.ndarray, "N"]
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """One signal or set of points; NaN in `y` breaks a line. Without a name it has no legend."""
+    """One curve or set of points of a picture. Without a name it has no legend."""
 
     x: Values
     y: Values
@@ -27,7 +27,7 @@ class Series:
 
 @dataclass(frozen=True, kw_only=True)
 class GuideLine:
-    """A straight line over the whole panel, at `y` or at `x`."""
+    """Straight horizontal or vertical line over a whole panel."""
 
     y: float | None = None
     x: float | None = None
@@ -37,7 +37,7 @@ class GuideLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Band:
-    """A shaded area: between `low` and `high` along `x`; with two values of x a rectangle."""
+    """Shaded area of a panel between a lower and an upper curve."""
 
     x: Values
     low: Values
@@ -48,7 +48,8 @@ class Band:
 
 @dataclass(frozen=True, kw_only=True)
 class PicturePanel:
-    """One pair of axes. `equal` gives both axes the same scale; a range limits what is drawn."""
+    """One pair of axes with its series, guide lines and shaded areas. `equal` gives both axes the
+    same scale; a range limits what is drawn."""
 
     x_label: str
     y_label: str
@@ -66,7 +67,7 @@ class PicturePanel:
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """Panels row by row, `columns` side by side; `title` says what is seen, with its number."""
+    """Panels of a picture, row by row, with a title."""
 
     title: str
     panels: tuple[PicturePanel, ...]
@@ -75,4 +76,4 @@ class Picture:
 
 
 class NothingToShow(Exception):
-    """Error that says in a sentence why a picture would be empty."""
+    """Error that says in one sentence why a picture would be empty."""

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Inexact
 
 from ssm_study import style
-from ssm_study.api.pictures.drawing import circle
+from ssm_study.api.pictures.drawing import circle_points
 from ssm_study.api.pictures.picture import Mark, Picture, PicturePanel, Series
 from ssm_study.models.structured import Model, at_rest
 from ssm_study.systems import Gains
@@ -17,13 +17,14 @@ Poles = Inexact[np.ndarray, "_"]
 
 
 def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Picture:
-    """Eigenvalues per sample; the dashed circle has the radius `sqrt(1 - rate)`."""
-    unit = circle()
+    """Picture of eigenvalues in the unit circle, with the circle `sqrt(1 - rate)` of the certified
+    rate."""
+    unit = circle_points()
     series = [Series(x=unit[0], y=unit[1], colour=style.INK, thin=True)]
     title = "Poles at the equilibrium, per sample"
     if rate is not None:
         factor = float(np.sqrt(1 - rate))
-        x, y = circle(factor)
+        x, y = circle_points(factor)
         name = f"proved of the controller: {factor:.3f}"
         series.append(Series(x=x, y=y, colour=style.GREY, dashed=True, name=name))
         title = f"Poles at the equilibrium; distances shrink by {factor:.3f} a sample or faster"
@@ -43,7 +44,8 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
 
 
 def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
-    """Eigenvalues of `A`, `A + B J_u K` and `A + L J_y C` at rest, without an internal model."""
+    """Eigenvalues of the model, the controlled model and the estimation error at the equilibrium.
+    `A + B J_u K`, `A + L J_y C`."""
     linear = at_rest(model)
     n = len(linear.a)
     inputs = model.scaffold_in.inputs

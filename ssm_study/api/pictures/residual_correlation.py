@@ -15,18 +15,18 @@ Signals = Sequence[Float[np.ndarray, "_ c"]]
 def residual_correlation_picture(
     errors: Signals, inputs: Signals, output_name: str, input_names: Sequence[str]
 ) -> Picture:
-    """Correlations of all records together, 95 % bounds of white noise in grey.
+    """Picture of the correlations of a free run's error with itself and with the inputs.
 
     Of the first output; one panel for it alone and one for each input.
     """
     samples = sum(map(len, errors))
     lags = min(MAX_LAG, min(map(len, errors)) // 4)
     bound = SURE / np.sqrt(samples)
-    own = correlate(errors, errors, 0, 0, lags, one_sided=True)
-    panels = [_panel(own, bound, f"Error of {output_name} with itself")]
+    own = correlate_signals(errors, errors, 0, 0, lags, one_sided=True)
+    panels = [_correlation_panel(own, bound, f"Error of {output_name} with itself")]
     for j, name in enumerate(input_names):
-        cross = correlate(errors, inputs, 0, j, lags, one_sided=False)
-        picture_panel = _panel(cross, bound, f"Error with {name}")
+        cross = correlate_signals(errors, inputs, 0, j, lags, one_sided=False)
+        picture_panel = _correlation_panel(cross, bound, f"Error with {name}")
         panels.append(picture_panel)
     inside = float(np.mean(np.abs(own[1][1:]) <= bound))
     title = (
@@ -35,10 +35,10 @@ def residual_correlation_picture(
     return Picture(title=title, panels=tuple(panels), columns=len(panels))
 
 
-def _panel(
+def _correlation_panel(
     correlation: tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]], bound: float, title: str
 ) -> PicturePanel:
-    """One correlation as stems over its bounds."""
+    """Panel with one correlation as stems, and its confidence bounds."""
     lags, values = correlation
     ends = np.array([lags[0], lags[-1]], dtype=float)
     low = np.full(2, -bound)
@@ -55,10 +55,10 @@ def _panel(
     )
 
 
-def correlate(
+def correlate_signals(
     first: Signals, second: Signals, i: int, j: int, lags: int, *, one_sided: bool
 ) -> tuple[Int[np.ndarray, "L"], Float[np.ndarray, "L"]]:
-    """Correlation of `first[k]` with `second[k - lag]`, all records together, means removed.
+    """Correlation of two signals over a range of lags, from all records together.
 
     Returns lags and coefficients; divided so that a signal with itself has one at lag zero.
     """
