@@ -76,8 +76,8 @@ class IdentifiedCase:
         mismatch = measure_mismatch(model, *records)
         start_up = data.start_up_samples
         premise = measure_premise(model, data.validation, mismatch, start_up, data.mismatch_records)
-        validation = Simulation.of(model, data.validation, start_up)
-        test = Simulation.of(model, data.test, start_up)
+        validation = Simulation.simulate_records(model, data.validation, start_up)
+        test = Simulation.simulate_records(model, data.test, start_up)
         return cls(
             parts=parts,
             plant=plant,

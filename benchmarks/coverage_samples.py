@@ -28,7 +28,7 @@ from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.robustness.coverage import Weights
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_search import largest_kappa
@@ -130,7 +130,7 @@ class EdgeLoops:
 
 def of_run(run: Path) -> EdgeLoops:
     """The certificate of a run; exits where it has none."""
-    model = model_from_json(json.loads((run / "model.json").read_text()))
+    model = read_model_json(json.loads((run / "model.json").read_text()))
     design = Design.load(run / "certificate.json")
     proof = design.extra_certificates.get("coverage")
     if not isinstance(proof, MeasuredDiscs) or not isinstance(design.state_feedback, StateFeedback):
@@ -161,7 +161,7 @@ def of_random_model(seed: int) -> EdgeLoops | None:
     balls = Balls(input=JacobianBall.from_slopes(lower, 1.0), output=unit)
     weight = float(10 ** rng.uniform(-2, 1))
     asked = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.2, input_weight=weight)
-    design = asked.design(SSM.of(linear, 0.01), balls)
+    design = asked.design(SSM.from_linear(linear, 0.01), balls)
     if not design.certified:
         return None
     known = VerificationContext(system=linear, controlled=linear, balls=balls, gains=design.gains)

@@ -6,8 +6,8 @@
 Every log is read and fitted as the plain command does (`data=recorded`, all else at its default).
 One row a log and seed goes into `results/reference/training/log_choice_kinds.csv` or
 `log_choice_real.csv`: the fit to the test part of the model and of the best of ARX, output error
-and polynomial NARX (`ssm_study.models.baselines.regression.best_baseline`), the largest rate of a
-certified state feedback, the processor seconds, and what was chosen. Rows that are there are not
+and polynomial NARX (`ssm_study.models.baselines.regression.fit_best_baseline`), the largest rate of
+a certified state feedback, the processor seconds, and what was chosen. Rows that are there are not
 made again. One to three minutes a log on a busy core.
 """
 
@@ -23,8 +23,8 @@ from common import REFERENCE, ROOT, keep, rows_of, study_of
 from log_kinds import KINDS
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.models.baselines.regression import best_baseline
-from ssm_study.models.warm_start import simulate_parts
+from ssm_study.models.baselines.regression import fit_best_baseline
+from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.synthesis.model_selection import largest_rate_of
 from ssm_study.training.metrics import mean_fit
 
@@ -102,8 +102,10 @@ def compare(log: Log) -> dict[str, object]:
     with TemporaryDirectory() as folder:
         found = parts.training.identify(parts.model, data, log.training_seed, Path(folder))
     seconds = time.process_time() - began
-    baseline = best_baseline(data)
-    _, test = simulate_parts(found.model, data)  # from the log's past where that predicts better
+    baseline = fit_best_baseline(data)
+    _, test = simulate_validation_and_test(
+        found.model, data
+    )  # from the log's past where that predicts better
     fit = test.fit_percent
     fit_baseline = mean_fit(baseline.model, data.test, data) if baseline else float("nan")
     return {

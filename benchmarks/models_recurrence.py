@@ -18,7 +18,7 @@ from models_peers import BareFFT, DynoNetFilter, PublicLRU, Recurrent, StepLoop
 from torch import nn
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.spec import on_ring
+from ssm_study.models.spec import draw_modes_on_ring
 from ssm_study.models.torch_ssm import LRU
 
 CASES = [
@@ -49,10 +49,12 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
     recurrence."""
     torch.manual_seed(0)
     u = torch.randn(batch, samples, 1, requires_grad=True)
-    start = on_ring(2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0))
+    start = draw_modes_on_ring(
+        2 * modes, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), np.random.default_rng(0)
+    )
     ours = LRU(start, feedthrough=False).float()
     evaluations = {
-        "convolution": recurrence.by_convolution,
+        "convolution": recurrence.simulate_by_convolution,
         "chunks": recurrence.simulate_in_chunks,
     }
     runs = {

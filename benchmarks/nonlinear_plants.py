@@ -50,7 +50,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
         )
     clean = replace(plant, noise=0.0)
     quiet = replace(data, test=parts.data.build(clean, parts.excitation, seed).test)
-    fit = Simulation.of(made, quiet.test, quiet.start_up_samples).fit_percent
+    fit = Simulation.simulate_records(made, quiet.test, quiet.start_up_samples).fit_percent
     shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
     balls = certified_balls(made)
     design = parts.synthesis.design(made, balls, data.validation, shown)

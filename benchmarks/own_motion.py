@@ -170,7 +170,9 @@ def aside() -> list[tuple[str, str, Samples, Samples]]:
 def judged(name: str, kind: str, u: Samples, y: Samples) -> dict[str, object]:
     model = st.fit(u, y, STEP_S)
     data, fitted, skip = model.data, model.simulator, model.data.start_up_samples
-    validation, test = (Simulation.of(fitted, part, skip) for part in (data.validation, data.test))
+    validation, test = (
+        Simulation.simulate_records(fitted, part, skip) for part in (data.validation, data.test)
+    )
     found = collect_findings(
         data,
         fitted,

@@ -20,7 +20,7 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.steps import identify_model
 from ssm_study.data.look import look
-from ssm_study.models.baselines.regression import baseline_facts
+from ssm_study.models.baselines.regression import baseline_columns
 
 TABLE = REFERENCE / "benchmarks" / "public_logs.csv"
 STEPS = "training.max_epochs=25"
@@ -106,7 +106,7 @@ def row_of(log: PublicLog, folder: Path) -> Row:
     seen = look(folder / log.name, input=log.input, output=log.output, step_s=log.step_s)
     model = read_and_fitted(log, folder)
     records = (*model.data.training, *model.data.validation, *model.data.test)
-    facts = baseline_facts(model.data) or {}
+    facts = baseline_columns(model.data) or {}
     reasons = [finding.sentence for finding in model.evidence.findings if finding.level != "note"]
     said = [line for line in seen.sentences if any(word in line for word in SAID)]
     return {

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from common import REFERENCE, ROOT, cpu_seconds, write
 
-from ssm_study.models.structured_spec import Pieces
+from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.training.structured_problem import CORE, Batch, Residuals, Theta
 
 sys.path.append(str(ROOT / "tests"))
@@ -35,7 +35,7 @@ def problem(samples: int, size: int) -> tuple[Residuals, Theta]:
     rng = np.random.default_rng(size)
     u = np.repeat(rng.uniform(-1, 1, (BATCH, samples // 10, 1)), 10, axis=1)
     y = rng.normal(size=u.shape)
-    identity = Pieces(1, 0, 0.1, 1.0)
+    identity = TrainablePieces(1, 0, 0.1, 1.0)
     told = {"neurons": ("tanh",) * size, "lift": identity, "read": identity}
     one = Residuals(records=Batch.padded(list(zip(u, y, strict=True))), **told)  # type: ignore[arg-type]
     a = 0.9 * np.linalg.qr(rng.normal(size=(size, size)))[0]

@@ -46,7 +46,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
     shown = measure_mismatch(made, data.validation, data.start_up_samples, data.mismatch_records)
     balls = certified_balls(made)
     free = [
-        Simulation.of(made, records, data.start_up_samples)
+        Simulation.simulate_records(made, records, data.start_up_samples)
         for records in (data.validation, data.test)
     ]
     silent = collect_findings(data, made, *free, shown).level == CANNOT_JUDGE

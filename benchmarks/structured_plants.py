@@ -27,7 +27,7 @@ from common import REFERENCE, study_of, write
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import dual
-from ssm_study.models.structured import at_rest
+from ssm_study.models.structured import linearise_at_equilibrium
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.model_selection import largest_rate_of
 from ssm_study.synthesis.structured_lmi import largest_rate
@@ -53,7 +53,7 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
     numbers = {
         "fit_validation_percent": found.fit_validation_percent,
         "fit_test_percent": mean_fit(model, data.test, data),
-        "radius_at_rest": at_rest(model).spectral_radius,
+        "radius_at_rest": linearise_at_equilibrium(model).spectral_radius,
         "r_controller": factors[0],
         "r_observer": factors[1],
         "seconds_per_start": spent / part.model.trainings,

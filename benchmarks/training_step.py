@@ -25,10 +25,10 @@ from torch.utils.data import DataLoader
 
 from ssm_study.models.scaffolds.linear import Linear
 from ssm_study.models.scaffolds.mlp import Mlp
-from ssm_study.models.scaffolds.trainable import Frame
-from ssm_study.models.spec import on_ring
-from ssm_study.models.torch_recurrence import by_convolution
-from ssm_study.models.torch_ssm import LRU, Lift, TorchSSM
+from ssm_study.models.scaffolds.trainable import MapContext
+from ssm_study.models.spec import draw_modes_on_ring
+from ssm_study.models.torch_recurrence import simulate_by_convolution
+from ssm_study.models.torch_ssm import LRU, InputMapping, TorchSSM
 
 BATCH = 16
 SAMPLES = 5000
@@ -52,9 +52,11 @@ class PlainMlp(nn.Module):
 
 def ours() -> TorchSSM:
     rng = np.random.default_rng(0)
-    frame = Frame(width=WIDTH, slopes=(0.01, 1.0), samples=rng.normal(size=(1000, 1)))
+    frame = MapContext(width=WIDTH, slopes=(0.01, 1.0), samples=rng.normal(size=(1000, 1)))
     scaffold = Mlp(depth=1, train_slopes=True, certified=True).build(frame, rng)
-    lru = LRU(on_ring(ORDER, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), rng), feedthrough=False)
+    lru = LRU(
+        draw_modes_on_ring(ORDER, 0, (0.5, 0.99), (0.05, 1.5), (1, 1), rng), feedthrough=False
+    )
     return TorchSSM(scaffold, lru, Linear().build(frame, rng)).float()
 
 
@@ -82,8 +84,8 @@ def contenders() -> dict[str, Callable[[], None]]:
     public = PublicLRU(ORDER // 2)
     plain = PlainMlp()
     plain_fft = PlainMlp()
-    lifted = Lift(u)
-    levels = Lift(held)
+    lifted = InputMapping(u)
+    levels = InputMapping(held)
     return {
         "ours": stepper(
             list(fast.parameters()), lambda: fast(u, lifted=lifted(fast.scaffold_in)), y
@@ -93,7 +95,7 @@ def contenders() -> dict[str, Callable[[], None]]:
         ),
         "plain eager FFT": stepper(
             [*fft.lru.parameters(), *plain_fft.parameters()],
-            lambda: by_convolution(fft.lru.modes(), plain_fft(u)),
+            lambda: simulate_by_convolution(fft.lru.modal_form(), plain_fft(u)),
             y,
         ),
         "public scan": stepper(

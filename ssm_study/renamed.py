@@ -111,7 +111,7 @@ NAMES: Mapping[str, str] = {
     "synthesis.deployed.as_deployed": "synthesis.deployed.with_gain_certificates",
     "synthesis.design.Request": "synthesis.design.DesignAttempt",
     "synthesis.design.broken_claims": "synthesis.design.failed_checks",
-    "synthesis.integrated_error.at_rest": "models.structured.at_rest",
+    "synthesis.integrated_error.at_rest": "models.structured.linearise_at_equilibrium",
     "synthesis.lmi.aim": "synthesis.objectives.goal_and_constraints",
     "synthesis.lmi.solved": "certificates.semidefinite.solve_program",
     "synthesis.model_selection.FastestCertified": (
@@ -142,6 +142,9 @@ METHODS: Mapping[str, Mapping[str, str]] = {
     },
     "engine.stages.Stages": {"take": "run_stage", "aside": "unrecorded"},
     "engine.task.Task": {"warm": "preload"},
+    "models.identified.ScaffoldedModel": {"lift": "map_input", "read": "output_at"},
+    "models.scaffolds.scaffold.Scaffold": {"portable": "as_portable"},
+    "models.scaffolds.trainable.Trainable": {"frozen": "freeze", "start": "initial_values"},
     "plants.plant.Plant": {"pushed_by": "disturbance_effect"},
     "plants.wrapper.Wrapper": {
         "applied": "applied_input",

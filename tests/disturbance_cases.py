@@ -110,9 +110,11 @@ def differences_of_loops(
     for sample in range(samples):
         difference = x[0] - x[1]
         rows.append(np.concatenate([difference, memory[0] - memory[1]]))
-        y = model.read(x, np.zeros((2, 1)))
+        y = model.output_at(x, np.zeros((2, 1)))
         u = law.input(memory, y, target)
         load = () if d is None else (d[sample],)
         memory = law.advance(memory, u, y, target, *load)
-        x = model.advance(x, model.lift(u)) + (0.0 if d is None else model.push(d[sample]))
+        x = model.advance(x, model.map_input(u)) + (
+            0.0 if d is None else model.disturbance_contribution(d[sample])
+        )
     return np.array(rows)

@@ -13,8 +13,8 @@ from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
-from ssm_study.models.metrics import Simulation, fit_facts
-from ssm_study.models.warm_start import PAST, choose_piece_starts, start_facts
+from ssm_study.models.metrics import Simulation, fit_columns
+from ssm_study.models.warm_start import PAST, choose_piece_starts, piece_start_columns
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
@@ -67,7 +67,9 @@ def fits_again(run: Path) -> dict[str, Any]:
     model = run_files.model
     names = ("validation", "test")
     pair = (read_simulation(run / f"{name}.mcap") for name in names)
-    return fit_facts(*(Simulation.of(model, kept.records, kept.start_up_samples) for kept in pair))
+    return fit_columns(
+        *(Simulation.simulate_records(model, kept.records, kept.start_up_samples) for kept in pair)
+    )
 
 
 def levenberg_marquardt_step(values: np.ndarray) -> None:
@@ -225,7 +227,7 @@ def lie_about_start(run: Path) -> None:
         assert starts.choice is not None
         forged = (None,) * len(states) if starts.choice == PAST else states
         kept = read_simulation(run / f"{split}.mcap")
-        made = Simulation.of(files.model, kept.records, kept.start_up_samples, forged)
+        made = Simulation.simulate_records(files.model, kept.records, kept.start_up_samples, forged)
         groups, about = read_mcap(run / f"{split}.mcap")
         signals = iter(made.simulated)
         forged_groups = [
@@ -235,5 +237,5 @@ def lie_about_start(run: Path) -> None:
         about = dict(about) | {"start_states": states_to_text(forged)}
         write_mcap(run / f"{split}.mcap", tuple(forged_groups), about)
         fitted.append(made)
-    fits = fit_facts(*fitted)
-    sealed_anew(run, **fits, **start_facts(files.model, files.data, fitted[1]))
+    fits = fit_columns(*fitted)
+    sealed_anew(run, **fits, **piece_start_columns(files.model, files.data, fitted[1]))

@@ -86,7 +86,8 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     if rows.empty:
         return about
     validation, test = (
-        Simulation.of(model, part, data.start_up_samples) for part in (data.validation, data.test)
+        Simulation.simulate_records(model, part, data.start_up_samples)
+        for part in (data.validation, data.test)
     )
     about["evidence"] = collect_findings(data, model, validation, test, known.mismatch).level
     settles = rows.stable_count_noise_free == rows.initial_conditions

@@ -134,7 +134,7 @@ def _design_for_system(
 ) -> Design:
     """Design a controller for a linear system behind static maps with known slopes."""
     linear, step_s = read_linear_system(system)
-    model = SSM.of(linear, step_s)
+    model = SSM.from_linear(linear, step_s)
     balls = certified_balls(model)
     if slopes is not None:
         jacobian_ball = slope_ball("slopes", slopes)

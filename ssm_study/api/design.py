@@ -22,7 +22,7 @@ from ssm_study.evidence.metrics import withhold_predictions
 from ssm_study.export import targets
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.deployed import WithinLimits, within_limits
@@ -63,7 +63,7 @@ class Design:
         Raises `BadRequest` where the folder has no controller.
         """
         targets.load_controller(folder)
-        model = model_from_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
+        model = read_model_json(json.loads((folder / "model.json").read_text(encoding="utf-8")))
         record_file = folder / "record.json"
         record: dict[str, Any] = {}
         if record_file.is_file():

@@ -107,7 +107,7 @@ class Estimator:
         measured = disturbance_values(disturbance, model.disturbance_names, len(inputs))
         step_s = model.data.step_s
         record = Trajectory(u=inputs, y=outputs, d=measured, step_s=step_s)
-        simulation = Simulation.of(model.simulator, (record,), self.start_up_samples)
+        simulation = Simulation.simulate_records(model.simulator, (record,), self.start_up_samples)
         return simulation.fit_percent
 
     def _require_model(self) -> Model:

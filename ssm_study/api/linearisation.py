@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import StructuredSSM, at_rest
+from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
 from ssm_study.refusal import BadRequest, require
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def linearise(model: SSM | StructuredSSM) -> "python_control.StateSpace":
     within A, B, C, D.
     """
     python_control = import_python_control("to_control")
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     input_slope = model.scaffold_in.jacobian(np.zeros(model.scaffold_in.inputs))
     output_slope = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))
     inward = input_slope / model.scale.input_scale

@@ -20,10 +20,10 @@ from ssm_study.data.arrays import check_time_index, disturbance_values, signal_c
 from ssm_study.data.metrics import data_columns
 from ssm_study.evidence.metrics import Judgement
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.members import mean_output, member_facts
-from ssm_study.models.metrics import fit_facts, size_facts
-from ssm_study.models.structured import StructuredSSM, at_rest
-from ssm_study.models.warm_start import simulate_parts, start_facts
+from ssm_study.models.members import mean_output, member_columns
+from ssm_study.models.metrics import fit_columns, size_columns
+from ssm_study.models.structured import StructuredSSM, linearise_at_equilibrium
+from ssm_study.models.warm_start import piece_start_columns, simulate_validation_and_test
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
@@ -58,16 +58,16 @@ class Model:
     def facts(self) -> dict[str, Any]:
         """Columns that describe data and model."""
         data = self.data
-        validation, test = simulate_parts(self.simulator, data)
+        validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification
         facts = dict(data_columns(data))
         facts |= training_facts(training.seconds, training.ended)
-        facts |= size_facts(self.simulator)
+        facts |= size_columns(self.simulator)
         fit_train_percent = mean_fit(self.simulator, data.training, data)
         facts |= {"fit_train_percent": fit_train_percent}
-        facts |= fit_facts(validation, test)
-        facts |= start_facts(self.simulator, data, test)
-        facts |= member_facts(training.members, data)
+        facts |= fit_columns(validation, test)
+        facts |= piece_start_columns(self.simulator, data, test)
+        facts |= member_columns(training.members, data)
         if isinstance(self.simulator, SSM | StructuredSSM):
             facts |= bound_facts(self.simulator)
         return facts
@@ -162,7 +162,7 @@ class Model:
 
     def eigenvalues(self) -> Complex[np.ndarray, "n"]:
         """Eigenvalues of the model, linearised at its equilibrium."""
-        state_space = at_rest(self.ssm)
+        state_space = linearise_at_equilibrium(self.ssm)
         return np.asarray(np.linalg.eigvals(state_space.a), dtype=complex)
 
     def to_control(self) -> "python_control.StateSpace":
@@ -210,7 +210,7 @@ class Model:
         from ssm_study.api.pictures.loop_response import channel_label
 
         data = self.data
-        _, simulation = simulate_parts(self.simulator, data)
+        _, simulation = simulate_validation_and_test(self.simulator, data)
         longest = int(np.argmax([len(record) for record in data.test]))
         record = data.test[longest]
         simulated = {"model": simulation.simulated[longest]}
@@ -247,7 +247,7 @@ class Model:
 
         data = self.data
         start = data.start_up_samples
-        _, simulation = simulate_parts(self.simulator, data)
+        _, simulation = simulate_validation_and_test(self.simulator, data)
         pairs = zip(data.test, simulation.simulated, strict=True)
         errors = [record.y[start:] - simulated[start:] for record, simulated in pairs]
         inputs = [record.u[start:] for record in data.test]

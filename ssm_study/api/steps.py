@@ -13,7 +13,7 @@ from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.finding import CANNOT_JUDGE
 from ssm_study.evidence.metrics import Judgement, collect_findings
 from ssm_study.models.structured import Model as StateSpaceModel
-from ssm_study.models.warm_start import simulate_parts
+from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.robustness.coverage import Premise, measure_premise
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.mismatch import measure_mismatch as measure_mismatch_of_records
@@ -60,7 +60,7 @@ def measure_mismatch(model: Any, data: DataSet) -> Mismatch:
 
 def judge_evidence(model: Any, data: DataSet, plant_mismatch: Mismatch) -> Judgement:
     """Judge what the records and the model allow to be said of the plant."""
-    validation, test = simulate_parts(model, data)
+    validation, test = simulate_validation_and_test(model, data)
     return collect_findings(data, model, validation, test, plant_mismatch)
 
 

@@ -14,7 +14,7 @@ class Reduction:
     then keep the states that carry something: conf/reduction/balanced.yaml.
 
     `drop_below` acts in any case: on modes that the controller could hardly move, in coordinates
-    that floats do not hold. `absorb` is `SSM.absorbed`, done first.
+    that floats do not hold. `absorb` is `SSM.absorb_map_centres`, done first.
     """
 
     balanced: bool = True
@@ -37,8 +37,8 @@ class Reduction:
         )
 
     def reduce(self, model: Any) -> Any:
-        """Truncate a model (`with_driven_system`, perhaps `absorbed`) to its largest states in
-        balanced coordinates.
+        """Truncate a model (`with_driven_system`, perhaps `absorb_map_centres`) to its largest
+        states in balanced coordinates.
 
         A model with neurons stays as it is: no state of its linear part can be dropped by itself
         (`BadRequest`).
@@ -50,8 +50,8 @@ class Reduction:
                 self.truncate_to is None, "reduction.truncate_to", self.truncate_to, problem, remedy
             )
             return model
-        if self.absorb and hasattr(model, "absorbed"):
-            model = model.absorbed()
+        if self.absorb and hasattr(model, "absorb_map_centres"):
+            model = model.absorb_map_centres()
         if not self.balanced or (self.truncate_to is None and model.linear.spectral_radius >= 1):
             return model  # a model that integrates has no such coordinates
         system = model.driven_system  # a mode that only a measured disturbance moves stays, too

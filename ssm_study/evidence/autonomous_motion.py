@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding
-from ssm_study.models.metrics import free_run
-from ssm_study.models.warm_start import log_before
+from ssm_study.models.metrics import simulate_record
+from ssm_study.models.warm_start import preceding_log
 from ssm_study.signals import Trajectory
 
 BY_INPUT = 0.5  # share of the output's power that must follow from the input
@@ -54,11 +54,11 @@ def predicted_power_shares(case: Case) -> tuple[float, float] | None:
 
     powers = []
     for piece, own in pieces_with_free_runs(case):
-        past = log_before(case.data, piece)
+        past = preceding_log(case.data, piece)
         if past is None:
             continue
         log = Trajectory.concatenate([past, piece])
-        carried = free_run(case.model, log, skip)[-len(piece) :]
+        carried = simulate_record(case.model, log, skip)[-len(piece) :]
         sides = (piece.y, piece.y - own, piece.y - carried)
         powers.append([signal_power(side) for side in sides])
     if not powers:

@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.data.log_dynamics import input_shares
 from ssm_study.evidence.finding import Case, Finding, doubt, note
-from ssm_study.models.spec import arx, scaled
-from ssm_study.models.warm_start import log_stretches
+from ssm_study.models.spec import fit_arx_matrices, scale_records
+from ssm_study.models.warm_start import join_log_stretches
 from ssm_study.signals import DataSet
 
 PAST = 20
@@ -111,7 +111,7 @@ def responds_within_sample(data: DataSet) -> bool:
     A controller with negative feedback makes the first coefficient of the finite impulse response
     point against the plant's further response; a plant that answers within the sample does not.
     """
-    pairs = [(u, y) for u, y in scaled(data) if len(u) >= SHORTEST * PAST]
+    pairs = [(u, y) for u, y in scale_records(data) if len(u) >= SHORTEST * PAST]
     if not pairs:
         return False
     windows = [sliding_window_view(u, PAST + 1, axis=0)[:, :, ::-1] for u, _ in pairs]
@@ -174,7 +174,7 @@ def integrator_share(data: DataSet) -> float | None:
     """Share of the output's changes that the mean input explains, where the log shows an
     integrator. Share of the output's changes that its one input's mean explains, where the longest
     stretch of a log shows an integrator; None elsewhere."""
-    stretches = log_stretches(data)
+    stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return None
     longest = max(stretches, key=len)
@@ -241,7 +241,7 @@ def _last_t_statistic(
 def dominant_mode_modulus(data: DataSet, lags: int) -> float:
     """Largest modulus of a mode of an ARX model that is fitted to the log. It is arbitrary without
     a reference in the log."""
-    a = arx(scaled(data), lags, feedthrough=False)[0]
+    a = fit_arx_matrices(scale_records(data), lags, feedthrough=False)[0]
     p = len(data.scale.output_scale)
     companion = np.eye(lags * p, k=-p)
     companion[:p] = np.concatenate(a, axis=1)
@@ -252,7 +252,7 @@ def feedback_share(data: DataSet, first: int) -> float:
     """Share of the input's innovations that the output's innovations explain, a sign of a closed
     loop. The largest share of any input's `w` that `v`, from `first` samples ago on, explains in
     the other half."""
-    halves = [half for u, y in scaled(data) for half in _split_regression(u, y, first)]
+    halves = [half for u, y in scale_records(data) for half in _split_regression(u, y, first)]
     if not halves:
         return 0.0
     first_half = _join_rows(halves[0::2])

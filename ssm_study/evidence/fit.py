@@ -6,7 +6,7 @@ from jaxtyping import Float
 
 from ssm_study.evidence.finding import Case, Finding, doubt, grade_by_size, note
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.warm_start import other_start
+from ssm_study.models.warm_start import simulate_other_start
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
 
 POOR_FIT = 50.0  # percent: below, a quarter of the output's power is not predicted
@@ -73,7 +73,7 @@ def judge_poor_fit(case: Case) -> list[Finding]:
 
 def judge_initial_state(case: Case) -> list[Finding]:
     """Doubt about a test record whose fit depends strongly on its estimated initial state."""
-    other = other_start(case.model, case.data, case.test)
+    other = simulate_other_start(case.model, case.data, case.test)
     if other is None or abs(other.fit_percent - case.test.fit_percent) <= STARTS_APART:
         return []
     from_past = any(state is not None for state in case.test.starts)

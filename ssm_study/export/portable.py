@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.network import PortableMap
 from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.models.structured import Model, StructuredSSM, phi
+from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix, frozen_modes
@@ -24,11 +24,12 @@ MATRICES = ("a", "b", "c", "d", "k", "l", "e")
 
 @dataclass(frozen=True, kw_only=True)
 class PortableNeurons:
-    """Neurons of a model as plain arrays. `phi(F x + G S_u(v) + L_z e + b) - phi(b)` with e the
-    observer's output error.
+    """Neurons of a model as plain arrays. `evaluate_activations(F x + G S_u(v) + L_z e + b) -
+    phi(b)` with e the observer's output error.
 
     `into (n, r)` is the model's E, which drives x+; `h (q, r)` reads them into the output;
-    `phi_bias` is `phi(b)`. Zero rows of `into` and columns of `f` stand for the internal model.
+    `phi_bias` is `evaluate_activations(b)`. Zero rows of `into` and columns of `f` stand for the
+    internal model.
     """
 
     into: Float[np.ndarray, "n r"]
@@ -46,7 +47,7 @@ class PortableNeurons:
         z = multiply_in_order(self.g, lifted, multiply_in_order(self.f, x, self.bias))
         if error is not None:
             z = multiply_in_order(self.l_z, error, z)
-        return phi(self.kinds, z) - self.phi_bias
+        return evaluate_activations(self.kinds, z) - self.phi_bias
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +161,8 @@ def convert_controller(model: Model, design: Design) -> PortableController:
     b = np.pad(linear.b, below)
     c = np.pad(linear.c, ((0, 0), (0, added)))
     e = np.vstack([np.zeros((n, p)), into_modes])
-    s_in = model.scaffold_in.portable()
-    s_out = model.scaffold_out.portable()
+    s_in = model.scaffold_in.as_portable()
+    s_out = model.scaffold_out.as_portable()
     neurons = _convert_neurons(model, gains.l_z, added)
     disturbances = model.scale.disturbances
     b_d = np.pad(model.b_d, below) if disturbances else model.b_d
@@ -194,7 +195,7 @@ def _convert_neurons(
     into = np.pad(model.e, ((0, added), (0, 0)))
     f = np.pad(model.f, ((0, 0), (0, added)))
     portable_neurons_l_z = none if l_z is None else l_z
-    phi_bias = phi(model.neurons, model.bias)
+    phi_bias = evaluate_activations(model.neurons, model.bias)
     return PortableNeurons(
         into=into,
         f=f,

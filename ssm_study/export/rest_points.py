@@ -13,7 +13,7 @@ import scipy.optimize
 from jaxtyping import Float
 
 from ssm_study.export.portable import PortableController, PortableNeurons, Vector, multiply_in_order
-from ssm_study.models.structured import phi
+from ssm_study.models.structured import evaluate_activations
 from ssm_study.systems import StructuredSystem
 
 # On each side of rest: where the input's range is ten times that of a bend, a thousandth is missed.
@@ -97,7 +97,7 @@ def compute_equilibrium_curve(
     lifted = np.array(sorted(states))
     x = np.array([states[v] for v in lifted])
     z = x @ model.f.T + lifted[:, None] * model.g.T + neurons.bias
-    w = phi(neurons.kinds, z) - neurons.phi_bias
+    w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
     read = x @ model.c[0] + lifted * model.d[0, 0] + w @ model.h[0]
     apart = np.diff(read)
     is_monotone = (apart > 0).all() or (apart < 0).all()
@@ -112,8 +112,8 @@ def _find_equilibrium(
     def equilibrium_residual(x: Vector) -> tuple[Vector, Float[np.ndarray, "n n"]]:
         """Difference between the next state and the state."""
         z = model.f @ x + model.g[:, 0] * v + neurons.bias
-        w = phi(neurons.kinds, z) - neurons.phi_bias
-        slopes = phi(neurons.kinds, z, "slope")
+        w = evaluate_activations(neurons.kinds, z) - neurons.phi_bias
+        slopes = evaluate_activations(neurons.kinds, z, "slope")
         tangent = model.linearise_at_slopes(slopes)
         following = model.a @ x + model.b[:, 0] * v + model.e @ w
         return following - x, tangent.a - np.eye(len(x))

@@ -27,7 +27,7 @@ from ssm_study.export.onnx import build_onnx_model
 from ssm_study.export.portable import PortableController, convert_controller, convert_floats
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
@@ -232,7 +232,7 @@ def load_controller(run: Path) -> PortableController:
 
 def _load_model(run: Path) -> Model:
     """Load the stored model of a run."""
-    model = model_from_json(json.loads((run / "model.json").read_text()))
+    model = read_model_json(json.loads((run / "model.json").read_text()))
     kind = type(model).__name__
     is_certifiable = isinstance(model, Model)
     require(is_certifiable, "model", kind, "has no certificate", "use model=ssm or structured")
@@ -298,10 +298,10 @@ def _simulate_loop(model: Model, device: Device, start: Float[np.ndarray, "n"]) 
     state = start.astype(kind)
     outputs = []
     for _ in range(LOOP_SAMPLES):
-        output = model.read(x, nothing_applied)
+        output = model.output_at(x, nothing_applied)
         y = np.asarray(output, dtype=kind)
         u, state = device.compute_step(state, y, set_point)
-        x = model.advance(x, model.lift(u.astype(float)))
+        x = model.advance(x, model.map_input(u.astype(float)))
         outputs.append(output)
     return np.array(outputs)
 

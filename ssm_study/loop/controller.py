@@ -141,13 +141,13 @@ class EstimateFeedback(Controller):
         model = self.model
         gains = self.gains
         x_hat = memory[:, : model.order]
-        lifted = model.lift(u)
-        predicted_output = model.read(x_hat, lifted)
+        lifted = model.map_input(u)
+        predicted_output = model.output_at(x_hat, lifted)
         output_scale = model.scale.output_scale
         innovation = (predicted_output - y) / output_scale
         correction = multiply_rows(gains.l, innovation)
         if d is not None:
-            correction = correction + model.push(d)
+            correction = correction + model.disturbance_contribution(d)
         if gains.l_z is None:
             return model.advance(x_hat, lifted) + correction
         neurons = cast(StructuredSSM, model)  # only its observer has a gain into the neurons
@@ -192,7 +192,7 @@ class ObserverFeedback(EstimateFeedback):
         is infeasible."""
         inverse = None
         if design.inverts:
-            inverse = inverse_of(model.scaffold_in.portable())
+            inverse = inverse_of(model.scaffold_in.as_portable())
         return cls(model=model, gains=design.pair, inverse=inverse)
 
     def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:
@@ -215,7 +215,7 @@ class ObserverFeedback(EstimateFeedback):
         else:
             plan = feasible_trajectory(model, reference)
         lifted = model.scaffold_in(plan[:, n:])
-        outputs = model.read(plan[:, :n], lifted)
+        outputs = model.output_at(plan[:, :n], lifted)
         return np.concatenate([plan, outputs], axis=1)
 
     def select_cases(self, stayed: Bool[np.ndarray, "N"]) -> "ObserverFeedback":

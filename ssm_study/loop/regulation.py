@@ -20,7 +20,7 @@ from ssm_study.loop.rollout import (
     simulate_closed_loop,
 )
 from ssm_study.loop.trajectory import invert_map, scaled_equilibrium
-from ssm_study.models.structured import Model, StructuredSSM, at_rest
+from ssm_study.models.structured import Model, StructuredSSM, linearise_at_equilibrium
 from ssm_study.plants.disturbance import Disturbance, NoDisturbance
 from ssm_study.plants.plant import Equilibrium, Plant
 from ssm_study.refusal import BadRequest, require, require_at_least, require_positive
@@ -124,15 +124,15 @@ class IdentifiedPlant(Plant):
     def advance(
         self, x: Float[np.ndarray, "N n"], u: Float[np.ndarray, "N m"], d: Float[np.ndarray, "N q"]
     ) -> Float[np.ndarray, "N n"]:
-        return self.model.advance(x, self.model.lift(u) + d)
+        return self.model.advance(x, self.model.map_input(u) + d)
 
     def disturbance_effect(self, measured: Float[np.ndarray, "k"]) -> Float[np.ndarray, "n"]:
-        return self.model.push(measured)
+        return self.model.disturbance_contribution(measured)
 
     def output(self, x: Float[np.ndarray, "N n"]) -> Float[np.ndarray, "N p"]:
         linear_b = self.model.linear.b
         no_input = np.zeros((len(x), linear_b.shape[1]))
-        return self.model.read(x, no_input)
+        return self.model.output_at(x, no_input)
 
 
 def _number_channels(name: str, count: int) -> Channels:
@@ -316,7 +316,7 @@ class Loop:
         one that is set, else `RESPONSES` times the model's response."""
         if self.horizon_s is not None:
             return self
-        response = at_rest(model).impulse_response_length(SAMPLES[1], REMAINDER)
+        response = linearise_at_equilibrium(model).impulse_response_length(SAMPLES[1], REMAINDER)
         samples = int(np.clip(RESPONSES * response, *SAMPLES))
         horizon_s = samples * model.step_s
         return replace(self, horizon_s=horizon_s)

@@ -51,7 +51,9 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
         """Deviation from equilibrium and from the requested output."""
         x, v = np.split(point, [n])
         motion = model.advance(x, v) - x
-        through_neurons = model.h @ model.inner(x, v) if isinstance(model, StructuredSSM) else 0.0
+        through_neurons = (
+            model.h @ model.neuron_outputs(x, v) if isinstance(model, StructuredSSM) else 0.0
+        )
         linear_c = model.linear.c
         linear_d = model.linear.d
         output = linear_c @ x + linear_d @ v + through_neurons
@@ -60,7 +62,7 @@ def scaled_equilibrium(model: Model, y: Vector) -> tuple[Vector, Vector]:
     def residual_jacobian(point: Vector) -> Matrix:
         """Jacobian of the residual."""
         x, v = np.split(point, [n])
-        linear = model.linearised(x, v) if isinstance(model, StructuredSSM) else model.linear
+        linear = model.linearise_at(x, v) if isinstance(model, StructuredSSM) else model.linear
         return np.block([[linear.a - np.eye(n), linear.b], [linear.c, linear.d]])
 
     if isinstance(model, StructuredSSM):

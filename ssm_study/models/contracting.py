@@ -32,47 +32,49 @@ Tall = Float[np.ndarray, "r k"]
 Moved = Float[np.ndarray, "d _ _"]
 
 
-class Free(NamedTuple):
-    """Unconstrained parameters of a contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`,
-    `log_d (q,)`: any numbers."""
+class FreeParameters(NamedTuple):
+    """Unconstrained parameters of a contracting recurrence. `x_e (n, q)`, `x_g (n + q, n)`, `log_d
+    (q,)`: any numbers."""
 
     x_e: Float[np.ndarray, "*k n q"]
     x_g: Float[np.ndarray, "*k nq n"]
     log_d: Float[np.ndarray, "*k q"]
 
 
-class Core(NamedTuple):
-    """Matrices of a recurrence with neurons. `a (n, n)`, `e (n, q)`, `f (q, n)`: what decides
-    whether a structured model contracts."""
+class RecurrenceMatrices(NamedTuple):
+    """Matrices of a recurrence with neurons that decide whether it contracts. `a (n, n)`, `e (n,
+    q)`, `f (q, n)`: what decides whether a structured model contracts."""
 
     a: Float[np.ndarray, "*k n n"]
     e: Float[np.ndarray, "*k n q"]
     f: Float[np.ndarray, "*k q n"]
 
 
-class Contracting(NamedTuple):
-    """Recurrence that contracts in the metric `T'T` with `Lambda = diag(d)^{-2}`."""
+class ContractingRecurrence(NamedTuple):
+    """Recurrence with a metric in which it is proved to contract. `Lambda = diag(d)^{-2}`."""
 
-    core: Core
+    core: RecurrenceMatrices
     t: Float[np.ndarray, "n n"]
     d: Float[np.ndarray, "q"]
 
 
-def explicit(free: Free, rate: float) -> Core:
-    """Map free parameters to the matrices of a contracting recurrence. The recurrence of these
-    parameters; it contracts with `r = rate` in the metric `M = I`."""
+def matrices_from_parameters(free: FreeParameters, rate: float) -> RecurrenceMatrices:
+    """Map unconstrained parameters to the matrices of a contracting recurrence. The recurrence of
+    these parameters; it contracts with `r = rate` in the metric `M = I`."""
     n = free.x_g.shape[1]
-    e = np.sqrt(2.0) * _contraction(free.x_e)[0]
-    stacked = rate * _contraction(free.x_g)[0]
+    e = np.sqrt(2.0) * _cayley_contraction(free.x_e)[0]
+    stacked = rate * _cayley_contraction(free.x_g)[0]
     a = stacked[:n]
     root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)  # R
     d = np.exp(free.log_d)  # positive, whatever the parameter
-    return Core(a=a, e=e / d, f=d[:, None] * (root @ stacked[n:] - e.T @ a))
+    return RecurrenceMatrices(a=a, e=e / d, f=d[:, None] * (root @ stacked[n:] - e.T @ a))
 
 
-def derivative(free: Free, change: Free, rate: float) -> Core:
-    """Directional derivative of the map from free parameters to matrices. `d explicit` along
-    `change`, whose leading axis counts directions.
+def differentiate_matrices(
+    free: FreeParameters, change: FreeParameters, rate: float
+) -> RecurrenceMatrices:
+    """Directional derivatives of the map from unconstrained parameters to matrices. `d explicit`
+    along `change`, whose leading axis counts directions.
 
     `con(X) = X L^{-T}`, `L L' = I + X'X`: `d con = (dX - con dL') L^{-T}` with `dL = L low(L^{-1}
     dS L^{-T})`, low the lower triangle with half its diagonal. The same rule gives `dR` of `R R' =
@@ -80,39 +82,46 @@ def derivative(free: Free, change: Free, rate: float) -> Core:
     """
     n = free.x_g.shape[1]
     root2 = np.sqrt(2.0)
-    con_e, low_e = _contraction(free.x_e)
-    con_g, low_g = _contraction(free.x_g)
+    con_e, low_e = _cayley_contraction(free.x_e)
+    con_g, low_g = _cayley_contraction(free.x_g)
     e = root2 * con_e
     a = rate * con_g[:n]
     gh = rate * con_g[n:]
-    de = root2 * _change(free.x_e, change.x_e, con_e, low_e)  # d con(X_E), times sqrt 2
-    stacked = rate * _change(free.x_g, change.x_g, con_g, low_g)
+    de = root2 * _differentiate_contraction(
+        free.x_e, change.x_e, con_e, low_e
+    )  # d con(X_E), times sqrt 2
+    stacked = rate * _differentiate_contraction(free.x_g, change.x_g, con_g, low_g)
     da = stacked[:, :n]
     dgh = stacked[:, n:]
     root = np.linalg.cholesky(2.0 * np.eye(e.shape[1]) - e.T @ e)
-    droot = _cholesky_change(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
+    droot = _differentiate_cholesky(root, -(de.mT @ e + e.T @ de))  # of R R' = 2 I - E'E
     f = root @ gh - e.T @ a
     d = np.exp(free.log_d)
     dlog = change.log_d
     df = droot @ gh + root @ dgh - de.mT @ a - e.T @ da
-    return Core(a=da, e=(de - e * dlog[:, None, :]) / d, f=d[:, None] * (df + dlog[:, :, None] * f))
+    return RecurrenceMatrices(
+        a=da, e=(de - e * dlog[:, None, :]) / d, f=d[:, None] * (df + dlog[:, :, None] * f)
+    )
 
 
-def parameters(core: Core, rate: float) -> Free:
-    """Free parameters of given contracting matrices. The inverse of `explicit` with `d = 1`;
-    `LinAlgError` where the LMI does not hold with `M = I, Lambda = I`."""
+def parameters_from_matrices(core: RecurrenceMatrices, rate: float) -> FreeParameters:
+    """Unconstrained parameters that give the matrices of a contracting recurrence. The inverse of
+    `matrices_from_parameters` with `d = 1`; `LinAlgError` where the LMI does not hold with `M = I,
+    Lambda = I`."""
     e = core.e / np.sqrt(2.0)
     root = np.linalg.cholesky(
         2.0 * np.eye(e.shape[1]) - core.e.T @ core.e
     )  # R of the module's equations
     gh = np.linalg.solve(root, core.f + core.e.T @ core.a)  # from F = R Gh - E'A
-    x_g = _uncontracted(np.vstack([core.a, gh]) / rate)
-    return Free(x_e=_uncontracted(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
+    x_g = _invert_cayley_contraction(np.vstack([core.a, gh]) / rate)
+    return FreeParameters(x_e=_invert_cayley_contraction(e), x_g=x_g, log_d=np.zeros(e.shape[1]))
 
 
-def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contracting:
-    """Project a recurrence to one that contracts at a given rate. The first model on a path from
-    `core` that contracts at `rate`; `slope` is the neurons' average slope.
+def project_to_contracting(
+    core: RecurrenceMatrices, slope: Float[np.ndarray, "q"], rate: float
+) -> ContractingRecurrence:
+    """Change a recurrence until it contracts at a given rate. The first model on a path from `core`
+    that contracts at `rate`; `slope` is the neurons' average slope.
 
     Along the path E shrinks while A takes over what the neurons did on average, `A + E diag(slope)
     F`, which is itself pulled inside `rate` first: at the end of the path no neuron is left. Raises
@@ -126,12 +135,16 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
     share = 1.0
     found = None
     for _ in range(HALVINGS):
-        trial = metric(Core(a=average - share * mean, e=share * core.e, f=core.f), rate)
+        trial = find_contraction_metric(
+            RecurrenceMatrices(a=average - share * mean, e=share * core.e, f=core.f), rate
+        )
         low, high, found = (low, share, found) if trial is None else (share, high, trial)
         if low == 1.0:
             break
         share = 0.5 * (low + high)
-    found = found or metric(Core(a=average, e=0.0 * core.e, f=core.f), rate)
+    found = found or find_contraction_metric(
+        RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f), rate
+    )
     if found is None:
         raise BadRequest(
             "model", "no metric", "its linear part has none at this rate", "use a larger rate"
@@ -139,9 +152,9 @@ def projected(core: Core, slope: Float[np.ndarray, "q"], rate: float) -> Contrac
     return found
 
 
-def metric(core: Core, rate: float) -> Contracting | None:
-    """Find a contraction metric of a recurrence. M and Lambda in which `core` contracts at `rate`,
-    or None where this search finds none.
+def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> ContractingRecurrence | None:
+    """Find a metric in which a recurrence contracts at a given rate; None if the search finds none.
+    M and Lambda in which `core` contracts at `rate`, or None where this search finds none.
 
     With `w = (z + v)/2` the LMI is the bounded-real lemma of `C (zI - A)^{-1} B < 1`, `A = (A + E
     F/2)/r`, `B = E Lambda^{-1/2}/2`, `C = Lambda^{1/2} F/r`; Lambda balances the rows and columns
@@ -153,7 +166,7 @@ def metric(core: Core, rate: float) -> Contracting | None:
     if np.abs(np.linalg.eigvals(a)).max(initial=0.0) >= 1.0:
         return None
     response = c @ np.linalg.solve(FREQUENCIES[:, None, None] * np.eye(len(a)) - a, b + 0j)
-    d = _balancing(np.abs(response).max(axis=0, initial=0.0))
+    d = _balancing_scales(np.abs(response).max(axis=0, initial=0.0))
     b, c, q = (
         b * d / INSIDE,
         c / d[:, None],
@@ -166,24 +179,24 @@ def metric(core: Core, rate: float) -> Contracting | None:
             p = scipy.linalg.solve_discrete_are(a, b, weight, -np.eye(q))
         else:
             p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
-        found = Contracting(core, np.linalg.cholesky(p / 2.0).T, d)
-        parameters(in_metric(found), rate)
+        found = ContractingRecurrence(core, np.linalg.cholesky(p / 2.0).T, d)
+        parameters_from_matrices(transform_to_metric(found), rate)
     except (np.linalg.LinAlgError, ValueError):  # the gain is one or more: there is no solution
         return None
     return found
 
 
-def in_metric(found: Contracting) -> Core:
-    """Transform a recurrence to coordinates in which its metric is the identity. `xt = T x`, with
-    Lambda moved into E and F: `M = I, Lambda = I`."""
+def transform_to_metric(found: ContractingRecurrence) -> RecurrenceMatrices:
+    """Transform a recurrence to coordinates in which its contraction metric is the identity. `xt =
+    T x`, with Lambda moved into E and F: `M = I, Lambda = I`."""
     back = np.linalg.inv(found.t)
     core, t, d = found
-    return Core(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
+    return RecurrenceMatrices(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
 
 
-def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
-    """Diagonal scaling that balances a matrix. `d` such that off the diagonal the rows and
-    columns of `diag(1/d) gains diag(d)` have equal norms."""
+def _balancing_scales(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
+    """Diagonal scaling that balances the rows and columns of a matrix. `d` such that off the
+    diagonal the rows and columns of `diag(1/d) gains diag(d)` have equal norms."""
     off = gains - np.diag(np.diagonal(gains))
     d = np.ones(len(gains))  # the diagonal does not move under scaling
     for _ in range(20):  # sweeps of Osborne's iteration
@@ -195,23 +208,30 @@ def _balancing(gains: Float[np.ndarray, "q q"]) -> Float[np.ndarray, "q"]:
     return d
 
 
-def _contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = I + X'X
+def _cayley_contraction(x: Tall) -> tuple[Tall, Square]:  # con(X) and the L of L L' = I + X'X
+    """Matrix of norm below one from any matrix, and the Cholesky factor that defines it."""
     low = np.linalg.cholesky(np.eye(x.shape[1]) + x.T @ x)
     return np.linalg.solve(low, x.T).T, low
 
 
-def _uncontracted(y: Tall) -> Tall:
-    """Matrix X with `con(X) = Y`. `I - Y'Y = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its
-    Cholesky factor as L."""
+def _invert_cayley_contraction(y: Tall) -> Tall:
+    """Matrix whose contraction `con(X)` is a given matrix of norm below one. `con(X) = Y`. `I - Y'Y
+    = L^{-1} L^{-T}`, so `X = Y L'` with the inverse of its Cholesky factor as L."""
     return y @ np.linalg.inv(np.linalg.cholesky(np.eye(y.shape[1]) - y.T @ y)).T
 
 
-def _change(x: Tall, dx: Moved, con: Tall, low: Square) -> Moved:  # d con(X) along dx
-    dlow = _cholesky_change(low, dx.mT @ x + x.T @ dx)
+def _differentiate_contraction(
+    x: Tall, dx: Moved, con: Tall, low: Square
+) -> Moved:  # d con(X) along dx
+    """Directional derivatives of the contraction `con(X)`."""
+    dlow = _differentiate_cholesky(low, dx.mT @ x + x.T @ dx)
     return (dx - con @ dlow.mT) @ np.linalg.inv(low).T
 
 
-def _cholesky_change(low: Square, ds: Moved) -> Moved:  # dL = L low(L^{-1} dS L^{-T}) for L L' = S
+def _differentiate_cholesky(
+    low: Square, ds: Moved
+) -> Moved:  # dL = L low(L^{-1} dS L^{-T}) for L L' = S
+    """Directional derivatives of the Cholesky factor of a matrix."""
     back = np.linalg.inv(low)
     inner = np.tril(back @ ds @ back.T)  # low() with its whole diagonal
     return low @ (inner - 0.5 * inner * np.eye(len(low)))

@@ -24,16 +24,17 @@ Lifted = Float[np.ndarray, "*batch mbar"]
 
 
 class Simulator(Family, Explicit):
-    """Interface of identified models that can be simulated. An identified model, explicit
-    numbers only: what training returns and what is stored; `names` are its kinds."""
+    """Interface of identified models that can be simulated. An identified model, explicit numbers
+    only: what training returns and what is stored; `names` are its kinds."""
 
     @abstractmethod
     def simulate(self, u: Inputs) -> Outputs:
-        """Simulate in free run from the equilibrium. Inputs and outputs are in physical units."""
+        """Simulate the model in free run from its equilibrium. Inputs and outputs are in physical
+        units."""
 
     def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
-        """Simulate in free run after the first, measured outputs. A model that cannot use them
-        starts at the equilibrium."""
+        """Simulate the model in free run after the first, measured outputs. A model that cannot use
+        them starts at the equilibrium."""
         return self.simulate(u)
 
 
@@ -52,9 +53,9 @@ class ScaffoldedModel(Simulator):
     linear: StateSpace
     b_d: Float[np.ndarray, "_ _"]
 
-    def check_wires(self) -> None:
-        """Check that the dimensions of static maps, recurrence and signals fit. Raises `BadRequest`
-        otherwise."""
+    def check_dimensions(self) -> None:
+        """Check that the dimensions of static maps, recurrence and signals fit together. Raises
+        `BadRequest` otherwise."""
         shape = (self.linear.order, self.scale.disturbances) if self.scale.disturbances else (0, 0)
         problem = f"the model needs a matrix of shape {shape}"
         require(self.b_d.shape == shape, "b_d", self.b_d.shape, problem, "write model.json again")
@@ -76,33 +77,36 @@ class ScaffoldedModel(Simulator):
 
     @property
     def order(self) -> int:
+        """Number of states of the model."""
         return self.linear.order
 
     @property
     def system(self) -> System:
-        """System that the theorems are about, here the linear recurrence."""
+        """Linear or structured system that certificates of this model are about."""
         return self.linear
 
-    def lift(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
-        """Apply the input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`:
+    def map_input(self, u: Float[np.ndarray, "*batch m"]) -> Lifted:
+        """Apply the static input map to a physical input. `ubar = S_u((u - u_eq) / input_scale)`:
         physical input to what drives the recurrence."""
         return self.scaffold_in(self.scale.scaled_input(u))
 
-    def drive(
+    def driving_signals(
         self, u: Float[np.ndarray, "*batch T m"], d: Float[np.ndarray, "*batch T k"] | None
     ) -> Float[np.ndarray, "*batch T j"]:
-        """Signals that drive the recurrence. `lift(u)`, and beside it the scaled measured
-        disturbances where there are some, at their equilibrium if they are not given: what `run`
-        takes."""
-        lifted = self.lift(u)
+        """Signals that drive the recurrence: the mapped input and the scaled measured disturbances.
+        `map_input(u)`, and beside it the scaled measured disturbances where there are some, at
+        their equilibrium if they are not given: what `simulate_mapped` takes."""
+        lifted = self.map_input(u)
         if not self.scale.disturbances:
             return lifted
         scaled = np.zeros((*u.shape[:-1], self.scale.disturbances))
         scaled = scaled if d is None else self.scale.scaled_disturbance(d)
         return np.concatenate([lifted, scaled], axis=-1)
 
-    def push(self, d: Float[np.ndarray, "*batch k"]) -> Float[np.ndarray, "*batch n"]:
-        """Contribution of measured disturbances to the next state, `B_d (d - d_eq) / d_scale`.
+    def disturbance_contribution(
+        self, d: Float[np.ndarray, "*batch k"]
+    ) -> Float[np.ndarray, "*batch n"]:
+        """Contribution of measured disturbances to the next state.
 
         No state and no input enters it, so it cancels where two motions under the same d are
         subtracted (docs/theory.md, "Measured disturbances").
@@ -111,7 +115,7 @@ class ScaffoldedModel(Simulator):
 
     @property
     def driven_system(self) -> StateSpace:
-        """Linear recurrence with `(S_u(u), scaled d)` as its input."""
+        """Linear recurrence with the mapped input and the measured disturbances as its inputs."""
         linear = self.linear
         if not self.scale.disturbances:
             return linear
@@ -122,88 +126,92 @@ class ScaffoldedModel(Simulator):
 
     @abstractmethod
     def advance(self, x: State, ubar: Lifted) -> State:
-        """Compute the next state from state and mapped input."""
+        """Next state of the model from state and mapped input."""
 
-    def read(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Physical output from state and mapped input. `y = y_eq + output_scale S_y(ybar)`,
-        physical."""
-        return self.scale.physical_output(self.read_scaled(x, ubar))
-
-    @abstractmethod
-    def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
-        """Scaled output from state and mapped input. `S_y(ybar)`, the output in scaled units, as
-        the observer's innovation needs it."""
+    def output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+        """Physical output of the model from state and mapped input. `y = y_eq + output_scale
+        S_y(ybar)`, physical."""
+        return self.scale.physical_output(self.scaled_output_at(x, ubar))
 
     @abstractmethod
-    def run(
+    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+        """Scaled output of the model from state and mapped input. `S_y(ybar)`, the output in scaled
+        units, as the observer's innovation needs it."""
+
+    @abstractmethod
+    def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, np.ndarray]:
-        """Simulate the recurrence for a mapped input sequence. `ybar` from `x0` (default 0), and
-        the last state or all of them. `ubar` is what `lift` or `drive` returns."""
+        """Simulate the recurrence for a sequence of mapped inputs. `ybar` from `x0` (default 0),
+        and the last state or all of them. `ubar` is what `map_input` or `driving_signals`
+        returns."""
 
     def simulate(
         self, u: Inputs, x0: State | None = None, d: Float[np.ndarray, "*batch T k"] | None = None
     ) -> Outputs:
-        """Simulate in free run from `x0`, by default from the equilibrium. Inputs and outputs are
-        in physical units.
+        """Simulate the model in free run from a given state or from the equilibrium. Inputs and
+        outputs are in physical units.
 
         Measured disturbances that are not given stay at their equilibrium.
         """
-        ybar = self.run(self.drive(u, d), x0)[0]
+        ybar = self.simulate_mapped(self.driving_signals(u, d), x0)[0]
         return self.scale.physical_output(self.scaffold_out(ybar))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DelayLine:
-    """Delay line that models a dead time by additional states. States that hold the inputs under
-    way, behind the `states` of a model: the newest first."""
+    """Delay line that adds a dead time to a model by additional states. States that hold the inputs
+    under way, behind the `states` of a model: the newest first."""
 
     states: int
     channels: int
     samples: int
 
     @property
-    def waiting(self) -> int:
+    def state_count(self) -> int:
         """Number of states of the delay line."""
         return self.samples * self.channels
 
     def state_matrix(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]
     ) -> Float[np.ndarray, "N N"]:
-        """State matrix of model and delay line. The oldest input drives the model by B."""
+        """State matrix of a model with a delay line at its input. The oldest input drives the model
+        by B."""
         n = self.states
-        size = n + self.waiting
+        size = n + self.state_count
         whole = np.zeros((size, size))
         whole[:n, :n] = a
         whole[:n, size - self.channels :] = b
-        kept = self.waiting - self.channels
+        kept = self.state_count - self.channels
         whole[n + self.channels :, n : n + kept] = np.eye(kept)
         return whole
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:
-        """Input matrix of the delay line, which the input enters alone."""
-        return np.eye(self.states + self.waiting, self.channels, -self.states)
+        """Input matrix of a model with a delay line, through which alone the input enters."""
+        return np.eye(self.states + self.state_count, self.channels, -self.states)
 
-    def widened(
+    def widen_rows(
         self, of_state: Float[np.ndarray, "k n"], of_input: Float[np.ndarray, "k m"]
     ) -> Float[np.ndarray, "k N"]:
         """Extend a matrix that acts on state and input to one that acts on the state with the delay
         line."""
-        newer = np.zeros((len(of_state), self.waiting - self.channels))
+        newer = np.zeros((len(of_state), self.state_count - self.channels))
         return np.hstack([of_state, newer, of_input])
 
-    def lengthened(self, of_disturbance: Float[np.ndarray, "_ k"]) -> Float[np.ndarray, "_ k"]:
-        """Extend the matrix by which measured disturbances drive the model. None enters the delay
-        line."""
+    def lengthen_columns(
+        self, of_disturbance: Float[np.ndarray, "_ k"]
+    ) -> Float[np.ndarray, "_ k"]:
+        """Extend the disturbance matrix of a model by zero rows for the delay line. None enters the
+        delay line."""
         channels = of_disturbance.shape[1]
-        waiting = self.waiting if channels else 0
+        waiting = self.state_count if channels else 0
         return np.vstack([of_disturbance, np.zeros((waiting, channels))])
 
 
 @dataclass(frozen=True, kw_only=True)
 class SSM(ScaffoldedModel):
-    """Identified linear recurrence between static input and output maps. `x+ = A x + B S_u(ut),  y
-    = y_eq + output_scale S_y(C x + D S_u(ut)),  ut = (u - u_eq) / input_scale`.
+    """Identified linear recurrence between static input and output maps. `x+ = A x + B S_u(ut), y =
+    y_eq + output_scale S_y(C x + D S_u(ut)), ut = (u - u_eq) / input_scale`.
 
     Shapes: `linear` has `scaffold_in.outputs` inputs and `scaffold_out.inputs` outputs. With k
     measured disturbances `x+` has the further term `b_d (d - d_eq) / d_scale`, `b_d (n, k)`.
@@ -218,12 +226,12 @@ class SSM(ScaffoldedModel):
     b_d: Float[np.ndarray, "_ _"] = field(default_factory=partial(np.zeros, (0, 0)))
 
     def __post_init__(self) -> None:
-        self.check_wires()
+        self.check_dimensions()
 
     @classmethod
-    def of(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
-        """Construct a model from a linear system without nonlinear maps. A linear system as it
-        is: identities for scaffoldings, scaled by one around zero unless told otherwise."""
+    def from_linear(cls, linear: StateSpace, step_s: float, scale: Scale | None = None) -> "SSM":
+        """Model of a linear system without nonlinear static maps. A linear system as it is:
+        identities for scaffoldings, scaled by one around zero unless told otherwise."""
         m = linear.b.shape[1]
         p = len(linear.c)
         inward = LinearScaffold.identity(m)
@@ -237,11 +245,11 @@ class SSM(ScaffoldedModel):
         """Next state `x+ = A x + B ubar`."""
         return x @ self.linear.a.T + ubar @ self.linear.b.T
 
-    def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D ubar)`."""
         return self.scaffold_out(x @ self.linear.c.T + ubar @ self.linear.d.T)
 
-    def run(
+    def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, State]:
         """Simulate `C x + D ubar` step by step. Returns it with the last state."""
@@ -249,32 +257,32 @@ class SSM(ScaffoldedModel):
         return (self.linear if lifted else self.driven_system).simulate(ubar, x0)
 
     def with_linear(self, linear: StateSpace) -> "SSM":
-        """Model with the same static maps around another linear part of as many states."""
+        """Copy of the model with another linear part of as many states."""
         return replace(self, linear=linear)
 
     def with_driven_system(self, system: StateSpace) -> "SSM":
-        """Model with the same static maps around another linear part (balanced, truncated). It
+        """Copy of the model with another linear part, disturbances included, of any order. It
         inverts `driven_system`."""
         m = self.linear.b.shape[1]
         linear = StateSpace(a=system.a, b=system.b[:, :m], c=system.c, d=system.d[:, :m])
         b_d = system.b[:, m:] if self.scale.disturbances else self.b_d
         return replace(self, linear=linear, b_d=b_d)
 
-    def delayed(self, samples: int) -> "SSM":
-        """Append a dead time to the model's input. The model behind a dead time, `x+ = A x + B
-        ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
+    def with_dead_time(self, samples: int) -> "SSM":
+        """Copy of the model with a dead time at its input. The model behind a dead time, `x+ = A x
+        + B ub[k - samples]`; what is under way are states of the recurrence. Measured disturbances
         act without it."""
         a, b, c, d = (vars(self.linear)[name] for name in "abcd")
         line = DelayLine(states=len(a), channels=b.shape[1], samples=samples)
         late = StateSpace(
             a=line.state_matrix(a, b),
             b=line.input_matrix(),
-            c=line.widened(c, d),
+            c=line.widen_rows(c, d),
             d=np.zeros_like(d),
         )
-        return replace(self, linear=late, b_d=line.lengthened(self.b_d))
+        return replace(self, linear=late, b_d=line.lengthen_columns(self.b_d))
 
-    def absorbed(self) -> "SSM":
+    def absorb_map_centres(self) -> "SSM":
         """Move linear factors of the static maps into the linear part. The same input-output map, a
         matrix M moved from each scaffolding into the linear part where that helps.
 
@@ -287,20 +295,20 @@ class SSM(ScaffoldedModel):
         linear = self.linear
         scaffold_in = self.scaffold_in
         scaffold_out = self.scaffold_out
-        if (found := _straightened(scaffold_in, "after")) is not None:
+        if (found := _factor_out_centre(scaffold_in, "after")) is not None:
             scaffold_in, m = found
             linear = replace(linear, b=linear.b @ m, d=linear.d @ m)
-        if (found := _straightened(scaffold_out, "before")) is not None:
+        if (found := _factor_out_centre(scaffold_out, "before")) is not None:
             scaffold_out, m = found
             linear = replace(linear, c=m @ linear.c, d=m @ linear.d)
         return replace(self, linear=linear, scaffold_in=scaffold_in, scaffold_out=scaffold_out)
 
 
-def _straightened(
+def _factor_out_centre(
     scaffold: Scaffold, side: str
 ) -> tuple[Scaffold, Float[np.ndarray, "m m"]] | None:
-    """Static map without the centre M of its Jacobians, and M, where that makes its ball
-    narrower."""
+    """Static map without the centre matrix of its Jacobians, and that matrix, if this makes their
+    ball smaller."""
     if (
         scaffold.inputs != scaffold.outputs
         or scaffold.inputs == 1

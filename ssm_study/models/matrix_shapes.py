@@ -1,8 +1,7 @@
 """Shapes of the matrices of a recurrence with neurons, by their names."""
 
 
-def shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
-    """Shape of each matrix of a recurrence with n states, m lifted inputs, p outputs and q
-    neurons."""
+def matrix_shapes(n: int, m: int, p: int, q: int) -> dict[str, tuple[int, ...]]:
+    """Shape of each matrix of a recurrence with neurons, by name."""
     linear = {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}
     return linear | {"e": (n, q), "f": (q, n), "g": (q, m), "h": (p, q), "bias": (q,)}

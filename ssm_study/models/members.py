@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.warm_start import simulate_parts
+from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 
 FITS = ("fit_validation_members_percent", "fit_test_members_percent")
@@ -26,16 +26,16 @@ def mean_output(
     u: Float[np.ndarray, "*batch T m"],
     d: Float[np.ndarray, "*batch T k"] | None = None,
 ) -> Float[np.ndarray, "*batch T p"]:
-    """Mean of the models' free runs from the equilibrium, in physical units. Without measured
-    disturbances these stay at their equilibrium."""
+    """Mean output of several models' free runs from the equilibrium. Without measured disturbances
+    these stay at their equilibrium."""
     loads = {} if d is None else {"d": d}
     return np.mean([model.simulate(u, **loads) for model in members], axis=0)
 
 
-def simulate_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and of the test records by the mean of several models. Each has
-    the kind of initial state that predicts better."""
-    runs = [simulate_parts(model, data) for model in members]
+def simulate_with_mean(members: Sequence[Any], data: DataSet) -> tuple[Simulation, Simulation]:
+    """Free runs of the validation and test records by the mean of several models. Each has the kind
+    of initial state that predicts better."""
+    runs = [simulate_validation_and_test(model, data) for model in members]
     validation = [run for run, _ in runs]
     test = [run for _, run in runs]
     return mean_of_runs(validation), mean_of_runs(test)
@@ -48,11 +48,11 @@ def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
     return replace(runs[0], simulated=means, starts=())
 
 
-def member_facts(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Columns on the mean of several models, their number and its fits in percent. None for one
+def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
+    """Columns on the mean of several models: how many, and its fits in percent. None for one
     model."""
     if len(members) < 2:
         return {}
-    validation, test = simulate_mean(members, data)
+    validation, test = simulate_with_mean(members, data)
     fits = (validation.fit_percent, test.fit_percent)
     return {"members": len(members)} | dict(zip(FITS, fits, strict=True))

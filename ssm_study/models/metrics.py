@@ -94,9 +94,9 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Simulation:
-    """Measured records with the model's simulated outputs. Records beside their free runs, both
-    physical; the first `start_up_samples` of each are not scored. `starts` has the state from
-    which a record's run began, None where its first samples gave it."""
+    """Measured records with a model's simulated outputs. Records beside their free runs, both
+    physical; the first `start_up_samples` of each are not scored. `starts` has the state from which
+    a record's run began, None where its first samples gave it."""
 
     records: Trajectories
     simulated: tuple[Float[np.ndarray, "_ p"], ...]
@@ -104,17 +104,17 @@ class Simulation:
     starts: tuple[Any, ...] = ()
 
     @classmethod
-    def of(
+    def simulate_records(
         cls,
         model: Simulator,
         records: Trajectories,
         start_up_samples: int,
         starts: tuple[Any, ...] = (),
     ) -> "Simulation":
-        """Simulate every record by `model`, from the states given or as `free_run` says."""
+        """Simulate each of several records by a model."""
         states = starts or (None,) * len(records)
         simulated = tuple(
-            free_run(model, record, start_up_samples, state)
+            simulate_record(model, record, start_up_samples, state)
             for record, state in zip(records, states, strict=True)
         )
         return cls(
@@ -123,34 +123,35 @@ class Simulation:
 
     @property
     def fit_percent(self) -> float:
-        """Fit of the simulated outputs in percent. `100 (1 - ||y - y_hat|| / ||y - mean(y)||)`
-        over the scored samples of all records."""
-        return fit_percent(*self._scored())
+        """Fit of the simulated outputs to the measured ones, in percent. `100 (1 - ||y - y_hat|| /
+        ||y - mean(y)||)` over the scored samples of all records."""
+        return fit_percent(*self._scored_outputs())
 
     @property
     def rmse(self) -> float:
         """Root mean square simulation error. `sqrt(mean((y - y_hat)^2))` over the same samples,
         unit of the output."""
-        return rmse(*self._scored())
+        return rmse(*self._scored_outputs())
 
-    def _scored(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
+    def _scored_outputs(self) -> tuple[Float[np.ndarray, "T p"], Float[np.ndarray, "T p"]]:
+        """Measured and simulated outputs of all records, without start-up samples."""
         measured = np.concatenate([record.y[self.start_up_samples :] for record in self.records])
         return measured, np.concatenate([y[self.start_up_samples :] for y in self.simulated])
 
 
-def size_facts(model: Simulator) -> dict[str, Any]:
-    """Columns with the model's size. States and neurons of a structured model: what was asked
-    for may have been a choice by folds."""
+def size_columns(model: Simulator) -> dict[str, Any]:
+    """Columns on the size of a model. States and neurons of a structured model: what was asked for
+    may have been a choice by folds."""
     if not isinstance(model, StructuredSSM):
         return {}
     return {"states_identified": model.order, "neurons": len(model.neurons)}
 
 
-def fit_facts(
+def fit_columns(
     validation: Simulation, test: Simulation, scores: tuple[float, ...] = ()
 ) -> dict[str, Any]:
-    """Columns of the free-run fits and the test error of any model. On a benchmark also its score,
-    in the unit it is published in."""
+    """Columns on the free-run fits and the test error of a model. On a benchmark also its score, in
+    the unit it is published in."""
     fits = {"fit_validation_percent": validation.fit_percent, "fit_test_percent": test.fit_percent}
     return (
         fits
@@ -167,19 +168,19 @@ Gramian = Float[np.ndarray, "n n"]
 GAUSS_NEWTON_STEPS = 5  # for a nonlinear S_y; a linear one is solved by the first
 
 
-def free_run(
+def simulate_record(
     model: Any, record: Trajectory, start_up_samples: int, start: Any = None
 ) -> Float[np.ndarray, "T p"]:
-    """Simulate a record with an initial state estimated from its first samples. The simulated
-    output `(T, p)`, physical: from `start` where it is given, from rest if every sample is scored,
-    else from the estimated state.
+    """Simulate a record with an initial state that is estimated from its first samples. The
+    simulated output `(T, p)`, physical: from `start` where it is given, from rest if every sample
+    is scored, else from the estimated state.
 
     A regression takes the start-up samples for its past outputs; another baseline starts at rest.
     """
     if isinstance(model, ScaffoldedModel):
         x0 = None if start is None else np.asarray(start, dtype=np.float64)
         if x0 is None and start_up_samples:
-            x0 = initial_state(model, record, start_up_samples)
+            x0 = estimate_initial_state(model, record, start_up_samples)
         return model.simulate(record.u, x0, record.d)
     if start is not None:
         return model.simulate(record.u, np.asarray(start, dtype=np.float64))
@@ -188,7 +189,7 @@ def free_run(
     return model.simulate_after(record.u, record.y[:start_up_samples])
 
 
-def initial_state(
+def estimate_initial_state(
     model: Any, record: Trajectory, samples: int, reached_by: Trajectory | None = None
 ) -> Float[np.ndarray, "n"]:
     """Estimate the initial state of a record by regularised least squares. `argmin |y -
@@ -200,13 +201,13 @@ def initial_state(
     all time is singular, does no harm. The current sample's output error is linearised through the
     model and solved by Gauss-Newton.
     """
-    lifted = model.drive(record.u, record.d)
+    lifted = model.driving_signals(record.u, record.d)
     target = model.scale.scaled_output(record.y[:samples])
-    reaching = lifted if reached_by is None else model.drive(reached_by.u, reached_by.d)
-    prior = _reached(model, reaching)
+    reaching = lifted if reached_by is None else model.driving_signals(reached_by.u, reached_by.d)
+    prior = _record_gramian(model, reaching)
     x0 = np.zeros(model.order)  # W, and the mean of the prior: rest
     for _ in range(GAUSS_NEWTON_STEPS):
-        ybar, by_state = _linearised(model, lifted[:samples], x0)
+        ybar, by_state = _linearise_output(model, lifted[:samples], x0)
         slopes = np.stack(
             [model.scaffold_out.jacobian(y) for y in ybar]
         )  # of S_y along this trajectory
@@ -222,38 +223,39 @@ def initial_state(
     return x0
 
 
-def _reached(model: Any, lifted: Lifted) -> Gramian:
+def _record_gramian(model: Any, lifted: Lifted) -> Gramian:
     """Gramian of the states that the inputs of a record excite. The reachability Gramian of the
     record; with neurons the second moment of the states it drives from rest."""
     if isinstance(model, SSM):
         system = model.driven_system
         return reachability_gramian(system.a, system.b * lifted.std(axis=0), len(lifted))
-    _, states = model.run(lifted)
+    _, states = model.simulate_mapped(lifted)
     return states.T @ states / len(states)
 
 
-def _linearised(
+def _linearise_output(
     model: Any, lifted: Lifted, x0: Float[np.ndarray, "n"]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Scaled output before S_y on a free run from `x0`, `(T, p)`, and its derivative by `x0`, `(T,
-    p, n)`."""
+    """Simulated output from an initial state, and its derivative by that state."""
     if isinstance(model, SSM):
         powers = [model.linear.c]  # C A^k, k = 0 ... T - 1
         for _ in range(len(lifted) - 1):
             powers.append(powers[-1] @ model.linear.a)
         return model.driven_system.simulate(lifted, x0)[0], np.stack(powers)
-    from ssm_study.models.structured_kernel import sensitivities  # numba: only where it is needed
+    from ssm_study.models.structured_kernel import (
+        simulate_with_sensitivities,  # numba: only where it is needed
+    )
 
     nothing = np.zeros((1, len(lifted), 0))
     none = np.zeros(0, dtype=np.int64)
     matrices = model.driven_matrices if model.scale.disturbances else model.matrices
-    ybar, by = sensitivities(matrices, lifted[None], x0[None], nothing, none)
+    ybar, by = simulate_with_sensitivities(matrices, lifted[None], x0[None], nothing, none)
     return ybar[0], by["x0"][0]
 
 
 def reachability_gramian(a: Gramian, b: Float[np.ndarray, "n m"], samples: int) -> Gramian:
-    """Finite-horizon reachability Gramian. `sum_k A^k B B^T A^kT` over k below the first power
-    of two that is not less than `samples`: by doubling."""
+    """Finite-horizon reachability Gramian of a linear recurrence. `sum_k A^k B B^T A^kT` over k
+    below the first power of two that is not less than `samples`: by doubling."""
     gramian = b @ b.T
     power = a
     for _ in range((samples - 1).bit_length()):

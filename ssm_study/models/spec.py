@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float, Inexact
 
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 from ssm_study.refusal import require, require_at_least, require_one_of, require_positive
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
@@ -34,8 +34,7 @@ Pairs = Sequence[
 
 @dataclass(frozen=True, kw_only=True)
 class Initialisation:
-    """Initial linear system of a training, as `modes (n,)` with the real ones first and one of each
-    pair, `b (n, m)`, `c (p, n)`, `d`.
+    """Linear system from which a training starts, in modal form.
 
     `y = Re(c_r x_r) + 2 Re(c_c x_c) + d u`: the factor two of the pairs is not in `c`.
     """
@@ -45,8 +44,8 @@ class Initialisation:
     c: Complex[np.ndarray, "p n"]
     d: Float[np.ndarray, "p m"]
 
-    def free_run(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
-        """Output of the initial linear system to `u` from the equilibrium."""
+    def simulate_output(self, u: Float[np.ndarray, "T m"]) -> Float[np.ndarray, "T p"]:
+        """Output of the initial linear system from the equilibrium."""
         # SciPy loads a part at its first use: this one takes half a second.
         lfilter = scipy.signal.lfilter
         states = []
@@ -57,7 +56,7 @@ class Initialisation:
         return np.asarray((twice * self.c @ x).real.T + u @ self.d.T)
 
 
-def on_ring(
+def draw_modes_on_ring(
     order: int,
     real_modes: int,
     radius: Range,
@@ -65,8 +64,8 @@ def on_ring(
     channels: tuple[int, int],
     rng: np.random.Generator,
 ) -> Initialisation:
-    """Random stable modes in a ring of the unit disc. Radii uniform in area between the two, angles
-    uniform in `frequency` (rad per sample); small random gains.
+    """Draw random stable modes in a ring of the unit disc. Radii uniform in area between the two,
+    angles uniform in `frequency` (rad per sample); small random gains.
 
     Source: Orvieto et al. (2023), lemma 3.2.
     """
@@ -77,25 +76,29 @@ def on_ring(
     angles = rng.uniform(frequency[0], frequency[1], size=pairs)
     modes[real_modes:] *= np.exp(1j * angles)
     m, p = channels
-    b = complex_normal(rng, (count, m)) * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
-    c = complex_normal(rng, (p, count)) / np.sqrt(2 * count)  # of like size at any radius and order
+    b = draw_complex_normal(rng, (count, m)) * np.sqrt(1 - np.abs(modes[:, None]) ** 2)
+    c = draw_complex_normal(rng, (p, count)) / np.sqrt(
+        2 * count
+    )  # of like size at any radius and order
     b[:real_modes].imag = 0.0
     c[:, :real_modes].imag = 0.0
     return Initialisation(modes=modes, b=b, c=c, d=np.zeros((p, m)))
 
 
-def complex_normal(rng: np.random.Generator, shape: tuple[int, int]) -> Complex[np.ndarray, "_ _"]:
-    """Independent normal real and imaginary parts."""
+def draw_complex_normal(
+    rng: np.random.Generator, shape: tuple[int, int]
+) -> Complex[np.ndarray, "_ _"]:
+    """Draw complex numbers with independent normal real and imaginary parts."""
     real = rng.normal(size=shape)
     imaginary = rng.normal(size=shape)
     return real + 1j * imaginary
 
 
-def from_data(
+def estimate_initial_system(
     records: Pairs, order: int, rng: np.random.Generator, feedthrough: bool
 ) -> Initialisation:
-    """Initial linear system estimated from the records. ARX by least squares over all records, its
-    impulse response, a balanced realisation of it, its modes.
+    """Estimate the linear system from which a training starts from the records. ARX by least
+    squares over all records, its impulse response, a balanced realisation of it, its modes.
 
     Long ARX models are unstable on noise, and where the input acts at once but no feedthrough is
     allowed; their modes, pulled into the unit circle, then answer a thousandfold. A start whose
@@ -106,8 +109,8 @@ def from_data(
     longest_record = max(len(u) for u, _ in records)
     longest = min(ARX_LAGS, longest_record // 4)
     for lags in (longest, min(order, longest)):
-        response = impulse_response(*arx(records, lags, feedthrough))
-        start = modal_start(realise(response, order, rng))
+        response = arx_impulse_response(*fit_arx_matrices(records, lags, feedthrough))
+        start = modal_initialisation(realise_impulse_response(response, order, rng))
         share = output_regression_coefficient(start, records)
         if share >= LEAST_SHARE:
             return start
@@ -115,20 +118,20 @@ def from_data(
 
 
 def output_regression_coefficient(start: Initialisation, records: Pairs) -> float:
-    """Regression coefficient of the measured output on the output of an initial linear system. `<y,
-    ys> / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than
-    zero is."""
+    """Coefficient of the regression of the measured output on an initial system's output. `<y, ys>
+    / <ys, ys>` of the free runs `ys` from rest: half or more if these are nearer to `y` than zero
+    is."""
     measured = np.concatenate([y for _, y in records])
-    simulated = np.concatenate([start.free_run(u) for u, _ in records])
+    simulated = np.concatenate([start.simulate_output(u) for u, _ in records])
     power = max((simulated**2).sum(), np.finfo(float).tiny)
     return float((measured * simulated).sum() / power)
 
 
-def arx(
+def fit_arx_matrices(
     records: Pairs, lags: int, feedthrough: bool
 ) -> tuple[Float[np.ndarray, "lags p p"], Float[np.ndarray, "lags_1 p m"]]:
-    """Least-squares estimate of an ARX model. `y[k] = sum_i a_i y[k-i] + sum_j b_j u[k-j]`, i =
-    1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
+    """Least-squares estimate of a multivariable ARX model. `y[k] = sum_i a_i y[k-i] + sum_j b_j
+    u[k-j]`, i = 1 ... lags, j = 0 ... lags (b_0 = 0 without feedthrough)."""
     first = 0 if feedthrough else 1
     rows = []
     targets = []
@@ -146,11 +149,11 @@ def arx(
     return a, b if feedthrough else np.concatenate([np.zeros((1, p, m)), b])
 
 
-def impulse_response(
+def arx_impulse_response(
     a: Float[np.ndarray, "lags p p"], b: Float[np.ndarray, "lags1 p m"]
 ) -> Float[np.ndarray, "K p m"]:
-    """Impulse response of an ARX model. `h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable
-    fit grows beyond ten times its early peak."""
+    """Impulse response of an ARX model. `h[k] = b_k + sum_i a_i h[k-i]`; cut where an unstable fit
+    grows beyond ten times its early peak."""
     h = np.zeros((RESPONSE, *b.shape[1:]))
     for k in range(RESPONSE):
         recent = h[max(k - len(a), 0) : k][::-1]
@@ -165,9 +168,11 @@ def impulse_response(
     return h
 
 
-def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator) -> StateSpace:
-    """Balanced realisation of the Hankel matrix of `h[1:]`, cut to `order`. Fast modes fill what it
-    lacks."""
+def realise_impulse_response(
+    h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator
+) -> StateSpace:
+    """Balanced state-space realisation of an impulse response, truncated to a given order. Fast
+    modes fill what it lacks."""
     half = len(h) // 2
     p, m = h.shape[1:]
     rows = np.arange(half)[:, None]
@@ -190,21 +195,21 @@ def realise(h: Float[np.ndarray, "K p m"], order: int, rng: np.random.Generator)
     return StateSpace(a=scipy.linalg.block_diag(a, np.diag(fast_modes)), b=b, c=c, d=h[0])
 
 
-def modal_start(system: StateSpace) -> Initialisation:
-    """Initial linear system with the eigenvalues of a given one, moved inside the unit circle. Real
-    ones come first, one of each pair; `b`, `c` are in eigenvector coordinates."""
+def modal_initialisation(system: StateSpace) -> Initialisation:
+    """Initial system in modal form with the eigenvalues of a given one, moved inside the unit
+    circle. Real ones come first, one of each pair; `b`, `c` are in eigenvector coordinates."""
     values, vectors = np.linalg.eig(system.a)
     b = np.linalg.solve(vectors, system.b.astype(complex)).astype(complex)
     c = (system.c @ vectors).astype(complex)
-    values = inside_unit_circle(values)
+    values = stabilise_eigenvalues(values)
     real = np.flatnonzero(np.isreal(values))
     upper = np.flatnonzero(values.imag > 0)
     kept = np.concatenate([real, upper])
     return Initialisation(modes=values[kept].astype(complex), b=b[kept], c=c[:, kept], d=system.d)
 
 
-def inside_unit_circle(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
-    """Mirror unstable modes into the unit circle, and pull all inside the radius `SLOWEST`."""
+def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:
+    """Mirror unstable eigenvalues into the unit circle and limit the modulus of all."""
     radius = np.abs(values)
     mirrored = values / np.maximum(radius, 1.0) ** 2
     values = np.where(radius > 1.0, mirrored, values)
@@ -229,8 +234,8 @@ class ModelSpec(ABC):
     @abstractmethod
     def build(self, data: DataSet, seed: int) -> "TorchModel": ...
 
-    def at_start(self, start: int) -> "ModelSpec":  # noqa: ARG002
-        """Settings for training number `start` of several. They are the same for all, as each
+    def for_training_run(self, start: int) -> "ModelSpec":  # noqa: ARG002
+        """Settings for one of several trainings, by its number. They are the same for all, as each
         training has a seed of its own."""
         return self
 
@@ -265,7 +270,7 @@ class SSMSpec(ModelSpec):
         require_whole_number(0, "dead_time", self.dead_time, "use 0 for none")
         require_whole_number(1, "order", self.order, "a model has at least one state, use 8 or so")
         require_whole_number(1, "hidden_width", self.hidden_width, "use 32 or so")
-        check_slopes(self.slope_lower, self.slope_upper)
+        check_slope_bounds(self.slope_lower, self.slope_upper)
         require_one_of(("data", "ring"), "model.start", self.start)
         if self.start == "ring":
             require_whole_number(0, "real_modes", self.real_modes, "use 2")
@@ -280,7 +285,7 @@ class SSMSpec(ModelSpec):
                 problem = f"needs two increasing numbers in [0, {most:g}]"
                 require(fits, f"model.{name}", ends, problem, "correct the range")
 
-    def at_start(self, start: int) -> "SSMSpec":
+    def for_training_run(self, start: int) -> "SSMSpec":
         """Settings for training number `start` of several. From the second on it begins with random
         modes, real ones only to make pairs."""
         return (
@@ -293,26 +298,26 @@ class SSMSpec(ModelSpec):
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
         rng = np.random.default_rng(seed)
-        records = scaled_with_disturbances(data)
+        records = scale_records_with_disturbances(data)
         slopes = (self.slope_lower, self.slope_upper)
-        seen = [np.concatenate(parts) for parts in zip(*scaled(data), strict=True)]
+        seen = [np.concatenate(parts) for parts in zip(*scale_records(data), strict=True)]
         frames = [
-            Frame(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
+            MapContext(width=self.hidden_width, slopes=slopes, samples=samples) for samples in seen
         ]
         scaffold_in = self.scaffold_in.build(frames[0], rng)
         scaffold_out = self.scaffold_out.build(frames[1], rng)
         if self.start == "data":
-            start = from_data(records, self.order, rng, self.feedthrough)
+            start = estimate_initial_system(records, self.order, rng, self.feedthrough)
         else:
             channels = (records[0][0].shape[1], seen[1].shape[1])
-            start = on_ring(
+            start = draw_modes_on_ring(
                 self.order, self.real_modes, self.ring_radius, self.ring_frequency, channels, rng
             )
         lru = LRU(start, self.feedthrough, data.scale.disturbances)
         return TorchSSM(scaffold_in, lru, scaffold_out)
 
 
-def scaled(data: DataSet) -> Pairs:
+def scale_records(data: DataSet) -> Pairs:
     """Convert training records to scaled units. Training records in scaled units: `(u - u_eq) /
     input_scale`, `(y - y_eq) / output_scale`."""
     return [
@@ -321,20 +326,19 @@ def scaled(data: DataSet) -> Pairs:
     ]
 
 
-def scaled_with_disturbances(data: DataSet) -> Pairs:
-    """Convert training records to scaled units, with the measured disturbances as further
-    inputs."""
-    return scaled(data.with_disturbances_as_inputs())
+def scale_records_with_disturbances(data: DataSet) -> Pairs:
+    """Convert training records to scaled units, with measured disturbances as further inputs."""
+    return scale_records(data.with_disturbances_as_inputs())
 
 
 def require_whole_number(least: int, name: str, value: object, remedy: str) -> None:
-    """Refuse a value that is no whole number, or is below `least`."""
+    """Refuse a setting that is no whole number or is below a minimum."""
     fits = isinstance(value, int) and not isinstance(value, bool) and value >= least
     require(fits, f"model.{name}", value, f"must be a whole number, at least {least}", remedy)
 
 
-def check_slopes(lower: float, upper: float) -> None:
-    """Refuse a sector of slopes that is empty, or reaches zero."""
+def check_slope_bounds(lower: float, upper: float) -> None:
+    """Refuse slope bounds that are empty or include zero."""
     require_positive("model.slope_lower", lower, "use 0.01 or so")
     fits = lower < upper < np.inf
     problem = "the lower slope must lie below the upper one"

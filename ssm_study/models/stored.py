@@ -9,9 +9,9 @@ from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import require_one_of
 
 
-def model_from_json(data: Mapping[str, Any]) -> Simulator:
-    """Read any stored model. An SSM has no kind, a structured one has neurons instead; an unknown
-    kind is refused."""
+def read_model_json(data: Mapping[str, Any]) -> Simulator:
+    """Read any identified model from its JSON form. An SSM has no kind, a structured one has
+    neurons instead; an unknown kind is refused."""
     if data.get("kind") is None:
         return StructuredSSM.from_json(data) if "neurons" in data else SSM.from_json(data)
     require_one_of(kinds := Simulator.members(baselines), "kind", data["kind"])

@@ -10,21 +10,21 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.models.identified import SSM, DelayLine, Lifted, Outputs, ScaffoldedModel, State
-from ssm_study.models.matrix_shapes import shapes
+from ssm_study.models.matrix_shapes import matrix_shapes
 from ssm_study.models.scaffolds.scaffold import Scaffold
 from ssm_study.refusal import require
 from ssm_study.signals import Scale
 from ssm_study.systems import StateSpace, StructuredSystem, System
 
 if TYPE_CHECKING:
-    from ssm_study.models.structured_kernel import Matrices
+    from ssm_study.models.structured_kernel import KernelMatrices
 
 Values = Float[np.ndarray, "*batch"]
 
 
-class Neuron(NamedTuple):
-    """Activation function with its slope and its C expression. `phi(z)`, its slope `phi'(z)` in [0,
-    1] (right of a kink), and C's text, an expression in `z` for math.h.
+class Activation(NamedTuple):
+    """Activation function with its slope and its C expression. `evaluate_activations(z)`, its slope
+    `phi'(z)` in [0, 1] (right of a kink), and C's text, an expression in `z` for math.h.
 
     What it serves: tanh friction and saturation, softplus overflow and rectifiers, clipped_cubic
     hardening, relu and saturation the same with kinks. Source: docs/theory.md, "With neurons".
@@ -36,21 +36,21 @@ class Neuron(NamedTuple):
 
 
 NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.activation_and_slope`)
-    "tanh": Neuron(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2, "tanh(z)"),
-    "softplus": Neuron(
+    "tanh": Activation(np.tanh, lambda z: 1.0 - np.tanh(z) ** 2, "tanh(z)"),
+    "softplus": Activation(
         lambda z: np.logaddexp(0.0, z),
         lambda z: 0.5 * (1.0 + np.tanh(0.5 * z)),
         "(z > 0.0 ? z : 0.0) + log1p(exp(-fabs(z)))",
     ),
-    "clipped_cubic": Neuron(
+    "clipped_cubic": Activation(
         lambda z: np.where(np.abs(z) < 1.0, z**3 / 3.0, z - np.copysign(2.0 / 3.0, z)),
         lambda z: np.minimum(z * z, 1.0),
         "(fabs(z) < 1.0 ? z * z * z / 3.0 : z - copysign(2.0 / 3.0, z))",
     ),
-    "relu": Neuron(
+    "relu": Activation(
         lambda z: np.maximum(z, 0.0), lambda z: (z >= 0.0).astype(float), "(z > 0.0 ? z : 0.0)"
     ),
-    "saturation": Neuron(
+    "saturation": Activation(
         lambda z: np.clip(z, -1.0, 1.0),
         lambda z: ((z >= -1.0) & (z < 1.0)).astype(float),
         "fmin(fmax(z, -1.0), 1.0)",
@@ -58,7 +58,7 @@ NEURONS = {  # in the order of the compiled form's codes (`structured_kernel.act
 }
 
 
-def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
+def activation_codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
     """Integer codes of the neurons' activation functions. The compiled form's codes; raises
     `BadRequest` for a kind that is not known."""
     known = list(NEURONS)
@@ -67,25 +67,25 @@ def codes(kinds: tuple[str, ...]) -> Int[np.ndarray, "q"]:
     return np.array([known.index(kind) for kind in kinds], dtype=np.int64)
 
 
-def phi(
+def evaluate_activations(
     kinds: tuple[str, ...], z: Float[np.ndarray, "*batch q"], of: str = "value"
 ) -> Float[np.ndarray, "*batch q"]:
-    """Evaluate the activation functions or their slopes. `phi_i(z_i)` for each neuron i, or `of`
-    it the "slope"."""
+    """Evaluate the neurons' activation functions, or their slopes. `phi_i(z_i)` for each neuron i,
+    or `from_parts` it the "slope"."""
     out = np.empty_like(z)
     for i, kind in enumerate(kinds):
         out[..., i] = getattr(NEURONS[kind], of)(z[..., i])
     return out
 
 
-Matrix = Float[np.ndarray, "_ _"]  # `shapes` says which
+Matrix = Float[np.ndarray, "_ _"]  # `matrix_shapes` says which
 Injected = Float[np.ndarray, "*batch q"] | float
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSSM(ScaffoldedModel):
-    """Identified recurrence with neurons inside, between static maps. `x+ = A x + B v + E w,  y =
-    y_eq + output_scale S_y(C x + D v + H w),  v = S_u((u - u_eq) / input_scale)`.
+    """Identified recurrence with neurons inside, between static maps. `x+ = A x + B v + E w, y =
+    y_eq + output_scale S_y(C x + D v + H w), v = S_u((u - u_eq) / input_scale)`.
 
     `z = F x + G v + b,  w = phi(z) - phi(b)`, elementwise with slopes in [0, 1]: rest stays at
     rest. Shapes:
@@ -119,79 +119,86 @@ class StructuredSSM(ScaffoldedModel):
         m = self.scaffold_in.outputs
         p = self.scaffold_out.inputs
         q = len(self.neurons)
-        codes(self.neurons)
-        for name, shape in shapes(n, m, p, q).items():
+        activation_codes(self.neurons)
+        for name, shape in matrix_shapes(n, m, p, q).items():
             value = getattr(self, name)
             fits = value.shape == shape and bool(np.isfinite(value).all())
             problem = f"must be finite and of shape {shape}: {n} states, {q} neurons"
             require(fits, name, value.shape, problem, "write model.json again")
-        self.check_wires()
+        self.check_dimensions()
 
     @property
     def linear(self) -> StateSpace:  # type: ignore[override] # read only, as every field here
-        """Linear part of the model. `(A, B, C, D)`, what remains without the neurons."""
+        """Linear part of the structured recurrence. `(A, B, C, D)`, what remains without the
+        neurons."""
         return StateSpace(a=self.a, b=self.b, c=self.c, d=self.d)
 
     @property
     def system(self) -> System:
-        """Recurrence with its neurons, if there are any."""
-        return self._structured if self.neurons else self.linear
+        """Recurrence with its neurons, or the linear one if there are none."""
+        return self._structured_system if self.neurons else self.linear
 
     @property
-    def _structured(self) -> StructuredSystem:
+    def _structured_system(self) -> StructuredSystem:
+        """Recurrence with its neurons as a structured system."""
         return StructuredSystem(
             **{block.name: getattr(self, block.name) for block in fields(StructuredSystem)}
         )
 
     @cached_property
-    def matrices(self) -> "Matrices":
-        """Matrices of the recurrence and codes of its activation functions, as compiled code takes
-        them."""
+    def matrices(self) -> "KernelMatrices":
+        """Matrices of the recurrence for compiled code."""
         from ssm_study.models.structured_kernel import (
-            Matrices,
+            KernelMatrices,
         )  # numba: reading a model does without
 
-        return Matrices.of(vars(self), codes(self.neurons))
+        return KernelMatrices.from_parts(vars(self), activation_codes(self.neurons))
 
     @cached_property
-    def driven_matrices(self) -> "Matrices":
-        """Matrices for compiled code, with `(S_u(u), scaled d)` as input. Disturbances reach the
-        state alone."""
-        from ssm_study.models.structured_kernel import Matrices
+    def driven_matrices(self) -> "KernelMatrices":
+        """Matrices of the recurrence for compiled code, with measured disturbances as further
+        inputs. Disturbances reach the state alone."""
+        from ssm_study.models.structured_kernel import KernelMatrices
 
         system = self.driven_system
         g = np.pad(self.g, ((0, 0), (0, self.scale.disturbances)))
-        return Matrices.of(vars(self) | {"b": system.b, "d": system.d, "g": g}, codes(self.neurons))
-
-    def linearised(self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]) -> StateSpace:
-        """Linearise the recurrence at one state and input. The recurrence's derivative at one
-        state and lifted input: neurons replaced by their slopes there."""
-        return self._structured.linearise_at_slopes(
-            phi(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
+        return KernelMatrices.from_parts(
+            vars(self) | {"b": system.b, "d": system.d, "g": g}, activation_codes(self.neurons)
         )
 
-    def inner(
+    def linearise_at(
+        self, x: Float[np.ndarray, "n"], ubar: Float[np.ndarray, "mbar"]
+    ) -> StateSpace:
+        """Linearise the recurrence at one state and mapped input. The recurrence's derivative at
+        one state and lifted input: neurons replaced by their slopes there."""
+        return self._structured_system.linearise_at_slopes(
+            evaluate_activations(self.neurons, self.f @ x + self.g @ ubar + self.bias, "slope")
+        )
+
+    def neuron_outputs(
         self, x: State, ubar: Lifted, injected: Injected = 0.0
     ) -> Float[np.ndarray, "*batch q"]:
-        """Outputs of the neurons at one state and input. `w = phi(F x + G v + b + injected) -
-        phi(b)`; an observer injects `L_z (yh - y)`."""
+        """Outputs of the neurons at one state and mapped input. `w = phi(F x + G v + b + injected)
+        - phi(b)`; an observer injects `L_z (yh - y)`."""
         z = x @ self.f.T + ubar @ self.g.T + self.bias + injected  # what the neurons see
-        return phi(self.neurons, z) - phi(self.neurons, self.bias)
+        return evaluate_activations(self.neurons, z) - evaluate_activations(self.neurons, self.bias)
 
     def advance(self, x: State, ubar: Lifted, injected: Injected = 0.0) -> State:
-        """Next state `x+ = A x + B v + E w`. `injected` is as in `inner`."""
-        return x @ self.a.T + ubar @ self.b.T + self.inner(x, ubar, injected) @ self.e.T
+        """Next state `x+ = A x + B v + E w`. `injected` is as in `neuron_outputs`."""
+        return x @ self.a.T + ubar @ self.b.T + self.neuron_outputs(x, ubar, injected) @ self.e.T
 
-    def read_scaled(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
+    def scaled_output_at(self, x: State, ubar: Lifted) -> Float[np.ndarray, "*batch p"]:
         """Scaled output `S_y(C x + D v + H w)`."""
-        return self.scaffold_out(x @ self.c.T + ubar @ self.d.T + self.inner(x, ubar) @ self.h.T)
+        return self.scaffold_out(
+            x @ self.c.T + ubar @ self.d.T + self.neuron_outputs(x, ubar) @ self.h.T
+        )
 
-    def run(
+    def simulate_mapped(
         self, ubar: Float[np.ndarray, "*batch T mbar"], x0: State | None = None
     ) -> tuple[Outputs, Float[np.ndarray, "*batch T1 n"]]:
         """Simulate the recurrence for a mapped input sequence. `C x + D v + H w`, compiled, and
         the states, of which there is one more: that after the last sample."""
-        from ssm_study.models.structured_kernel import free_run
+        from ssm_study.models.structured_kernel import simulate_compiled
 
         batch = ubar.shape[:-2]
         samples = ubar.shape[-2]
@@ -201,44 +208,45 @@ class StructuredSSM(ScaffoldedModel):
         )  # no broadcast view: numba compiles anew for what is read-only
         v = np.ascontiguousarray(ubar.reshape(-1, samples, ubar.shape[-1]), dtype=np.float64)
         matrices = self.matrices if ubar.shape[-1] == self.b.shape[1] else self.driven_matrices
-        ybar, states = free_run(matrices, v, start.reshape(-1, self.order))
+        ybar, states = simulate_compiled(matrices, v, start.reshape(-1, self.order))
         return ybar.reshape(*batch, samples, -1), states.reshape(*batch, samples + 1, -1)
 
-    def delayed(self, samples: int) -> "StructuredSSM":
+    def with_dead_time(self, samples: int) -> "StructuredSSM":
         """Append a dead time to the model's input. The model behind a dead time: the neurons see
         the input that many samples late, too."""
         n, m = self.b.shape
         line = DelayLine(states=n, channels=m, samples=samples)
-        idle = np.zeros((line.waiting, len(self.neurons)))
+        idle = np.zeros((line.state_count, len(self.neurons)))
         return replace(
             self,
             a=line.state_matrix(self.a, self.b),
             b=line.input_matrix(),
-            c=line.widened(self.c, self.d),
+            c=line.widen_rows(self.c, self.d),
             d=np.zeros_like(self.d),
             e=np.vstack([self.e, idle]),
-            f=line.widened(self.f, self.g),
+            f=line.widen_rows(self.f, self.g),
             g=np.zeros_like(self.g),
-            b_d=line.lengthened(self.b_d),
+            b_d=line.lengthen_columns(self.b_d),
         )
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> "StructuredSSM":
-        """Read a stored model. One of one layer has q = 0. Raises as `Explicit` does."""
+        """Read a structured model from its JSON form. One of one layer has q = 0. Raises as
+        `Explicit` does."""
         if data.get("neurons"):
             return super().from_json(data)
         plain = vars(SSM.from_json(data))
         parts = vars(plain.pop("linear"))
         (n, m), p = parts["b"].shape, len(parts["c"])
-        none: Any = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
+        none: Any = {name: np.zeros(shape) for name, shape in matrix_shapes(n, m, p, 0).items()}
         return cls(**none | parts, **plain, neurons=())
 
 
 Model = SSM | StructuredSSM  # of one layer, or with neurons in the recurrence: what is certified
 
 
-def at_rest(model: Model) -> StateSpace:
-    """Linear recurrence of the model, neurons replaced by their slopes at the equilibrium."""
+def linearise_at_equilibrium(model: Model) -> StateSpace:
+    """Linear recurrence in which the neurons are replaced by their slopes at the equilibrium."""
     if isinstance(model, SSM):
         return model.linear
-    return model.linearised(np.zeros(model.order), np.zeros(model.b.shape[1]))
+    return model.linearise_at(np.zeros(model.order), np.zeros(model.b.shape[1]))

@@ -18,12 +18,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ssm_study.compilation import compile_with_numba
-from ssm_study.models.matrix_shapes import shapes
+from ssm_study.models.matrix_shapes import matrix_shapes
 
 
-class Matrices(NamedTuple):
-    """Matrices of a recurrence with neurons, for compiled code. `a (n, n), b (n, m), c (p, n), d
-    (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
+class KernelMatrices(NamedTuple):
+    """Matrices of a recurrence with neurons in the form that compiled code takes. `a (n, n), b (n,
+    m), c (p, n), d (p, m), e (n, q), f (q, n), g (q, m), h (p, q)`, `bias (q,)`, `kinds (q,)`."""
 
     a: Float[np.ndarray, "n n"]
     b: Float[np.ndarray, "n m"]
@@ -37,9 +37,9 @@ class Matrices(NamedTuple):
     kinds: Int[np.ndarray, "q"]
 
     @classmethod
-    def of(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "Matrices":
-        """Make contiguous copies of the matrices by name. For any other layout numba would compile
-        everything once more."""
+    def from_parts(cls, parts: Mapping[str, Any], kinds: Int[np.ndarray, "q"]) -> "KernelMatrices":
+        """Make the matrices for compiled code from named arrays. For any other layout numba would
+        compile everything once more."""
         arrays = (np.array(parts[name], dtype=np.float64, order="C") for name in cls._fields[:-1])
         return cls._make((*arrays, kinds))
 
@@ -67,9 +67,10 @@ def activation_and_slope(code, z):
 
 @compile_with_numba
 @no_type_check
-def _neurons(
+def _evaluate_neurons(
     k, still, x, v, w, slope
 ):  # Fill w and the slopes at state x and lifted input v; still is phi(b)
+    """Compute the outputs and slopes of all neurons at one sample, in place."""
     for i in range(w.shape[0]):
         z = k.bias[i]
         for j in range(x.shape[0]):
@@ -82,7 +83,8 @@ def _neurons(
 
 @compile_with_numba
 @no_type_check
-def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + inner w
+def _apply_matrices(state, through, inner, x, v, w, out):  # out = state x + through v + inner w
+    """Compute the next state or the output from state, input and neuron outputs, in place."""
     for i in range(out.shape[0]):
         total = 0.0
         for j in range(x.shape[0]):
@@ -96,9 +98,9 @@ def _rows(state, through, inner, x, v, w, out):  # out = state x + through v + i
 
 @compile_with_numba
 @no_type_check
-def free_run(k, v, x0):
-    """Simulate the recurrence in compiled code. `(ybar (N, T, p), states (N, T + 1, n))`: the
-    states include the one after the last sample."""
+def simulate_compiled(k, v, x0):
+    """Simulate the recurrence with neurons in compiled code. `(ybar (N, T, p), states (N, T + 1,
+    n))`: the states include the one after the last sample."""
     records = v.shape[0]
     samples = v.shape[1]
     ybar = np.empty((records, samples, k.c.shape[0]))
@@ -107,33 +109,33 @@ def free_run(k, v, x0):
     w = np.empty(q)
     slope = np.empty(q)
     still = np.zeros(q)
-    _neurons(
+    _evaluate_neurons(
         k, still, np.zeros(k.a.shape[0]), np.zeros(v.shape[2]), still, slope
     )  # phi(b): at rest
     for r in range(records):
         states[r, 0] = x0[r]
         for t in range(samples):
-            _neurons(
+            _evaluate_neurons(
                 k, still, states[r, t], v[r, t], w, slope
             )  # w[t] first: output and next state share it
-            _rows(k.c, k.d, k.h, states[r, t], v[r, t], w, ybar[r, t])
-            _rows(k.a, k.b, k.e, states[r, t], v[r, t], w, states[r, t + 1])
+            _apply_matrices(k.c, k.d, k.h, states[r, t], v[r, t], w, ybar[r, t])
+            _apply_matrices(k.a, k.b, k.e, states[r, t], v[r, t], w, states[r, t + 1])
     return ybar, states
 
 
-def split(
+def split_blocks(
     sizes: dict[str, tuple[int, ...]], j: Float[np.ndarray, "*batch P"]
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Cut an array into blocks by their sizes. The last axis cut into blocks of these shapes, in
-    their order."""
+    """Cut the last axis of an array into blocks of given sizes. The last axis cut into blocks of
+    these shapes, in their order."""
     *ends, _ = accumulate(map(prod, sizes.values()))
     return dict(zip(sizes, np.split(j, ends, axis=-1), strict=True))
 
 
 @compile_with_numba
 @no_type_check
-def _row(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
-    """Add one sample's contribution to the sensitivity of one state or output to all parameters. It
+def _add_sample_sensitivity(row, weights, s, inner, scaled, through, here, basis, channel, own, at):
+    """Add one sample's contribution to the derivatives of one state or output by all parameters. It
     comes from `weights s`, from this row's own entries (from `own` on), and from the neurons.
 
     `here = (x, v, w, slope, rest)` with the neurons' slopes; `at` are the first columns of f, g,
@@ -172,34 +174,35 @@ BLOCKS = (
 )  # what moves the states first
 
 
-def sensitivities(
-    k: Matrices,
+def simulate_with_sensitivities(
+    k: KernelMatrices,
     v: Float[np.ndarray, "N T m"],
     x0: Float[np.ndarray, "N n"],
     moved: Float[np.ndarray, "N T K"],
     channel: Int[np.ndarray, "K"],
 ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-    """Simulated output and its derivatives by the parameters, in compiled code. `ybar`, and its
+    """Simulated output and its derivatives by all parameters, in compiled code. `ybar`, and its
     derivatives by each of `BLOCKS`, flattened by rows.
 
     Parameter j of `scaffold_in` moves the lifted input of `channel[j]` by `moved[., ., j]` per
     unit; `x0` is the own record's.
     """
     n, m = k.b.shape
-    sizes = shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
+    sizes = matrix_shapes(n, m, len(k.c), len(k.bias)) | {"scaffold_in": channel.shape, "x0": (n,)}
     sizes = {name: sizes[name] for name in BLOCKS}
     places = tuple(accumulate(map(prod, sizes.values()), initial=0))
-    ybar, j = _sensitivities(
+    ybar, j = _sensitivity_loop(
         k, np.ascontiguousarray(v), x0, np.ascontiguousarray(moved), channel, places
     )
-    return ybar, split(sizes, j)
+    return ybar, split_blocks(sizes, j)
 
 
 @compile_with_numba
 @no_type_check
-def _sensitivities(k, v, x0, basis, channel, places):
-    """Compiled loop of `sensitivities` over the samples. A state parameter keeps `dx` in one row of
-    `s`; what drives it is sparse and is added by its place."""
+def _sensitivity_loop(k, v, x0, basis, channel, places):
+    """Compiled loop over records and samples for the output's derivatives by the parameters. A
+    state parameter keeps `dx` in one row of `s`; what drives it is sparse and is added by its
+    place."""
     records, samples, m = v.shape
     n = k.a.shape[0]
     p = k.c.shape[0]
@@ -212,7 +215,7 @@ def _sensitivities(k, v, x0, basis, channel, places):
     slope = np.empty(q)
     still = np.zeros(q)
     rest = np.empty(q)
-    _neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
+    _evaluate_neurons(k, still, np.zeros(n), np.zeros(m), still, rest)
     es = np.empty((n, q))
     hs = np.empty((p, q))
     turn = np.empty((n, n))
@@ -226,14 +229,14 @@ def _sensitivities(k, v, x0, basis, channel, places):
         moved = np.empty((n, at_c))
         s[:, at_x0:at_c] = np.eye(n)  # dx / dx0 at the first sample
         for t in range(samples):
-            _neurons(k, still, x, v[r, t], w, slope)
-            _rows(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
-            _closed(k.a, k.b, k.e, k.f, k.g, slope, es, turn, push)
-            _closed(k.c, k.d, k.h, k.f, k.g, slope, hs, read, through)
+            _evaluate_neurons(k, still, x, v[r, t], w, slope)
+            _apply_matrices(k.c, k.d, k.h, x, v[r, t], w, ybar[r, t])
+            _linearise_at_slopes(k.a, k.b, k.e, k.f, k.g, slope, es, turn, push)
+            _linearise_at_slopes(k.c, k.d, k.h, k.f, k.g, slope, hs, read, through)
             here = (x, v[r, t], w, slope, rest)
             for o in range(p):
                 own = (at_c + o * n, at_d + o * m, at_h + o * q)
-                _row(
+                _add_sample_sensitivity(
                     out[r, t, o],
                     read[o],
                     s,
@@ -249,7 +252,7 @@ def _sensitivities(k, v, x0, basis, channel, places):
             moved[:] = 0.0
             for i in range(n):
                 own = (i * n, at_b + i * m, at_e + i * q)
-                _row(
+                _add_sample_sensitivity(
                     moved[i],
                     turn[i],
                     s,
@@ -263,16 +266,16 @@ def _sensitivities(k, v, x0, basis, channel, places):
                     at,
                 )
             s, moved = moved, s  # two buffers, swapped: no allocation in the loop
-            _rows(k.a, k.b, k.e, x, v[r, t], w, ahead)
+            _apply_matrices(k.a, k.b, k.e, x, v[r, t], w, ahead)
             x, ahead = ahead, x
     return ybar, out
 
 
 @compile_with_numba
 @no_type_check
-def _closed(state, through, inner, f, g, slope, scaled, by_state, by_input):
-    """Linearise the recurrence at frozen slopes S, in place: `scaled = inner S, by_state = state +
-    inner S f, by_input = through + inner S g`."""
+def _linearise_at_slopes(state, through, inner, f, g, slope, scaled, by_state, by_input):
+    """Linearise the recurrence at given slopes of its neurons, in place. `scaled = inner S,
+    by_state = state + inner S f, by_input = through + inner S g`."""
     for i in range(state.shape[0]):
         for u in range(slope.shape[0]):
             scaled[i, u] = inner[i, u] * slope[u]

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 from ssm_study.models.scaffolds.linear import Linear, LinearScaffold
 from ssm_study.models.scaffolds.monotone import Monotone, MonotoneScaffold
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.models.spec import ModelSpec, SSMSpec, check_slopes, require_whole_number
-from ssm_study.models.structured import codes
+from ssm_study.models.spec import ModelSpec, SSMSpec, check_slope_bounds, require_whole_number
+from ssm_study.models.structured import activation_codes
 from ssm_study.refusal import require, require_at_least, require_one_of
 
 AUTO = "auto"  # chosen from the records
@@ -42,9 +42,9 @@ Signals = Float[np.ndarray, "*batch c"]
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """Trainable piecewise-linear map with written-out derivatives. `S_c(v) = int_0^v s_c`, slopes
-    `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
+class TrainablePieces:
+    """Trainable piecewise-linear static map with written-out derivatives. `S_c(v) = int_0^v s_c`,
+    slopes `s = lower + (upper - lower) / (1 + exp(-free))` between the sorted `points`.
 
     Its parameters in order: `free (c, h + 1)`, then `points (c, h)`; without break points (`knots`)
     the identity, which has none. Behind the channels come `passed` ones that pass as they are:
@@ -58,8 +58,8 @@ class Pieces:
     passed: int = 0
 
     @property
-    def owners(self) -> Int[np.ndarray, "P"]:
-        """Index of the channel to which each parameter belongs."""
+    def parameter_channels(self) -> Int[np.ndarray, "P"]:
+        """Index of the channel to which each parameter of the map belongs."""
         each = np.arange(self.channels)
         knots = self.knots
         return (
@@ -68,9 +68,9 @@ class Pieces:
             else each[:0]
         )
 
-    def start(self, samples: Float[np.ndarray, "N c"]) -> Free:
-        """Initial parameters with all slopes equal and the break points evenly spaced over the
-        range of the samples. The points keep off the ends, which are seldom visited."""
+    def initial_parameters(self, samples: Float[np.ndarray, "N c"]) -> Free:
+        """Initial parameters of the map, with equal slopes and evenly spaced break points. The
+        points keep off the ends, which are seldom visited."""
         if not self.knots:
             return np.zeros(0)
         low = samples[:, : self.channels].min(axis=0)
@@ -78,7 +78,7 @@ class Pieces:
         points = low + (high - low) * (np.arange(self.knots) + 0.5)[:, None] / self.knots
         return np.concatenate([np.zeros(self.channels * (self.knots + 1)), points.T.ravel()])
 
-    def _explicit(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _slopes_and_points(self, theta: Free) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Slopes, their derivatives by the free parameters, and the sorted break points. Each has
         one row a channel."""
         split = self.channels * (self.knots + 1)
@@ -95,8 +95,8 @@ class Pieces:
     def derivatives(
         self, theta: Free, v: Signals
     ) -> tuple[Signals, Signals, Float[np.ndarray, "*batch P"]]:
-        """Evaluate the map and its derivatives. `S(v)`, its slope at v, and what each parameter
-        does to the channel that it belongs to.
+        """Evaluate the map, its slopes, and its derivatives by the parameters. `S(v)`, its slope at
+        v, and what each parameter does to the channel that it belongs to.
 
         `dS/ds_j` is the signed length of `[0, v]` within piece j; `dS/dt_j = s_j - s_{j+1}` where
         t_j lies between 0 and v, negative where v < 0.
@@ -107,7 +107,9 @@ class Pieces:
         at = np.ones_like(v)
         frees = []
         moves = []
-        for c, (slopes, by_free, points) in enumerate(zip(*self._explicit(theta), strict=True)):
+        for c, (slopes, by_free, points) in enumerate(
+            zip(*self._slopes_and_points(theta), strict=True)
+        ):
             order = np.argsort(points, kind="stable")
             ends = np.concatenate([[-np.inf], points[order], [np.inf]])
             x = v[..., c, None]
@@ -124,26 +126,26 @@ class Pieces:
         return values, at, np.concatenate([*frees, *moves], axis=-1)
 
     def values(self, theta: Free, v: Signals) -> Signals:
-        """Value `S(v)` of the map, followed by the channels that pass unchanged."""
+        """Values of the map, followed by the channels that pass unchanged."""
         mapped = self.freeze(theta)(v[..., : self.channels])
         return np.concatenate([mapped, v[..., self.channels :]], axis=-1) if self.passed else mapped
 
     def freeze(self, theta: Free) -> Scaffold:
-        """Explicit static map of the channels that do not pass unchanged."""
+        """Trained map as explicit numbers, for the channels that do not pass unchanged."""
         if not self.knots:
             return LinearScaffold.identity(self.channels)
-        slopes, _, points = self._explicit(theta)
+        slopes, _, points = self._slopes_and_points(theta)
         return MonotoneScaffold(breakpoints=np.sort(points, axis=1), slopes=slopes)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredSpec(ModelSpec):
-    """Settings of the structured model. `x+ = A x + B v + E w,  w = phi(F x + G v + b) - phi(b),  y
-    = S_y(C x + D v + H w),  v = S_u(u)`.
+    """Settings of the structured model. `x+ = A x + B v + E w, w = phi(F x + G v + b) - phi(b), y =
+    S_y(C x + D v + H w), v = S_u(u)`.
 
     What each setting does: conf/model/structured.yaml and docs/models.md. `among_starts` takes one
-    of the results of several trainings (`at_start`), null that of the best validation fit. Source:
-    docs/theory.md, "With neurons".
+    of the results of several trainings (`for_training_run`), null that of the best validation fit.
+    Source: docs/theory.md, "With neurons".
     """
 
     gives_ssm: ClassVar[bool] = True
@@ -178,10 +180,10 @@ class StructuredSpec(ModelSpec):
         require_one_of((True, False, AUTO), "model.feedthrough", self.feedthrough)
         require_one_of((True, False, AUTO), "model.integrating_output", self.integrating_output)
         if self.neurons != AUTO:
-            codes(self.each)
+            activation_codes(self.neuron_kinds)
         require_one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
         require_one_of(("none", "free"), "model.output_path", self.output_path)
-        check_slopes(self.slope_lower, self.slope_upper)
+        check_slope_bounds(self.slope_lower, self.slope_upper)
         inside = self.rate is None or 0 < self.rate <= 1
         require(
             inside,
@@ -218,46 +220,48 @@ class StructuredSpec(ModelSpec):
         )
 
     @property
-    def each(self) -> tuple[str, ...]:
-        """Kind of each neuron."""
+    def neuron_kinds(self) -> tuple[str, ...]:
+        """Kind of activation of each neuron."""
         kinds = [self.kinds] if isinstance(self.kinds, str) else list(self.kinds)
         require(len(kinds) > 0, "model.kinds", kinds, "names no kind of neuron", "use tanh")
         return tuple(kinds[i % len(kinds)] for i in range(int(self.neurons)))
 
     @property
-    def automatic(self) -> tuple[str, ...]:
+    def automatic_settings(self) -> tuple[str, ...]:
         """Names of the settings that are chosen from the records."""
         return tuple(name for name in AUTOMATIC if getattr(self, name) == AUTO)
 
     @property
-    def trainings(self) -> int:
-        """Number of trainings. It is `starts`, one more with `among_starts`, and at least as many
-        as `members` need."""
+    def training_count(self) -> int:
+        """Number of trainings from different initial parameters. It is `starts`, one more with
+        `among_starts`, and at least as many as `members` need."""
         return max(self.starts + (self.among_starts is not None), self.members)
 
-    def at_start(self, start: int) -> "StructuredSpec":
-        """Settings for training number `start` of several. With `among_starts` each odd k and the
-        last have half the states, the last no neurons.
+    def for_training_run(self, start: int) -> "StructuredSpec":
+        """Settings for training number `initial_parameters` of several. With `among_starts` each
+        odd k and the last have half the states, the last no neurons.
 
         More can be certified of such models, where they suffice.
         """
         if self.among_starts is None:
             return self
-        last = start == self.trainings - 1
+        last = start == self.training_count - 1
         smaller = replace(self, order=(int(self.order) + 1) // 2) if start % 2 or last else self
         return replace(smaller, neurons=0, integrating_output=False) if last else smaller
 
-    def maps(self, channels: tuple[int, int], disturbances: int = 0) -> tuple[Pieces, Pieces]:
-        """Trainable maps S_u and S_y for this many inputs and outputs. Measured disturbances pass
+    def build_maps(
+        self, channels: tuple[int, int], disturbances: int = 0
+    ) -> tuple[TrainablePieces, TrainablePieces]:
+        """Trainable input and output maps for given numbers of channels. Measured disturbances pass
         S_u unchanged."""
         lower = self.slope_lower
         upper = self.slope_upper
-        lift = Pieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
-        read = Pieces(channels[1], self.output_knots, lower, upper)
+        lift = TrainablePieces(channels[0], int(self.knots), lower, upper, passed=disturbances)
+        read = TrainablePieces(channels[1], self.output_knots, lower, upper)
         return lift, read
 
-    def one_layer(self) -> SSMSpec:
-        """Settings of the model without neurons, trained as `model=ssm` is."""
+    def without_neurons(self) -> SSMSpec:
+        """Settings of the same model without neurons, trained as `model=ssm` is."""
         inward, outward = (
             Monotone() if knots else Linear() for knots in (self.knots, self.output_knots)
         )
@@ -267,6 +271,6 @@ class StructuredSpec(ModelSpec):
         return SSMSpec(hidden_width=width, scaffold_in=inward, scaffold_out=outward, **shared)
 
     def build(self, data: Any, seed: int) -> Any:  # noqa: ARG002
-        """Refuse to build a torch model, with `TypeError`. A structured model has a training of its
-        own (`training.structured_fit`)."""
+        """Refuse to build a torch model, since a structured model is trained without torch. A
+        structured model has a training of its own (`training.structured_fit`)."""
         raise TypeError("it has a training of its own")

@@ -28,9 +28,9 @@ Complex2 = Complex[Tensor, "*r n"]  # n2 = 2 n: real and imaginary parts
 _AGES = torch.arange(CHUNK + 1, dtype=torch.float64)[:, None]
 
 
-class Chunks(torch.autograd.Function):
-    """Simulate a linear recurrence in blocks of 64 samples. Blocks of 64 samples, their products
-    and a scan of the states between; shapes as above, `x0 (e, n)` or None.
+class ChunkedRecurrence(torch.autograd.Function):
+    """Simulation of a linear recurrence in blocks of 64 samples, with its gradient. Blocks of 64
+    samples, their products and a scan of the states between; shapes as above, `x0 (e, n)` or None.
 
         y_q = U_q T + Re(X_q W),    X_{q+1} = lambda^64 X_q + U_q G          (rows: records; q
         counts blocks)
@@ -49,35 +49,37 @@ class Chunks(torch.autograd.Function):
             torch.complex128
         )  # in which powers are taken: a phase grows with its sample
         power = torch.exp(_AGES.to(u.device) * rate).to(decay.dtype)  # lambda^k, k = 0 ... 64
-        lift = _real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
-        read = _real((power[:-1, None] * c).flatten(0, 1).conj_physical())
-        within = _toeplitz(d, read, _real(b.mT.contiguous()))
-        blocks = _blocks(u)
+        lift = _as_real((power[:-1].flip(0)[:, None] * b.mT).flatten(0, 1))
+        read = _as_real((power[:-1, None] * c).flatten(0, 1).conj_physical())
+        within = _toeplitz_table(d, read, _as_real(b.mT.contiguous()))
+        blocks = _split_into_blocks(u)
         members = (
             math.isqrt(len(blocks) - 1) + 1
         )  # as many powers of lambda^64 as a group of the scan has
         steps = torch.arange(1, members + 1, device=u.device)[:, None, None]
         turns = torch.exp(steps * (rate * CHUNK)).to(decay.dtype)
-        x = _scan(turns, _complex(blocks @ lift), x0)  # the state at the start of each block
-        y = (blocks @ within).view(-1, within.shape[1]).addmm_(_real(x).flatten(0, 1), read.mT)
+        x = _scan_blocks(
+            turns, _as_complex(blocks @ lift), x0
+        )  # the state at the start of each block
+        y = (blocks @ within).view(-1, within.shape[1]).addmm_(_as_real(x).flatten(0, 1), read.mT)
         ctx.save_for_backward(turns, power, b, c, lift, read, within, blocks, x)
         ctx.samples = u.shape[1]
         ctx.starts_moving = x0 is not None
-        return _signal(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
+        return _join_blocks(y.view(*blocks.shape[:2], -1), ctx.samples, len(d))
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)
-        errors = _blocks(upstream[0])
+        errors = _split_into_blocks(upstream[0])
         inputs = blocks.flatten(0, 1)
-        states = _real(x).flatten(0, 1)
-        reached = _complex(errors @ read)
-        later = _scan(turns.conj_physical(), reached.flip(0), None).flip(
+        states = _as_real(x).flatten(0, 1)
+        reached = _as_complex(errors @ read)
+        later = _scan_blocks(turns.conj_physical(), reached.flip(0), None).flip(
             0
         )  # the loss by the inputs to the states
-        pushed = _real(later).flatten(0, 1)
+        pushed = _as_real(later).flatten(0, 1)
         errors = errors.flatten(0, 1)  # adjoint of the states, rows by block
         d_u = (
             (errors @ within.mT).addmm_(pushed, lift.mT).view(blocks.shape)
@@ -86,13 +88,13 @@ class Chunks(torch.autograd.Function):
         )
         d_g = _diagonal_sums(inputs.mT @ errors, p, m)  # by the impulse response g
         tail = d_g[1:].reshape(-1, m)  # g[0] = D alone, g[k] = Re(C lambda^(k-1) B)
-        d_lift = _complex((inputs.mT @ pushed).view(CHUNK, m, -1)).flip(0)
+        d_lift = _as_complex((inputs.mT @ pushed).view(CHUNK, m, -1)).flip(0)
         d_read = errors.mT @ states
-        d_read[:-p].addmm_(tail, _real(b.mT.contiguous()))
-        d_read = _complex(d_read.view(CHUNK, p, -1)).conj_physical()
+        d_read[:-p].addmm_(tail, _as_real(b.mT.contiguous()))
+        d_read = _as_complex(d_read.view(CHUNK, p, -1)).conj_physical()
         power_conj = power.conj_physical()
         d_turn = (x.conj() * later).sum((0, 1))
-        d_b = (power_conj[:-1, None] * d_lift).sum(0) + _complex(tail.mT @ read[:-p])
+        d_b = (power_conj[:-1, None] * d_lift).sum(0) + _as_complex(tail.mT @ read[:-p])
         d_c = (power_conj[:-1, None] * d_read).sum(0)
         d_power = torch.cat(
             [(d_lift * b.mT.conj()).sum(1) + (d_read * c.conj()).sum(1), d_turn[None]]
@@ -106,53 +108,58 @@ class Chunks(torch.autograd.Function):
             d_b.mT,
             d_c,
             d_g[0],
-            None if d_u is None else _signal(d_u, ctx.samples, m),
+            None if d_u is None else _join_blocks(d_u, ctx.samples, m),
             d_x0,
         )
 
 
-def _real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
+def _as_real(table: Complex2) -> Real2:  # Real and imaginary parts side by side, without a copy
+    """View complex numbers as real and imaginary parts side by side."""
     return torch.view_as_real(table).flatten(-2)
 
 
-def _complex(table: Real2) -> Complex2:
+def _as_complex(table: Real2) -> Complex2:
+    """View pairs of real and imaginary parts as complex numbers."""
     return torch.view_as_complex(table.view(*table.shape[:-1], -1, 2))
 
 
-def _toeplitz(
+def _toeplitz_table(
     d: Float[Tensor, "p m"], read: Float[Tensor, "kp n2"], b: Float[Tensor, "m n2"]
 ) -> Tensor:
-    """Block Toeplitz table `T[(j, input), (k, output)] = g[output, input, k - j]`, zero above the
-    diagonal of time."""
+    """Block Toeplitz matrix of an impulse response. `T[(j, input), (k, output)] = g[output, input,
+    k - j]`."""
     p, m = d.shape
     g = torch.cat([d.new_zeros(CHUNK - 1, p, m), d[None], (read[:-p] @ b.mT).view(-1, p, m)])
     return g.unfold(0, CHUNK, 1).flip(0).permute(0, 2, 3, 1).reshape(CHUNK * m, CHUNK * p)
 
 
 def _diagonal_sums(table: Float[Tensor, "sm sp"], p: int, m: int) -> Float[Tensor, "s p m"]:
-    """Sums along the diagonals of a block Toeplitz table, the adjoint of `_toeplitz`. Rows of
-    length 2 s - 1 instead of 2 s put a diagonal into a column."""
+    """Sums along the diagonals of a block Toeplitz matrix. Rows of length 2 s - 1 instead of 2 s
+    put a diagonal into a column."""
     flipped = table.view(CHUNK, m, CHUNK, p).permute(1, 3, 0, 2).flip(2)
     skewed = torch.nn.functional.pad(flipped, (0, CHUNK)).flatten(2)[..., :-CHUNK]
     return skewed.unflatten(2, (CHUNK, -1)).sum(2)[..., CHUNK - 1 :].permute(2, 1, 0)
 
 
-def _blocks(
+def _split_into_blocks(
     signal: Float[Tensor, "e T m"],
 ) -> Float[Tensor, "q e sm"]:  # Blocks of samples first, filled up with zeros
+    """Split a signal into blocks of samples, padded with zeros."""
     filled = torch.nn.functional.pad(signal, (0, 0, 0, -signal.shape[1] % CHUNK))
     return filled.unflatten(1, (-1, CHUNK)).transpose(0, 1).flatten(2).contiguous()
 
 
-def _signal(blocks: Float[Tensor, "q e sp"], samples: int, channels: int) -> Float[Tensor, "e T p"]:
-    """Signal of blocks of samples, the inverse of `_blocks`."""
+def _join_blocks(
+    blocks: Float[Tensor, "q e sp"], samples: int, channels: int
+) -> Float[Tensor, "e T p"]:
+    """Join blocks of samples to one signal."""
     return blocks.unflatten(2, (CHUNK, channels)).transpose(0, 1).flatten(1, 2)[:, :samples]
 
 
-def _scan(
+def _scan_blocks(
     turns: Complex[Tensor, "s 1 n"], rise: Complex[Tensor, "q e n"], x0: Tensor | None
 ) -> Tensor:
-    """Step a diagonal recurrence from block to block. `x[0] = x0`, `x[k+1] = lambda x[k] +
+    """Advance a diagonal recurrence from block to block. `x[0] = x0`, `x[k+1] = lambda x[k] +
     rise[k]`: s steps in all groups of s at once, then from group to group."""
     groups = -(-len(rise) // len(turns))
     x = rise.new_zeros(groups * len(turns), *rise.shape[1:])
@@ -182,8 +189,8 @@ Tables = tuple[Complex[Tensor, "s n"], Complex[Tensor, "q n"]]
 
 @dataclass(frozen=True, kw_only=True)
 class ModalForm:
-    """Linear recurrence in modal coordinates. The recurrence in explicit modal parameters;
-    `decay = log(lambda)` with negative real part."""
+    """Linear recurrence in modal coordinates. The recurrence in explicit modal parameters; `decay =
+    log(lambda)` with negative real part."""
 
     decay: Complex[Tensor, "n"]
     b: Complex[Tensor, "n m"]
@@ -191,59 +198,60 @@ class ModalForm:
     d: Float[Tensor, "p m"]
 
 
-def end_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
-    """State after the last sample, `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B u[j]`."""
+def final_state(modes: ModalForm, u: Input, x0: Modal | None = None) -> Modal:
+    """Modal state after the last sample of an input. `x[T] = lambda^T x0 + sum_j lambda^(T-1-j) B
+    u[j]`."""
     samples = u.shape[1]
     rate = modes.decay.to(torch.complex128)
-    ages = powers(rate, samples).flip(0).to(modes.b.dtype)
+    ages = mode_powers(rate, samples).flip(0).to(modes.b.dtype)
     moments = torch.complex(u.transpose(1, 2) @ ages.real, u.transpose(1, 2) @ ages.imag)
     x = (moments * modes.b.T).sum(1)
     return x if x0 is None else x + torch.exp(rate * samples).to(x.dtype) * x0
 
 
-def by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
+def simulate_by_convolution(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
     """Simulate a linear recurrence by FFT convolution. `y = g * u` by real transforms of a fast
     length; differentiable forward, vectorised and any number of times."""
     (p, m), samples = modes.d.shape, u.shape[1]
-    both = tables(modes.decay, samples)
+    both = power_tables(modes.decay, samples)
     length = next_fast_len(2 * samples - 1, real=True)
     weights = (modes.c[:, None] * modes.b.mT).flatten(
         0, 1
     )  # C_i B_i, one row per pair of output and input
-    tail = power_sums(weights, both)[:, : samples - 1]
+    tail = modal_impulse_response(weights, both)[:, : samples - 1]
     g = torch.cat([modes.d.flatten()[:, None], tail], 1).view(p, m, -1)
     spectrum = torch.fft.rfft(g, n=length)
     lifted = torch.fft.rfft(u.mT, n=length)
     y = torch.fft.irfft(torch.einsum("pmf,emf->epf", spectrum, lifted), n=length)[..., :samples]
     if x0 is not None:
-        free = power_sums((x0[:, None] * modes.c).flatten(0, 1), both)[:, :samples]
+        free = modal_impulse_response((x0[:, None] * modes.c).flatten(0, 1), both)[:, :samples]
         y = y + free.unflatten(0, (len(x0), -1))
     return y.mT
 
 
 def simulate_in_chunks(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence by blocks of samples. Blocks of 64 samples as matrix
-    products; the states between blocks follow the same law, 64 times slower."""
-    return Chunks.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
+    """Simulate a linear recurrence in blocks of samples. Blocks of 64 samples as matrix products;
+    the states between blocks follow the same law, 64 times slower."""
+    return ChunkedRecurrence.apply(modes.decay, modes.b, modes.c, modes.d, u, x0)
 
 
-def tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
-    """Tables whose products are the powers of the modes. `F_ri = lambda_i^r` and `C_qi =
-    lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
+def power_tables(decay: Complex[Tensor, "n"], samples: int) -> Tables:
+    """Tables whose products are the powers of the modes up to a number of samples. `F_ri =
+    lambda_i^r` and `C_qi = lambda_i^(s q)`, so that `lambda^k = C_q F_r` with `k = q s + r`.
 
     About sqrt(samples) rows each; the powers are taken in complex128.
     """
     short = math.isqrt(samples - 1) + 1
     rate = decay.to(torch.complex128)
-    return powers(rate, short).to(decay.dtype), powers(rate * short, -(-samples // short)).to(
-        decay.dtype
-    )
+    return mode_powers(rate, short).to(decay.dtype), mode_powers(
+        rate * short, -(-samples // short)
+    ).to(decay.dtype)
 
 
-def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
-    """Powers `exp(rate)^k` of the modes, one row for each k from 0 to `count - 1`. Large tables are
-    made by doubling, nine times cheaper than the exponentials. count - 1; large tables by doubling,
-    nine times cheaper than the exponentials."""
+def mode_powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]:
+    """Powers of the modes, one row for each exponent. Large tables are made by doubling, nine times
+    cheaper than the exponentials. count - 1; large tables by doubling, nine times cheaper than the
+    exponentials."""
     if count * len(rate) <= FEW_POWERS:
         return torch.exp(torch.arange(count, device=rate.device)[:, None] * rate)
     step = torch.exp(rate)[None]
@@ -254,9 +262,9 @@ def powers(rate: Complex[Tensor, "n"], count: int) -> Complex[Tensor, "count n"]
     return table[:count]
 
 
-def power_sums(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
-    """Impulse response as a weighted sum of powers of the modes. `Re sum_i weights_i lambda_i^k`
-    without a table of samples x n: one real product of the two tables."""
+def modal_impulse_response(weights: Complex[Tensor, "r n"], both: Tables) -> Float[Tensor, "r K"]:
+    """Impulse response of a modal form, as weighted sums of powers of its modes. `Re sum_i
+    weights_i lambda_i^k` without a table of samples x n: one real product of the two tables."""
     fine, coarse = both
     left = torch.view_as_real(weights[:, None, :] * coarse).flatten(-2)
     return (left @ torch.view_as_real(fine.conj().resolve_conj()).flatten(-2).mT).flatten(-2)
@@ -266,9 +274,8 @@ _FORWARD = ContextVar("derivatives are taken forward", default=False)
 
 
 @contextmanager
-def forward_derivatives() -> Iterator[None]:
-    """Context in which `respond` uses only operations that allow forward and vectorised
-    differentiation."""
+def allow_forward_derivatives() -> Iterator[None]:
+    """Context in which simulation uses only operations with forward-mode derivatives."""
     token = _FORWARD.set(True)
     try:
         yield
@@ -276,8 +283,10 @@ def forward_derivatives() -> Iterator[None]:
         _FORWARD.reset(token)
 
 
-def respond(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
-    """Simulate a linear recurrence by the fastest method. The faster of convolution and chunks
-    for this length and order; both are the same law."""
+def simulate_modal_form(modes: ModalForm, u: Input, x0: Modal | None = None) -> Output:
+    """Simulate a linear recurrence by the fastest available method. The faster of convolution and
+    chunks for this length and order; both are the same law."""
     few = len(modes.decay) <= CHUNKS_UP_TO_MODES and u.shape[1] >= CHUNKS_FROM_SAMPLES
-    return (simulate_in_chunks if few and not _FORWARD.get() else by_convolution)(modes, u, x0)
+    return (simulate_in_chunks if few and not _FORWARD.get() else simulate_by_convolution)(
+        modes, u, x0
+    )

@@ -12,7 +12,7 @@ Pieces = tuple[Tensor, Tensor, Tensor]
 
 
 class TorchScaffold(nn.Module):
-    """Static map as a torch module: the free parameters of a `Trainable` in float64.
+    """Trainable static map as a torch module.
 
     `spec` is that `Trainable`; `freeze()` returns the explicit parameters.
     """
@@ -30,16 +30,21 @@ class TorchScaffold(nn.Module):
             )
 
     def explicit(self) -> Any:
+        """Explicit parameters of the trainable map."""
         return self.spec.explicit(dict(self.named_parameters()), self.slopes)
 
     def forward(self, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
+        """Evaluate the trainable map at a batch of vectors."""
         return self.spec.evaluate(self.explicit(), v)
 
     def freeze(self) -> Any:
-        return self.spec.frozen(self.explicit(), self.slopes)
+        """Trained static map as explicit numbers."""
+        return self.spec.freeze(self.explicit(), self.slopes)
 
     def pieces(self) -> Pieces | None:
+        """Affine pieces of the map, if it is piecewise linear with one channel."""
         return self.spec.pieces(self.explicit())
 
     def roughness(self) -> Float[Tensor, ""]:
+        """Total variation of the map's slopes, for the training penalty."""
         return self.spec.roughness(self.explicit())

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from torch import Tensor, nn
 
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.torch_recurrence import ModalForm, end_state, respond
+from ssm_study.models.torch_recurrence import ModalForm, final_state, simulate_modal_form
 from ssm_study.models.torch_scaffold import TorchScaffold
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 FEW_LEVELS = 8  # mean hold from which evaluating once per level beats the sorted evaluation
 
 
-class Lift(nn.Module):
-    """Apply the input map to a fixed record. `S_u(u)` for one fixed `u (e, T, m)`, by the cheapest
-    of three exact ways; what they need is prepared once.
+class InputMapping(nn.Module):
+    """Module that applies the trainable input map to fixed records. `S_u(u)` for one fixed `u (e,
+    T, m)`, by the cheapest of three exact ways; what they need is prepared once.
 
     Held inputs repeat: once per distinct input vector, copied to where it occurs. One channel and a
     piecewise-linear map with h kinks: the sorted samples fall into h + 1 runs, each an affine map,
@@ -52,6 +52,7 @@ class Lift(nn.Module):
             self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, scaffold: TorchScaffold) -> Float[Tensor, "e T k"]:
+        """Apply the input map to the fixed records."""
         if self.levels:
             return scaffold(self.values)[self.where]
         pieces = scaffold.pieces() if self.sorts else None
@@ -64,7 +65,7 @@ class Lift(nn.Module):
         cuts = torch.nn.functional.pad(
             torch.nn.functional.pad(inner, (1, 0)), (0, 1), value=len(self.values)
         )
-        return _AffineRuns.apply(
+        return _PiecewiseEvaluation.apply(
             slopes, offsets, cuts.diff(), self.values, self.order, self.back
         ).view(self.u.shape)
 
@@ -74,9 +75,9 @@ Sample = Float[Tensor, "N"]
 Place = Int[Tensor, "N"]
 
 
-class _AffineRuns(torch.autograd.Function):
-    """Evaluate `y = slope_j u + offset_j` for sorted `u` in run j, and restore the order of
-    time."""
+class _PiecewiseEvaluation(torch.autograd.Function):
+    """Evaluation of a piecewise-linear map at sorted inputs, with its gradient. `y = slope_j u +
+    offset_j`."""
 
     @staticmethod
     def forward(
@@ -147,24 +148,26 @@ class LRU(nn.Module):
             b = torch.ones_like(b)
         else:
             b = b / gain
-        self.b_real, self.b_imag = _parts(b, self.reals, trained=not single)
-        self.c_real, self.c_imag = _parts(c.mT, self.reals, trained=True)
+        self.b_real, self.b_imag = _split_parameters(b, self.reals, trained=not single)
+        self.c_real, self.c_imag = _split_parameters(c.mT, self.reals, trained=True)
         self.disturbances = disturbances
         d = torch.from_numpy(start.d[:, : start.d.shape[1] - disturbances])
         self.d = nn.Parameter(d if feedthrough else torch.zeros_like(d), requires_grad=feedthrough)
 
     @property
     def order(self) -> int:
-        """Number of real states, one per real mode and two per pair."""
+        """Number of real states: one for each real mode and two for each complex pair."""
         return 2 * len(self.nu) - self.reals
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """Output of the recurrence from the equilibrium or from `x0`. The order of states is that
-        of `to_state_space`."""
-        return respond(self.modes(), u, None if x0 is None else self.initial_state(x0))
+        """Output of the linear recurrence for an input. The order of states is that of
+        `to_state_space`."""
+        return simulate_modal_form(
+            self.modal_form(), u, None if x0 is None else self.to_modal_state(x0)
+        )
 
-    def modes(self) -> ModalForm:
-        """Convert the free parameters to the explicit ones of the modal form."""
+    def modal_form(self) -> ModalForm:
+        """Explicit modal form of the recurrence from its free parameters."""
         damping = torch.exp(self.nu).clamp(min=LEAST_DAMPING)
         angle = torch.cat([self.flip, self.theta])  # 0 or pi for real modes
         gain = torch.sqrt(-torch.expm1(-2 * damping))[
@@ -173,21 +176,21 @@ class LRU(nn.Module):
         if self.single:
             b = torch.complex(gain, torch.zeros_like(gain))
         else:
-            b = _join(gain * self.b_real, gain[self.reals :] * self.b_imag)
-        c = _join(
+            b = _join_parameters(gain * self.b_real, gain[self.reals :] * self.b_imag)
+        c = _join_parameters(
             self.pairs[:, None] * self.c_real, 2.0 * self.c_imag
         ).mT  # y = Re(c_r x_r) + 2 Re(c_c x_c)
         d = torch.nn.functional.pad(self.d, (0, self.disturbances)) if self.disturbances else self.d
         return ModalForm(decay=torch.complex(-damping, angle), b=b, c=c, d=d)
 
     def to_state_space(self) -> StateSpace:
-        """Real matrices `A, B, C, D`. A has a number on the diagonal per real mode, a 2 x 2
-        rotation block per pair.
+        """Real state-space matrices of the recurrence. A has a number on the diagonal per real
+        mode, a 2 x 2 rotation block per pair.
 
         `x = Re z` for real modes, `(Re z, Im z)` for pairs; `Re(c z) = Re c Re z - Im c Im z`.
         """
         with torch.no_grad():
-            modes = self.modes()
+            modes = self.modal_form()
         parts = (modes.decay, modes.b, modes.c.mT)
         decay, b, c = (part.cpu().numpy().astype(np.complex128) for part in parts)
         turn, reals, pairs = np.exp(decay), self.reals, slice(self.reals, None)
@@ -203,8 +206,8 @@ class LRU(nn.Module):
             d=modes.d.detach().cpu().numpy().astype(np.float64),
         )
 
-    def initial_state(self, free: States) -> Modal:
-        """Convert real states, ordered as in `to_state_space`, to modal states."""
+    def to_modal_state(self, free: States) -> Modal:
+        """Convert real states to modal states."""
         real = free[:, : self.reals]
         pairs = free[:, self.reals :].unflatten(1, (-1, 2))
         return torch.complex(
@@ -212,22 +215,25 @@ class LRU(nn.Module):
             torch.cat([torch.zeros_like(real), pairs[..., 1]], 1),
         )
 
-    def real_state(self, modal: Modal) -> States:
-        """Convert modal states to real states, the inverse of `initial_state`."""
+    def to_real_state(self, modal: Modal) -> States:
+        """Convert modal states to real states."""
         return torch.cat(
             [modal[:, : self.reals].real, torch.view_as_real(modal[:, self.reals :]).flatten(1)], 1
         )
 
 
-def _parts(
+def _split_parameters(
     values: Complex[Tensor, "n k"], reals: int, trained: bool
 ) -> tuple[nn.Parameter, nn.Parameter]:
-    """Real parts of all modes and imaginary parts of the pairs, as separate parameters."""
+    """Real and imaginary parts of modal values as separate parameters."""
     real = nn.Parameter(values.real.contiguous().clone(), requires_grad=trained)
     return real, nn.Parameter(values.imag[reals:].contiguous().clone(), requires_grad=trained)
 
 
-def _join(real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]) -> Complex[Tensor, "n k"]:
+def _join_parameters(
+    real: Float[Tensor, "n k"], imag: Float[Tensor, "pairs k"]
+) -> Complex[Tensor, "n k"]:
+    """Complex modal values from their real and imaginary parts."""
     reals = len(real) - len(imag)
     return torch.complex(real, torch.nn.functional.pad(imag, (0, 0, reals, 0)) if reals else imag)
 
@@ -243,22 +249,21 @@ class TorchModel(nn.Module, ABC):
     differentiates_forward: ClassVar[bool] = True
 
     def forward(self, u: Signals, x0: States | None = None) -> Signals:
-        """Simulate the output from `x0`, or from the equilibrium. It is overridden where that is
-        cheaper than `advance`."""
+        """Simulate the model's output from an initial state. It is overridden where that is cheaper
+        than `advance`."""
         return self.advance(u, u.new_zeros(len(u), self.states) if x0 is None else x0)[0]
 
     @abstractmethod
     def advance(self, u: Signals, x0: States) -> tuple[Signals, States]:
-        """Output, and the state after the last sample, from which the next window of a record
-        starts."""
+        """Simulate the model's output, and return its final state too."""
 
     @abstractmethod
     def freeze(self, data: DataSet) -> Simulator:
-        """Trained model as explicit numbers, with the scales under which it was trained."""
+        """Trained model as explicit numbers, with its scales."""
 
 
 class TorchSSM(TorchModel):
-    """Trainable linear recurrence between static maps. `x+ = A x + B S_u(u),  y = S_y(C x + D
+    """Trainable linear recurrence between static maps. `x+ = A x + B S_u(u), y = S_y(C x + D
     S_u(u))` on scaled signals `u (e, T, m)`, `y (e, T, p)`.
 
     Measured disturbances are further columns of u; they pass S_u by and reach the states alone.
@@ -276,10 +281,12 @@ class TorchSSM(TorchModel):
     def forward(
         self, u: Signals, x0: States | None = None, lifted: Signals | None = None
     ) -> Signals:
-        return self.scaffold_out(self.lru(self.drive(u) if lifted is None else lifted, x0))
+        return self.scaffold_out(
+            self.lru(self.driving_signals(u) if lifted is None else lifted, x0)
+        )
 
-    def drive(self, u: Signals, lifted: Signals | None = None) -> Signals:
-        """Signals that drive the recurrence, `S_u` of the inputs and the disturbances unchanged."""
+    def driving_signals(self, u: Signals, lifted: Signals | None = None) -> Signals:
+        """Signals that drive the recurrence: mapped inputs and measured disturbances."""
         inputs = u.shape[2] - self.lru.disturbances
         lifted = self.scaffold_in(u[..., :inputs]) if lifted is None else lifted
         return torch.cat([lifted, u[..., inputs:]], -1) if self.lru.disturbances else lifted
@@ -287,13 +294,13 @@ class TorchSSM(TorchModel):
     def advance(
         self, u: Signals, x0: States, lifted: Signals | None = None
     ) -> tuple[Signals, States]:
-        """Simulate from `x0`; the input after its map may be given as `lifted`. Returns the output
-        and the last state."""
-        lifted = self.drive(u) if lifted is None else lifted
-        modes = self.lru.modes()
-        modal = self.lru.initial_state(x0)
-        end = self.lru.real_state(end_state(modes, lifted, modal))
-        return self.scaffold_out(respond(modes, lifted, modal)), end
+        """Simulate the model's output, and return its final state too. Returns the output and the
+        last state."""
+        lifted = self.driving_signals(u) if lifted is None else lifted
+        modes = self.lru.modal_form()
+        modal = self.lru.to_modal_state(x0)
+        end = self.lru.to_real_state(final_state(modes, lifted, modal))
+        return self.scaffold_out(simulate_modal_form(modes, lifted, modal)), end
 
     def freeze(self, data: DataSet) -> SSM:
         system = self.lru.to_state_space()

@@ -3,10 +3,10 @@ simulated from the log before it.
 
 A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
 piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the
-piece give another start (`models.metrics.initial_state`). Neither is better everywhere: a slow mode
-is badly seen in twenty samples, a drift of the plant is not in the past's inputs. So both are tried
-on pieces of the training and validation records that have a past, and the one that predicts them
-better is taken for every piece.
+piece give another start (`models.metrics.estimate_initial_state`). Neither is better everywhere: a
+slow mode is badly seen in twenty samples, a drift of the plant is not in the past's inputs. So both
+are tried on pieces of the training and validation records that have a past, and the one that
+predicts them better is taken for every piece.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from ssm_study.columns import ITERATED
 from ssm_study.models.identified import SSM, ScaffoldedModel
-from ssm_study.models.metrics import Simulation, initial_state
+from ssm_study.models.metrics import Simulation, estimate_initial_state
 from ssm_study.signals import DataSet, Trajectories, Trajectory
 
 PAST = "past"
@@ -34,8 +34,8 @@ States = tuple[State | None, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class PieceStarts:
-    """Initial states of the validation and test records as the log before them gives them, and
-    whether these or the first samples predict better.
+    """Initial states of validation and test records from the log before them, and whether these
+    predict better than the first samples.
 
     `choice` is None where no record has a past: then its first samples are all there is.
     `is_undecided` says that the two are so near that rounding on another machine may choose the
@@ -47,16 +47,15 @@ class PieceStarts:
     test: States
     is_undecided: bool = False
 
-    def chosen(self, part: str) -> States:
-        """Initial states of "validation" or "test" by the kind that was chosen. None takes the
-        first samples."""
+    def chosen_states(self, part: str) -> States:
+        """Chosen initial states of the validation or test records. None takes the first samples."""
         from_past: States = getattr(self, part)
         return from_past if self.choice == PAST else (None,) * len(from_past)
 
 
 def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
-    """Choose whether a piece's initial state comes from its first samples or from the log before
-    it, by which predicts training and validation records better.
+    """Choose whether a record's initial state is estimated from its first samples or simulated from
+    the log before it.
 
     Nothing of the test records is used but the inputs and outputs that precede them in their logs.
     """
@@ -81,13 +80,12 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
 
 
 def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean error of a free run for each kind of initial state, over pieces of the training and
-    validation records.
+    """Mean free-run error for each kind of initial state of a record.
 
     None where no piece has a past. Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.
     """
-    pieces = comparison_pieces(data)
+    pieces = records_for_start_choice(data)
     from_past = states_from_past(model, data, pieces)
     pairs = zip(pieces, from_past, strict=True)
     with_past = [(piece, state) for piece, state in pairs if state is not None]
@@ -96,12 +94,12 @@ def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
     records = tuple(piece for piece, _ in with_past)
     states = tuple(state for _, state in with_past)
     return {
-        PAST: capped_error(model, data, records, states),
-        SAMPLES: capped_error(model, data, records, (None,) * len(records)),
+        PAST: mean_relative_error_power(model, data, records, states),
+        SAMPLES: mean_relative_error_power(model, data, records, (None,) * len(records)),
     }
 
 
-def comparison_pieces(data: DataSet) -> Trajectories:
+def records_for_start_choice(data: DataSet) -> Trajectories:
     """Training and validation records on which the kinds of initial state are compared. Long ones
     are cut into pieces as long as a test record."""
     records = [record for record in (*data.training, *data.validation) if record.log]
@@ -116,10 +114,12 @@ def comparison_pieces(data: DataSet) -> Trajectories:
     return tuple(piece for piece in pieces if len(piece) > 2 * data.start_up_samples)
 
 
-def capped_error(model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]) -> float:
-    """Mean over the records of the error's power relative to the output's, each at most one."""
+def mean_relative_error_power(
+    model: Any, data: DataSet, records: Trajectories, states: Sequence[Any]
+) -> float:
+    """Mean relative power of the free-run error over several records, each at most one."""
     scale = data.scale.output_scale
-    run = Simulation.of(model, records, data.start_up_samples, tuple(states))
+    run = Simulation.simulate_records(model, records, data.start_up_samples, tuple(states))
     shares = []
     for record, simulated in zip(records, run.simulated, strict=True):
         y = (record.y / scale)[data.start_up_samples :]
@@ -131,23 +131,24 @@ def capped_error(model: Any, data: DataSet, records: Trajectories, states: Seque
 
 
 def states_from_past(model: Any, data: DataSet, pieces: Trajectories) -> States:
-    """State at the beginning of each piece, simulated from the beginning of its log. None of a
+    """State at the beginning of each record, simulated from the beginning of its log. None of a
     piece without a past of two start-up windows."""
     return tuple(state_from_past(model, data, piece) for piece in pieces)
 
 
 def state_from_past(model: Any, data: DataSet, piece: Trajectory) -> State | None:
-    """State at the end of the log before a piece, simulated from the log's own first samples."""
-    past = log_before(data, piece)
+    """State at the beginning of a record, simulated from the log before it."""
+    past = preceding_log(data, piece)
     if past is None or len(past) < SHORTEST_PAST * data.start_up_samples:
         return None
-    start = initial_state(model, past, data.start_up_samples)
-    _, states = model.run(model.drive(past.u, past.d), start)
+    start = estimate_initial_state(model, past, data.start_up_samples)
+    _, states = model.simulate_mapped(model.driving_signals(past.u, past.d), start)
     return np.asarray(states if isinstance(model, SSM) else states[-1], dtype=np.float64)
 
 
-def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
-    """The log before a piece, as far back as its samples follow one another. None without any."""
+def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
+    """Part of a log that directly precedes a record, joined from other records. None without
+    any."""
     records = [*data.training, *data.validation, *data.test]
     known = [record for record in records if record.log and record.log == piece.log]
     joined: list[Trajectory] = []
@@ -162,8 +163,8 @@ def log_before(data: DataSet, piece: Trajectory) -> Trajectory | None:
     return Trajectory.concatenate(joined) if joined else None
 
 
-def log_stretches(data: DataSet) -> list[Trajectory]:
-    """Stretches of the logs between holes, joined again from the records of a data set."""
+def join_log_stretches(data: DataSet) -> list[Trajectory]:
+    """Stretches of the logs without gaps, joined again from the records of a data set."""
     records = [*data.training, *data.validation, *data.test]
     known = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
@@ -181,17 +182,19 @@ def log_stretches(data: DataSet) -> list[Trajectory]:
     return [Trajectory.concatenate(stretch) for stretch in stretches]
 
 
-def simulate_parts(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
-    """Free runs of the validation and of the test records, from the kind of initial state that
-    predicts better."""
+def simulate_validation_and_test(model: Any, data: DataSet) -> tuple[Simulation, Simulation]:
+    """Free runs of the validation and test records from the kind of initial state that predicts
+    better."""
     starts = choose_piece_starts(model, data)
     window = data.start_up_samples
-    validation = Simulation.of(model, data.validation, window, starts.chosen("validation"))
-    test = Simulation.of(model, data.test, window, starts.chosen("test"))
+    validation = Simulation.simulate_records(
+        model, data.validation, window, starts.chosen_states("validation")
+    )
+    test = Simulation.simulate_records(model, data.test, window, starts.chosen_states("test"))
     return validation, test
 
 
-def other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
+def simulate_other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | None:
     """Free run of the test records from the kind of initial state that was not chosen. None where
     they have none."""
     if len(test.starts) != len(data.test) or not isinstance(model, ScaffoldedModel):
@@ -201,13 +204,13 @@ def other_start(model: Any, data: DataSet, test: Simulation) -> Simulation | Non
         states = states_from_past(model, data, data.test) if data.start_up_samples else states
         if all(state is None for state in states):
             return None
-    return Simulation.of(model, data.test, data.start_up_samples, states)
+    return Simulation.simulate_records(model, data.test, data.start_up_samples, states)
 
 
-def start_facts(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
-    """Columns `piece_start` and `fit_test_other_start_percent`. They are null where no test record
-    has a past."""
-    other = other_start(model, data, test)
+def piece_start_columns(model: Any, data: DataSet, test: Simulation) -> dict[str, Any]:
+    """Columns on the chosen kind of initial state and the test fit with the other kind. They are
+    null where no test record has a past."""
+    other = simulate_other_start(model, data, test)
     if other is None:
         return {"piece_start": None, "fit_test_other_start_percent": None}
     from_past = any(state is not None for state in test.starts)

@@ -17,7 +17,7 @@ import yaml  # type: ignore[import-untyped]
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
 from ssm_study.models.identified import SSM
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import Model, StructuredSSM
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
@@ -72,14 +72,14 @@ class RunFolder:
         """Identified model. None for a baseline too: it is identified and scored, but nothing can
         be certified of it."""
         data = self._parsed("model.json")
-        found = None if data is None else model_from_json(data)
+        found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
         """Identified model, with or without neurons. None for a baseline."""
         data = self._parsed("model.json")
-        found = None if data is None else model_from_json(data)
+        found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM | StructuredSSM) else None
 
     @cached_property

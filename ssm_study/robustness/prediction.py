@@ -31,7 +31,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.models.structured import Model, StructuredSSM, phi
+from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import View
@@ -323,7 +323,7 @@ def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains
     """Recurrence and gains with the neurons' slopes frozen at the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
-        slopes = phi(model.neurons, model.bias, "slope")[None]
+        slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
     linear, own_gains, *_ = next(iter(slope_combinations(model.system, pair, balls, slopes)))
     return linear, own_gains
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Complex, Float
 
-from ssm_study.models.metrics import free_run
+from ssm_study.models.metrics import simulate_record
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES, band_means, bands_of, power, safe_ratio, welch
 from ssm_study.robustness.return_to_rest import SURE, is_return, swing
@@ -68,7 +68,7 @@ class RecordErrors:
     @classmethod
     def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
         """Simulate the model on a record and collect its scaled errors."""
-        simulated = free_run(model, record, start_up_samples)
+        simulated = simulate_record(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
         start, period = find_repetition(record.inputs_and_disturbances[scored]) or (0, None)
         moving = model.scale.with_disturbances_as_inputs().scaled_input(

@@ -27,9 +27,9 @@ from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.loop.rollout import Rollouts, replay_error
 from ssm_study.loop.textbook_pi import textbook_pi_columns
-from ssm_study.models.members import NAMES, member_facts
-from ssm_study.models.metrics import Simulation, fit_facts, size_facts
-from ssm_study.models.warm_start import choose_piece_starts, start_facts
+from ssm_study.models.members import NAMES, member_columns
+from ssm_study.models.metrics import Simulation, fit_columns, size_columns
+from ssm_study.models.warm_start import choose_piece_starts, piece_start_columns
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
@@ -202,8 +202,8 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
         yield from start_states(run, records, split)
-    yield Derived(start_facts(run.model, records, run.simulated.test))
-    yield Derived(member_facts(read_members(run.path), records))
+    yield Derived(piece_start_columns(run.model, records, run.simulated.test))
+    yield Derived(member_columns(read_members(run.path), records))
     if records.mismatch_records or run.trials:
         pairs = record_signal_pairs(run.trials, records.mismatch_records)
         yield check_agreement(f"{TRIALS} records", pairs, ITERATED, "made again alike")
@@ -263,7 +263,7 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
         )
     if starts.choice is None:
         return
-    is_past_chosen = any(state is not None for state in starts.chosen(split))
+    is_past_chosen = any(state is not None for state in starts.chosen_states(split))
     agrees = starts.is_undecided or is_from_past == is_past_chosen
     found = f"training and validation records prefer {starts.choice}"
     yield Checked(claim=f"{split}.mcap start", holds=agrees, found=found)
@@ -273,7 +273,7 @@ def model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model, and that its sampling time is that of the
     records."""
     if run.claims_certificate:
-        yield Derived(bound_facts(run.model) | size_facts(run.model))
+        yield Derived(bound_facts(run.model) | size_columns(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"
@@ -288,13 +288,13 @@ def fits(run: RunFiles) -> Claims:
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
         start_up = stored.start_up_samples
-        replay = Simulation.of(run.model, stored.records, start_up, stored.starts)
+        replay = Simulation.simulate_records(run.model, stored.records, start_up, stored.starts)
         pairs = numbered_pairs(stored.simulated, replay.simulated)
         yield check_agreement(
             f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it"
         )
         replayed[split] = replay
-    yield Derived(fit_facts(replayed["validation"], replayed["test"]))
+    yield Derived(fit_columns(replayed["validation"], replayed["test"]))
 
 
 def loop(run: RunFiles) -> Claims:

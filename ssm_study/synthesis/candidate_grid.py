@@ -15,7 +15,7 @@ from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution, Solution, dual
 from ssm_study.certificates.theorems.integral_action import internal_model, with_modes
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model, phi
+from ssm_study.models.structured import Model, evaluate_activations
 from ssm_study.synthesis.candidates import Candidates, GainCandidate
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace, System
@@ -220,7 +220,7 @@ def slopes_at_rest(model: Model) -> Slopes | None:
     """Slopes of the neurons at the equilibrium. None for a model without neurons."""
     if isinstance(model, SSM) or not model.neurons:
         return None
-    return phi(model.neurons, model.bias, "slope")
+    return evaluate_activations(model.neurons, model.bias, "slope")
 
 
 def injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:

@@ -13,7 +13,7 @@ model is right. Source: docs/closed_loop.md, "Rates chosen for you"; docs/theory
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.metrics import initial_state
+from ssm_study.models.metrics import estimate_initial_state
 from ssm_study.models.structured import Model
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.integrated_error import LARGEST, SAMPLES, SETTLED
@@ -43,7 +43,7 @@ def decays_of(
         samples = min(SAMPLES[1], len(trial))
         y = trial.y[:samples]
         measured = model.scale.scaled_output(y)
-        start = initial_state(model, trial, samples, reached_by=validation[0])
+        start = estimate_initial_state(model, trial, samples, reached_by=validation[0])
         response = model.simulate(trial.u[:samples], start)
         simulated = model.scale.scaled_output(response)
         missed = ((measured - simulated) ** 2).sum()
@@ -116,10 +116,10 @@ def _closed_outputs(
     for sample in range(horizon):
         u = np.clip(x_hat @ k, *limits)
         lifted = model.scaffold_in(u)
-        scaled = model.read_scaled(x, lifted)
+        scaled = model.scaled_output_at(x, lifted)
         y = scaled + decays[:, sample]
         outputs[:, :, sample] = y
-        innovation = model.read_scaled(x_hat, lifted) - y
+        innovation = model.scaled_output_at(x_hat, lifted) - y
         injected = () if l_z is None else (innovation @ l_z,)
         x = model.advance(x, lifted)
         estimate = model.advance(x_hat, lifted, *injected) + innovation @ l_

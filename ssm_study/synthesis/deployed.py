@@ -142,7 +142,7 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
     S_y couples there is no such box: None.
     """
-    inverse = inverse_of(model.scaffold_out.portable())
+    inverse = inverse_of(model.scaffold_out.as_portable())
     rest, _, gain = model.linear.steady_states()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension

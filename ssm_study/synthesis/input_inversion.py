@@ -34,7 +34,7 @@ def model_behind_map(model: Model) -> Model:
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
-    portable = model.scaffold_in.portable()
+    portable = model.scaffold_in.as_portable()
     known = inverse_of(portable) is not None
     require(known, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
@@ -48,7 +48,7 @@ def model_behind_map(model: Model) -> Model:
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
     """Records with v = S_u(u) as their input."""
-    return tuple(replace(record, u=model.lift(record.u)) for record in records)
+    return tuple(replace(record, u=model.map_input(record.u)) for record in records)
 
 
 def mismatch_behind_map(

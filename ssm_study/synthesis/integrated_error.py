@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.systems import Gains, StateSpace, error_input_matrix, frozen_modes
 
@@ -40,12 +40,16 @@ def release(
     so slow that no record ever filled it, and a design that looks fast from there leaves the
     estimate of that mode behind on the plant.
     """
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     visited = []
     for record in validation:
         x = np.zeros(model.order)
-        pushes = np.zeros((len(record), 1)) if record.d is None else model.push(record.d)
-        for ubar, push in zip(model.lift(record.u), pushes, strict=True):
+        pushes = (
+            np.zeros((len(record), 1))
+            if record.d is None
+            else model.disturbance_contribution(record.d)
+        )
+        for ubar, push in zip(model.map_input(record.u), pushes, strict=True):
             visited.append(x)
             x = model.advance(x, ubar) + push
     spaced = np.linspace(0, len(visited) - 1, CASES + 2).astype(int)
@@ -70,7 +74,7 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
     else:
         held = linear.steady_states()[0].T
     no_input = np.zeros((len(held), linear.b.shape[1]))
-    scaled = model.read_scaled(held, no_input)
+    scaled = model.scaled_output_at(held, no_input)
     reach = np.linalg.norm(scaled, axis=1)
     counts = reach > 1e-6 * reach.max()
     channels = np.eye(len(held))[counts]
@@ -143,8 +147,8 @@ def _areas(
         u = np.clip(requested, *limits)
         lifted = model.scaffold_in(u)
         loaded = lifted + load * shape[sample]
-        y = model.read_scaled(x, loaded)
-        innovation = model.read_scaled(x_hat, lifted) - y
+        y = model.scaled_output_at(x, loaded)
+        innovation = model.scaled_output_at(x_hat, lifted) - y
         size = np.linalg.norm(y, axis=2)
         area = area + size
         settled = np.where(size > SETTLED, sample + 1.0, settled)

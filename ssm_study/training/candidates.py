@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.models.baselines.regression import output_error
+from ssm_study.models.baselines.regression import fit_output_error
 from ssm_study.models.identified import SSM
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.scaffolds.linear import LinearScaffold
@@ -113,7 +113,7 @@ class Trial:
             if model is None:
                 errors.append(LARGEST_ERROR)
                 continue
-            run = Simulation.of(model, fold.test, fold.start_up_samples, starts[name])
+            run = Simulation.simulate_records(model, fold.test, fold.start_up_samples, starts[name])
             errors.append(relative_error(run, fold))
 
     @property
@@ -147,7 +147,7 @@ def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
     of the recursion, from one sample before on.
     """
     records = with_late_disturbances(data) if direct else data
-    model = output_error(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
+    model = fit_output_error(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
     f = model.theta[1 : order + 1]
     both = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs and disturbances)
     gains = both[:, : data.scale.inputs]
@@ -159,7 +159,7 @@ def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
     scale = replace(data.scale, output_equilibrium=data.scale.output_equilibrium + offset)
     system = StateSpace(a=a, b=by_lag + f[:, None] * d, c=np.eye(1, order), d=d)
     if not data.disturbances:
-        return SSM.of(system, data.step_s, scale)
+        return SSM.from_linear(system, data.step_s, scale)
     return SSM(
         linear=system,
         scaffold_in=LinearScaffold.identity(gains.shape[1]),

@@ -34,7 +34,7 @@ def ranked_choices(
 ) -> Iterator[Choice]:
     """Choice of the settings, and after it those that would be made if no model of it could be
     certified. The paths are the same in all."""
-    folds = folds_of(data) if spec.automatic else ()
+    folds = folds_of(data) if spec.automatic_settings else ()
     if not folds:
         yield Choice(spec=with_defaults(spec))
         return

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 from ssm_study.models.identified import Simulator
-from ssm_study.models.metrics import initial_state
-from ssm_study.models.torch_recurrence import forward_derivatives
-from ssm_study.models.torch_ssm import Lift, Signals, States, TorchModel, TorchSSM
+from ssm_study.models.metrics import estimate_initial_state
+from ssm_study.models.torch_recurrence import allow_forward_derivatives
+from ssm_study.models.torch_ssm import InputMapping, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_from_relative_error
 from ssm_study.training.optimisers import Levenberg, trainable
@@ -66,7 +66,7 @@ class Records(nn.Module):
             1
         ) * self.scored  # of y as of its error, see `objective`
         self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
-        self.lift = Lift(self.u[..., : data.scale.inputs], sorts)
+        self.lift = InputMapping(self.u[..., : data.scale.inputs], sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
         """Free run of the model over all records."""
@@ -80,7 +80,7 @@ class Records(nn.Module):
     def _lifted(self, model: TorchModel) -> dict[str, Signals]:
         if not isinstance(model, TorchSSM):
             return {}
-        return {"lifted": model.drive(self.u, self.lift(model.scaffold_in))}
+        return {"lifted": model.driving_signals(self.u, self.lift(model.scaffold_in))}
 
     def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
         """Weighted squared error of simulated outputs. `sum weight |e|^2`: what the fit is made
@@ -236,7 +236,7 @@ class Fit(pl.LightningModule):
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
-        with forward_derivatives():
+        with allow_forward_derivatives():
             return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
@@ -271,7 +271,9 @@ class Fit(pl.LightningModule):
         if not all(torch.isfinite(parameter).all() for parameter in self.model.parameters()):
             return like.new_full((len(records), self.model.states), torch.nan)
         stored = self.model.freeze(self.data)
-        states = [initial_state(stored, record, self.data.start_up_samples) for record in records]
+        states = [
+            estimate_initial_state(stored, record, self.data.start_up_samples) for record in records
+        ]
         return torch.from_numpy(np.stack(states)).to(like)
 
     def configure_optimizers(self) -> Any:

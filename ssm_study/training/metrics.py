@@ -57,7 +57,7 @@ class Identification:
 
 def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
     """Fit in percent of a model's free runs on the records of a data set."""
-    return Simulation.of(model, records, data.start_up_samples).fit_percent
+    return Simulation.simulate_records(model, records, data.start_up_samples).fit_percent
 
 
 def training_facts(seconds: float, ended: str) -> dict[str, Any]:

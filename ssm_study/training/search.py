@@ -79,7 +79,7 @@ class Search:
     def structured(self, question: str, settings: Settings) -> Candidate:
         """Candidate with neurons that has these settings and those decided, scored on the folds."""
         spec = self.completed(settings)
-        settings = {name: getattr(spec, name) for name in self.spec.automatic}
+        settings = {name: getattr(spec, name) for name in self.spec.automatic_settings}
         known = self.already_tried(STRUCTURED, settings)
         if known is not None:
             return known
@@ -93,7 +93,7 @@ class Search:
         wanted = self.decided | settings
         if wanted.get("neurons") == 0:
             wanted["input_path"] = "none"  # there are no neurons for it to reach
-        automatic = self.spec.automatic
+        automatic = self.spec.automatic_settings
         return with_defaults(
             replace(self.spec, **{name: wanted[name] for name in automatic if name in wanted})
         )
@@ -163,7 +163,7 @@ class Search:
         if candidate is not None:
             without_neurons = {"neurons": 0, "knots": 0, "input_path": "none"}
             decided |= candidate.settings | (without_neurons if is_linear else {})
-        automatic = self.spec.automatic
+        automatic = self.spec.automatic_settings
         open_settings = {name: decided[name] for name in automatic if name in decided}
         chosen = [*self.chosen] if candidate is None else [*self.chosen, candidate]
         return Choice(
@@ -186,4 +186,4 @@ class Search:
 
 def with_defaults(spec: StructuredSpec) -> StructuredSpec:
     """Specification with the default of `model=structured` for each setting that is still open."""
-    return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic})
+    return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic_settings})

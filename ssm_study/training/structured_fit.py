@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.matrix_shapes import shapes
-from ssm_study.models.spec import scaled_with_disturbances
-from ssm_study.models.structured import Model, StructuredSSM, phi
+from ssm_study.models.matrix_shapes import matrix_shapes
+from ssm_study.models.spec import scale_records_with_disturbances
+from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, Trajectories, fit_from_relative_error
 from ssm_study.training.metrics import mean_fit
@@ -59,10 +59,10 @@ class StructuredFit(pl.LightningModule):
         self.seed = seed
         self.integrates = bool(spec.integrating_output)
         channels = (data.scale.inputs, data.scale.outputs)
-        lift, read = spec.maps(channels, data.scale.disturbances)
+        lift, read = spec.build_maps(channels, data.scale.disturbances)
         self.problem = Residuals(
-            records=Batch.padded(scaled_with_disturbances(data)),
-            neurons=spec.each,
+            records=Batch.padded(scale_records_with_disturbances(data)),
+            neurons=spec.neuron_kinds,
             lift=lift,
             read=read,
             rate=spec.rate,
@@ -82,14 +82,14 @@ class StructuredFit(pl.LightningModule):
         q = int(spec.neurons)
         p = self.data.scale.outputs
         drives = self.data.scale.inputs + self.data.scale.disturbances
-        sizes: dict[str, tuple[int, ...]] = shapes(n, drives, p, q)
+        sizes: dict[str, tuple[int, ...]] = matrix_shapes(n, drives, p, q)
         if spec.rate is not None:
             sizes = {name: shape for name, shape in sizes.items() if name not in CORE}
             sizes["x_e"] = (n, q)
             sizes["x_g"] = (n + q, n)
             sizes["log_d"] = (q,)
-        sizes["scaffold_in"] = self.problem.lift.owners.shape
-        sizes["scaffold_out"] = self.problem.read.owners.shape
+        sizes["scaffold_in"] = self.problem.lift.parameter_channels.shape
+        sizes["scaffold_out"] = self.problem.read.parameter_channels.shape
         sizes["x0"] = (len(self.data.training), n + p * self.integrates)
         return sizes
 
@@ -220,7 +220,7 @@ class StructuredFit(pl.LightningModule):
             parts |= with_disturbance_path(parts, self.data.scale.inputs)
         return StructuredSSM(
             **parts,
-            neurons=self.spec.each,
+            neurons=self.spec.neuron_kinds,
             scaffold_in=self.problem.lift.freeze(theta["scaffold_in"]),
             scaffold_out=self.problem.read.freeze(theta["scaffold_out"]),
             scale=self.data.scale,
@@ -233,7 +233,7 @@ class StructuredFit(pl.LightningModule):
         Without any neuron it is the model of one layer, of which more can be proved.
         """
         model = pruned(self.stored(), self.data.training)
-        idle = len(self.spec.each) - len(model.neurons)
+        idle = len(self.spec.neuron_kinds) - len(model.neurons)
         note = f"; neurons removed because they did nothing: {idle}" if idle else ""
         return model if model.neurons else SSM.from_json(model.to_json()), note
 
@@ -291,10 +291,10 @@ def without_neuron(model: StructuredSSM, i: int, records: Trajectories) -> Struc
     """Model whose neuron i is replaced by its mean slope over these records."""
     slopes = []
     for record in records:
-        states = model.run(model.drive(record.u, record.d))[1][:-1]
-        v = model.lift(record.u)
+        states = model.simulate_mapped(model.driving_signals(record.u, record.d))[1][:-1]
+        v = model.map_input(record.u)
         z = states @ model.f.T + v @ model.g.T + model.bias
-        slopes.append(phi(model.neurons, z, "slope")[:, i])
+        slopes.append(evaluate_activations(model.neurons, z, "slope")[:, i])
     slope = float(np.concatenate(slopes).mean())
     e = model.e[:, [i]]
     f = model.f[[i]]

@@ -9,11 +9,20 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
-from ssm_study.models.contracting import Free, derivative, explicit
+from ssm_study.models.contracting import (
+    FreeParameters,
+    differentiate_matrices,
+    matrices_from_parameters,
+)
 from ssm_study.models.spec import Pairs
-from ssm_study.models.structured import codes
-from ssm_study.models.structured_kernel import Matrices, free_run, sensitivities, split
-from ssm_study.models.structured_spec import Pieces
+from ssm_study.models.structured import activation_codes
+from ssm_study.models.structured_kernel import (
+    KernelMatrices,
+    simulate_compiled,
+    simulate_with_sensitivities,
+    split_blocks,
+)
+from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.refusal import require
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 from ssm_study.training.windows import padded
@@ -107,8 +116,8 @@ class Residuals:
 
     records: Batch
     neurons: tuple[str, ...]
-    lift: Pieces
-    read: Pieces
+    lift: TrainablePieces
+    read: TrainablePieces
     rate: float | None = None
     integrating_output: bool = False
     ridge: float = 0.0
@@ -117,13 +126,13 @@ class Residuals:
         """Weight of a block's squared parameters in the penalty."""
         return 0.0 if block in UNWEIGHTED else self.ridge
 
-    def matrices(self, theta: Theta) -> Matrices:
+    def matrices(self, theta: Theta) -> KernelMatrices:
         """Matrices of the recurrence and codes of its activation functions, as compiled code takes
         them."""
         if self.rate is not None:
-            core = explicit(free_core(theta), self.rate)
+            core = matrices_from_parameters(free_core(theta), self.rate)
             theta = theta | core._asdict()
-        return Matrices.of(theta, codes(self.neurons))
+        return KernelMatrices.from_parts(theta, activation_codes(self.neurons))
 
     def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
         """Initial states of the records and, where the output is summed up, initial outputs."""
@@ -135,7 +144,7 @@ class Residuals:
         1, n)`."""
         v = np.ascontiguousarray(self.lift.values(theta["scaffold_in"], self.records.u))
         x0, _ = self.starts(theta)
-        ybar, states = free_run(self.matrices(theta), v, x0)
+        ybar, states = simulate_compiled(self.matrices(theta), v, x0)
         return v, ybar, states
 
     def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
@@ -159,8 +168,8 @@ class Residuals:
         """Residual `r`, `J` and `turn`, where `J turn` is the Jacobian by the blocks `free`, each
         flattened by rows.
 
-        `turn` is the chain rule through `contracting.explicit`: cheap behind `J'J`, not on every
-        sample.
+        `turn` is the chain rule through `contracting.matrices_from_parameters`: cheap behind `J'J`,
+        not on every sample.
         """
         _, target, weight = self.records
         y, columns = self._output_and_columns(theta)
@@ -183,7 +192,9 @@ class Residuals:
         u, target, _ = self.records
         v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
         x0, begun = self.starts(theta)
-        y, columns = sensitivities(self.matrices(theta), v, x0, by_input_map, self.lift.owners)
+        y, columns = simulate_with_sensitivities(
+            self.matrices(theta), v, x0, by_input_map, self.lift.parameter_channels
+        )
         self._close_passed_paths(columns)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrating_output:
@@ -194,7 +205,9 @@ class Residuals:
         y, slope, by_output_map = self.read.derivatives(theta["scaffold_out"], y)
         columns = {name: slope[..., None] * part for name, part in columns.items()}
         outputs = np.arange(target.shape[-1])[:, None]
-        columns["scaffold_out"] = by_output_map[..., None, :] * (self.read.owners == outputs)
+        columns["scaffold_out"] = by_output_map[..., None, :] * (
+            self.read.parameter_channels == outputs
+        )
         return y, columns
 
     def _close_passed_paths(self, columns: dict[str, Float[np.ndarray, "N T p _"]]) -> None:
@@ -210,8 +223,8 @@ class Residuals:
     def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
         """Derivatives of A, E and F by the free parameters, a column each."""
         units = np.eye(pack(theta, FREE_CORE).size)
-        directions = Free(**unpack(units, theta, FREE_CORE))
-        changes = derivative(free_core(theta), directions, self.rate or 1.0)
+        directions = FreeParameters(**unpack(units, theta, FREE_CORE))
+        changes = differentiate_matrices(free_core(theta), directions, self.rate or 1.0)
         flat = [part.reshape(len(part), part[0].size) for part in changes]
         return np.concatenate(flat, axis=1).T
 
@@ -228,9 +241,9 @@ class Residuals:
         return whole.reshape(count, samples, p, -1)
 
 
-def free_core(theta: Theta) -> Free:
+def free_core(theta: Theta) -> FreeParameters:
     """Free parameters of a contracting core, by block."""
-    return Free(*(theta[name] for name in FREE_CORE))
+    return FreeParameters(*(theta[name] for name in FREE_CORE))
 
 
 def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
@@ -263,7 +276,7 @@ def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
 def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
     """Take one accepted Levenberg-Marquardt step of the structured model in the blocks `free`, or
     none."""
-    residual, j, turn = problem.linearised(at.theta, free)
+    residual, j, turn = problem.residual_and_jacobian(at.theta, free)
     flat = pack(at.theta, free)
     ridges = [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
     weights = np.concatenate(ridges)  # R, its diagonal
@@ -331,5 +344,5 @@ def unpack(flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, .
     """Split a vector into blocks of parameters with the shapes of `like`."""
     shapes_of = {name: like[name].shape for name in names}
     batch = flat.shape[:-1]
-    parts = split(shapes_of, flat)
+    parts = split_blocks(shapes_of, flat)
     return {name: part.reshape(*batch, *shapes_of[name]) for name, part in parts.items()}

@@ -5,10 +5,15 @@ import numpy as np
 from jaxtyping import Float
 from scipy import linalg
 
-from ssm_study.models.contracting import Core, in_metric, parameters, projected
-from ssm_study.models.matrix_shapes import shapes
-from ssm_study.models.spec import arx, impulse_response, realise
-from ssm_study.models.structured import phi
+from ssm_study.models.contracting import (
+    RecurrenceMatrices,
+    parameters_from_matrices,
+    project_to_contracting,
+    transform_to_metric,
+)
+from ssm_study.models.matrix_shapes import matrix_shapes
+from ssm_study.models.spec import arx_impulse_response, fit_arx_matrices, realise_impulse_response
+from ssm_study.models.structured import evaluate_activations
 from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
 
 ARX_LAGS = 10  # of a start with at most half as many states
@@ -32,21 +37,21 @@ def linear_start(
         records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
     shortest = min(len(u) for u, _ in records)
     lags = min(lags_for(order), shortest // 4)
-    response = impulse_response(*arx(records, lags, feedthrough))
-    system = realise(response, order, rng)
+    response = arx_impulse_response(*fit_arx_matrices(records, lags, feedthrough))
+    system = realise_impulse_response(response, order, rng)
 
     n, m = system.b.shape
     p = len(system.c)
     spectral_radius = max(float(np.abs(np.linalg.eigvals(system.a)).max()), 1e-9)
-    start = {name: np.zeros(shape) for name, shape in shapes(n, m, p, 0).items()}
+    start = {name: np.zeros(shape) for name, shape in matrix_shapes(n, m, p, 0).items()}
     start["a"] = system.a * min(1.0, SLOWEST / spectral_radius)
     start["b"] = system.b
     start["c"] = system.c
     if feedthrough:
         start["d"] = inputs_alone(problem, system.d)
     start["x0"] = np.zeros((len(problem.records.u), n + p * problem.integrating_output))
-    start["scaffold_in"] = problem.lift.start(inputs)
-    start["scaffold_out"] = problem.read.start(outputs)
+    start["scaffold_in"] = problem.lift.initial_parameters(inputs)
+    start["scaffold_out"] = problem.read.initial_parameters(outputs)
     return unit_states(problem, start)
 
 
@@ -232,16 +237,16 @@ def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Ge
 
 def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
     """Initial parameters of a contracting model near the given one, in the coordinates of its
-    metric. It is the nearest on the path of `contracting.projected`."""
+    metric. It is the nearest on the path of `contracting.project_to_contracting`."""
     v, _, states = problem.simulated(theta)
     scored = problem.records.scored
     x = states[:, :-1][scored]
     z = x @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
-    mean_slope = phi(problem.neurons, z, "slope").mean(axis=0)
-    core = Core(*(theta[name] for name in CORE))
-    contracting = projected(core, mean_slope, rate)
+    mean_slope = evaluate_activations(problem.neurons, z, "slope").mean(axis=0)
+    core = RecurrenceMatrices(*(theta[name] for name in CORE))
+    contracting = project_to_contracting(core, mean_slope, rate)
     t = contracting.t
-    free = parameters(in_metric(contracting), rate)
+    free = parameters_from_matrices(transform_to_metric(contracting), rate)
 
     n = len(theta["a"])
     x0 = theta["x0"].copy()

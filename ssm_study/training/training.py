@@ -98,13 +98,13 @@ class Training:
         session = Session(
             seed=seed, folder=folder, progress=progress, keep_on_interrupt=keep_on_interrupt
         )
-        if isinstance(spec, StructuredSpec) and spec.automatic:
+        if isinstance(spec, StructuredSpec) and spec.automatic_settings:
             return self._identify_chosen(spec, data, session)
         members = getattr(spec, "members", 1)
         if isinstance(spec, StructuredSpec) and spec.neurons == 0:
-            spec = spec.one_layer()
-        trainings = max(getattr(spec, "trainings", self.starts), members)
-        starts = [spec.at_start(k) for k in range(trainings)]
+            spec = spec.without_neurons()
+        trainings = max(getattr(spec, "training_count", self.starts), members)
+        starts = [spec.for_training_run(k) for k in range(trainings)]
         return self._best_start(starts, data, session, members)
 
     def _identify_chosen(
@@ -122,7 +122,7 @@ class Training:
         for k, choice in enumerate(islice(choices, MOST_TRAINED)):
             folder = session.folder / f"choice_{k}" if k else session.folder
             identified = self._identify_choice(choice, data, replace(session, folder=folder))
-            chosen = choice.words(spec.automatic)
+            chosen = choice.words(spec.automatic_settings)
             best = best or replace(identified, choice=choice.rows, chosen=chosen)
             if can_be_certified(choice.spec, identified.model):
                 best = replace(identified, choice=choice.rows, chosen=chosen)
@@ -134,14 +134,14 @@ class Training:
         self, choice: "Choice", data: DataSet, session: "Session"
     ) -> "Identification":
         """Train the chosen model, on the validation records too where the choice asks for it."""
-        from ssm_study.models.warm_start import simulate_parts
+        from ssm_study.models.warm_start import simulate_validation_and_test
         from ssm_study.training.candidates import relative_error
         from ssm_study.training.choice import refit_words
         from ssm_study.training.folds import with_joined_records
         from ssm_study.training.metrics import mean_fit
 
         best = self._train_choice(choice, data, session)
-        validation, _ = simulate_parts(best.model, data)
+        validation, _ = simulate_validation_and_test(best.model, data)
         if not choice.asks_for_refit(relative_error(validation, data)):
             return best
         words = refit_words(best.fit_validation_percent)
@@ -172,7 +172,7 @@ class Training:
         direct = choice.spec.feedthrough is True
         model: Any = linear_model(records, int(choice.spec.order), direct=direct)
         if dead_time:
-            model = model.delayed(dead_time)
+            model = model.with_dead_time(dead_time)
         seconds = time.perf_counter() - began
         ended = "the error of a linear free run no longer falls"
         return Identification.of(model, data, seconds=seconds, curve=[], ended=ended)
@@ -204,8 +204,8 @@ class Training:
             best = rule(identified)
         seconds = sum(start.seconds for start in identified)
         if dead_time:
-            averaged = [model.delayed(dead_time) for model in averaged]
-            best = replace(best, model=best.model.delayed(dead_time))  # type: ignore[attr-defined]
+            averaged = [model.with_dead_time(dead_time) for model in averaged]
+            best = replace(best, model=best.model.with_dead_time(dead_time))  # type: ignore[attr-defined]
         return replace(best, members=tuple(averaged), seconds=seconds)
 
     def _train_starts(

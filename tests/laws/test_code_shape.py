@@ -48,7 +48,7 @@ LONG_BODIES = frozenset(
         "ssm_study/data/recorded.py: __post_init__",
         "ssm_study/data/text_layout.py: detect_layout",
         "ssm_study/evidence/records.py: _judge_rest",
-        "ssm_study/models/structured_kernel.py: _sensitivities",
+        "ssm_study/models/structured_kernel.py: _sensitivity_loop",
         "ssm_study/models/structured_spec.py: __post_init__",
         "ssm_study/models/torch_recurrence.py: backward",
         "ssm_study/training/saving.py: trained",

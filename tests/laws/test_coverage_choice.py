@@ -22,7 +22,7 @@ from ssm_study.synthesis.measured_discs_choice import (
 )
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
 
-SSM_MODEL = SSM.of(MODEL, 0.01)
+SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
 SLOW = design(input_weight=30.0)
 

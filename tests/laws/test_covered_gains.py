@@ -23,7 +23,7 @@ from ssm_study.synthesis.measured_discs_choice import (
 )
 from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
 
-SSM_MODEL = SSM.of(MODEL, 0.01)
+SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 SHARE = 0.2  # by which the plant answers more than its model
 RECORDS = records(scaled_model(SHARE))
 PREMISE = premise(scaled_model(SHARE))

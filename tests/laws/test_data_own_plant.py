@@ -98,7 +98,7 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     scale = Scale.identity(1, 1)
     input_equilibrium = np.ones(1)
     identity = replace(scale, input_equilibrium=input_equilibrium)
-    model = SSM.of(linear, 0.1, identity)
+    model = SSM.from_linear(linear, 0.1, identity)
     shown = measure_mismatch(model, data.validation, data.start_up_samples, data.mismatch_records)
     assert len(shown.views) == len(AMPLITUDES)
     amplitudes = [view.amplitude for view in shown.views]

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import solve_discrete_lyapunov
 
 from ssm_study.models.identified import SSM
-from ssm_study.models.metrics import free_run, initial_state, reachability_gramian
+from ssm_study.models.metrics import estimate_initial_state, reachability_gramian, simulate_record
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.signals import Scale, Trajectory, fit_percent
 from ssm_study.systems import StateSpace
@@ -44,20 +44,20 @@ def test_the_state_is_found_from_the_samples_that_are_not_scored(model: SSM) -> 
     """Without noise what is left of the unknown start after the start-up samples is a few percent
     of it."""
     seen = record(model, np.array([1.5, -0.4]))
-    difference = np.abs(free_run(model, seen, 20) - seen.y)
+    difference = np.abs(simulate_record(model, seen, 20) - seen.y)
     left = difference[20:].max()
     response = model.simulate(seen.u)
     difference = np.abs(response - seen.y)
     largest = difference[20:].max()
     upper_limit = 0.05 * largest
     assert left < upper_limit
-    difference = abs(initial_state(model, seen, 20)[0] - 1.5)
+    difference = abs(estimate_initial_state(model, seen, 20)[0] - 1.5)
     assert difference < 0.1
 
 
 def test_noise_is_not_taken_for_a_state(model: SSM) -> None:
     seen = record(model, np.array([1.5, -0.4]), noise=0.05)
-    estimated = fit_percent(seen.y, free_run(model, seen, 20), 20)
+    estimated = fit_percent(seen.y, simulate_record(model, seen, 20), 20)
     response = model.simulate(seen.u)
     percent = fit_percent(seen.y, response, 20)
     lower_limit = percent + 5
@@ -66,7 +66,7 @@ def test_noise_is_not_taken_for_a_state(model: SSM) -> None:
 
 def test_without_start_up_samples_every_sample_is_predicted_from_rest(model: SSM) -> None:
     seen = record(model, np.array([1.5, -0.4]))
-    assert np.array_equal(free_run(model, seen, 0), model.simulate(seen.u))
+    assert np.array_equal(simulate_record(model, seen, 0), model.simulate(seen.u))
 
 
 def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
@@ -74,7 +74,7 @@ def test_a_state_the_input_never_reaches_is_not_invented(model: SSM) -> None:
     u = np.ones((50, 1))
     y = np.full((50, 1), 5.0)
     still = Trajectory(u=u, y=y, step_s=0.1)
-    largest = np.abs(initial_state(model, still, 10)).max()
+    largest = np.abs(estimate_initial_state(model, still, 10)).max()
     assert largest < 1e-12
 
 

@@ -10,10 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.models import torch_recurrence as recurrence
-from ssm_study.models.spec import from_data, on_ring, output_regression_coefficient
+from ssm_study.models.spec import (
+    draw_modes_on_ring,
+    estimate_initial_system,
+    output_regression_coefficient,
+)
 from ssm_study.models.torch_ssm import LRU
 
-EVALUATIONS = {"convolution": recurrence.by_convolution, "chunks": recurrence.simulate_in_chunks}
+EVALUATIONS = {
+    "convolution": recurrence.simulate_by_convolution,
+    "chunks": recurrence.simulate_in_chunks,
+}
 Evaluation = Callable[..., torch.Tensor]
 
 
@@ -41,7 +48,7 @@ def unit(
     rng = np.random.default_rng(seed)
     frequency = (0.05, 2.0)
     channels = (m, p)
-    start = on_ring(order, real_modes, radius, frequency, channels, rng)
+    start = draw_modes_on_ring(order, real_modes, radius, frequency, channels, rng)
     return LRU(start, feedthrough=True)
 
 
@@ -74,8 +81,8 @@ def drawn(
 def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[int, ...]) -> None:
     lru, u, x0 = drawn(*case)
     with torch.no_grad():
-        modes = lru.modes()
-        start = lru.initial_state(x0)
+        modes = lru.modal_form()
+        start = lru.to_modal_state(x0)
         expected = by_steps(modes, u, start)
         actual = EVALUATIONS[name](modes, u, start)
         torch.testing.assert_close(actual, expected, rtol=1e-9, atol=1e-9)
@@ -87,8 +94,8 @@ def test_every_evaluation_agrees_with_stepping(name: str, case: tuple[int, ...])
 def test_the_real_state_space_is_the_same_system(case: tuple[int, ...]) -> None:
     lru, u, x0 = drawn(*case)
     with torch.no_grad():
-        modes = lru.modes()
-        y = by_steps(modes, u, lru.initial_state(x0)).numpy()
+        modes = lru.modal_form()
+        y = by_steps(modes, u, lru.to_modal_state(x0)).numpy()
     system = lru.to_state_space()
     response = system.simulate(u.numpy(), x0.numpy())
     actual = response[0]
@@ -102,7 +109,7 @@ def test_single_precision_stays_within_its_rounding(name: str) -> None:
     rng = np.random.default_rng(2)
     u = torch.from_numpy(rng.normal(size=(2, 5000, 1)))
     with torch.no_grad():
-        modes = lru.modes()
+        modes = lru.modal_form()
         exact = by_steps(modes, u)
         single = EVALUATIONS[name](lru.float().modes(), u.float()).double()
     # the modes themselves are rounded to float32: |d lambda| = 6e-8 over a memory of 1000 samples
@@ -142,7 +149,7 @@ def test_gradients_agree_with_stepping(name: str) -> None:
 
     def gradient(evaluate: Evaluation) -> list[torch.Tensor]:
         lru.zero_grad()
-        difference = evaluate(lru.modes(), u) - target
+        difference = evaluate(lru.modal_form(), u) - target
         (difference**2).sum().backward()
         return [p.grad.clone() for p in lru.parameters() if p.grad is not None]
 
@@ -167,8 +174,8 @@ def test_power_sums_are_the_powers_summed(seed: int, samples: int) -> None:
     decay = np.log(rng.uniform(0.1, 0.999, 5)) + 1j * rng.uniform(-np.pi, np.pi, 5)
     weights = rng.normal(size=(2, 5)) + 1j * rng.normal(size=(2, 5))
     direct = (weights @ np.exp(decay[:, None] * np.arange(samples))).real
-    fast = recurrence.power_sums(
-        torch.from_numpy(weights), recurrence.tables(torch.from_numpy(decay), samples)
+    fast = recurrence.modal_impulse_response(
+        torch.from_numpy(weights), recurrence.power_tables(torch.from_numpy(decay), samples)
     )[:, :samples]
     actual = fast.numpy()
     np.testing.assert_allclose(actual, direct, atol=1e-10)
@@ -194,7 +201,7 @@ def test_the_derivatives_written_out_are_those_of_the_law(
 
 
 def test_forward_derivatives_are_those_of_the_law() -> None:
-    """Vectorised, where `respond` is told so, against stepping."""
+    """Vectorised, where `simulate_modal_form` is told so, against stepping."""
     at = _operands(2, 3, 520)
     generator = torch.Generator()
     rng = generator.manual_seed(1)
@@ -209,8 +216,8 @@ def test_forward_derivatives_are_those_of_the_law() -> None:
 
         return torch.func.vmap(lambda *tangents: torch.func.jvp(run, at, tangents)[1])(*push)
 
-    with recurrence.forward_derivatives():
-        found = pushed(recurrence.respond)
+    with recurrence.allow_forward_derivatives():
+        found = pushed(recurrence.simulate_modal_form)
     torch.testing.assert_close(found, pushed(by_steps), rtol=1e-9, atol=1e-9)
 
 
@@ -244,7 +251,7 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
             y[k] = 0.8 * y[k - 1] + 0.6 * u[k]
         white_noise = rng.standard_normal((240, 1))
         records = [(u[:240, None], y[:240, None] + 0.001 * white_noise)]
-        start = from_data(records, order, np.random.default_rng(0), feedthrough)
+        start = estimate_initial_system(records, order, np.random.default_rng(0), feedthrough)
         made = start.free_run(records[0][0])
         largest = np.abs(made).max()
         upper_limit = 10 * np.abs(y).max()

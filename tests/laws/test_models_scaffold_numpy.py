@@ -174,8 +174,8 @@ def test_stepping_the_pieces_is_the_simulation() -> None:
     y = []
     expected = model.simulate(u, x)
     for sample in u:
-        ubar = model.lift(sample)
-        y.append(model.read(x, ubar))
+        ubar = model.map_input(sample)
+        y.append(model.output_at(x, ubar))
         x = model.advance(x, ubar)
     actual = np.stack(y)
     np.testing.assert_allclose(actual, expected, rtol=1e-12)

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssm_study.bounds.slopes import interval_bound, jacobian_ball
-from ssm_study.models.scaffolds.mlp import Mlp, layer_sector
+from ssm_study.models.scaffolds.mlp import Mlp, layer_slope_bounds
 from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.models.scaffolds.scaffold import Scaffold
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 from ssm_study.models.torch_scaffold import TorchScaffold
-from ssm_study.models.torch_ssm import Lift
+from ssm_study.models.torch_ssm import InputMapping
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
@@ -53,7 +53,7 @@ def shaken(spec: Trainable, seed: int, channels: int) -> TorchScaffold:
     rng = np.random.default_rng(seed)
     slopes = (LOWER, UPPER)
     samples = rng.normal(size=(50, channels))
-    frame = Frame(width=6, slopes=slopes, samples=samples)
+    frame = MapContext(width=6, slopes=slopes, samples=samples)
     scaffold = spec.build(frame, rng)
     with torch.no_grad():
         for parameter in scaffold.parameters():
@@ -105,7 +105,7 @@ def test_every_neuron_of_the_first_layer_starts_with_its_kink_among_the_samples(
     samples = 3 + rng.uniform(size=(50, channels))  # all on one side of zero
     spec = Mlp(depth=1, train_slopes=True, certified=False)
     slopes = (LOWER, UPPER)
-    frame = Frame(width=6, slopes=slopes, samples=samples)
+    frame = MapContext(width=6, slopes=slopes, samples=samples)
     scaffold = spec.build(frame, rng)
     parts = scaffold.explicit()[0]
     w, b, *_ = (part.detach().numpy() for part in parts)
@@ -117,7 +117,7 @@ def test_neighbouring_kinks_of_one_input_start_with_opposite_bends() -> None:
     rng = np.random.default_rng(0)
     slopes = (LOWER, UPPER)
     samples = rng.normal(size=(50, 1))
-    frame = Frame(width=6, slopes=slopes, samples=samples)
+    frame = MapContext(width=6, slopes=slopes, samples=samples)
     mlp = Mlp(depth=1, train_slopes=True, certified=False)
     w, b, *_ = (p.detach() for p in mlp.build(frame, rng).explicit()[0])
     order = torch.argsort(-b / w[:, 0])
@@ -163,7 +163,7 @@ def test_every_kind_answers_every_question(name: str, seed: int, channels: int) 
     content = json.loads(text)
     again = Scaffold.from_json(content)
     assert np.array_equal(again(v), scaffold(v))
-    actual = scaffold.portable()(v)
+    actual = scaffold.as_portable()(v)
     np.testing.assert_allclose(actual, scaffold(v), rtol=1e-9, atol=1e-9)
     bound = interval_bound(scaffold.network) if scaffold.kind == "mlp" else jacobian_ball(scaffold)
     direction = rng.normal(size=channels)
@@ -255,7 +255,7 @@ def test_gradients_agree_with_finite_differences(name: str, channels: int) -> No
 
 @given(depth=st.integers(1, 5), channels=st.integers(1, 4), ratio=st.floats(0.001, 0.9))
 def test_layer_sectors_compose_to_the_sector_asked(depth: int, channels: int, ratio: float) -> None:
-    low, high = layer_sector(ratio, 1.0, depth, channels)
+    low, high = layer_slope_bounds(ratio, 1.0, depth, channels)
     assert 0 < low < high
     if channels == 1:
         assert low**depth == pytest.approx(ratio)
@@ -279,7 +279,7 @@ def test_prepared_inputs_pass_as_they_are(name: str, distinct: int) -> None:
     rng = np.random.default_rng(2)
     weight = torch.from_numpy(rng.normal(size=(3, 200, 1)))
     gradients = []
-    for evaluate in (lambda: Lift(u)(scaffold), lambda: scaffold(u)):
+    for evaluate in (lambda: InputMapping(u)(scaffold), lambda: scaffold(u)):
         scaffold.zero_grad()
         values = evaluate()
         if values.requires_grad:

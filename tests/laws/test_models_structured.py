@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
-from ssm_study.models.stored import model_from_json
-from ssm_study.models.structured import NEURONS, StructuredSSM, phi
+from ssm_study.models.stored import read_model_json
+from ssm_study.models.structured import NEURONS, StructuredSSM, evaluate_activations
 from ssm_study.models.structured_kernel import activation_and_slope
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
@@ -67,8 +67,8 @@ def test_the_compiled_run_is_the_stepped_one(seed: int, n: int, m: int, p: int) 
     x = rng.normal(size=(2, n))
     compiled = model.simulate(u, x)
     for k in range(40):
-        ubar = model.lift(u[:, k])
-        actual = model.read(x, ubar)
+        ubar = model.map_input(u[:, k])
+        actual = model.output_at(x, ubar)
         expected = compiled[:, k]
         np.testing.assert_allclose(actual, expected, atol=1e-12, rtol=1e-12)
         x = model.advance(x, ubar)
@@ -100,7 +100,7 @@ def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
     model = drawn(2, kinds=kinds)
     text = json.dumps(model.to_json())
     content = json.loads(text)
-    back = model_from_json(content)
+    back = read_model_json(content)
     rng = np.random.default_rng(2)
     u = rng.normal(size=(50, 2))
     assert isinstance(back, StructuredSSM)
@@ -110,10 +110,10 @@ def test_a_model_reads_back_to_the_same_bits(kinds: tuple[str, ...]) -> None:
 
 @given(kind=st.sampled_from(KINDS), z=st.floats(-50, 50), gap=st.floats(1e-3, 5))
 def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: float) -> None:
-    low, high = (phi((kind,), np.array([at]))[0] for at in (z, z + gap))
+    low, high = (evaluate_activations((kind,), np.array([at]))[0] for at in (z, z + gap))
     upper_limit = (high - low) / gap
     assert -1e-12 <= upper_limit <= 1 + 1e-9
-    slope = phi((kind,), np.array([z]), "slope")[0]
+    slope = evaluate_activations((kind,), np.array([z]), "slope")[0]
     assert 0 <= slope <= 1
     code = KINDS.index(kind)
     actual = activation_and_slope(code, z)
@@ -124,8 +124,10 @@ def test_secants_of_a_neuron_lie_in_the_unit_interval(kind: str, z: float, gap: 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_is_the_derivative(kind: str) -> None:
     z = np.linspace(-3, 3, 41)[:, None] + 0.013
-    difference = (phi((kind,), z + 1e-6) - phi((kind,), z - 1e-6)) / 2e-6
-    actual = phi((kind,), z, "slope")
+    difference = (
+        evaluate_activations((kind,), z + 1e-6) - evaluate_activations((kind,), z - 1e-6)
+    ) / 2e-6
+    actual = evaluate_activations((kind,), z, "slope")
     np.testing.assert_allclose(actual, difference, atol=1e-6)
 
 
@@ -146,4 +148,4 @@ def test_what_does_not_fit_is_refused(field: str, value: object, word: str) -> N
 def test_a_damaged_document_is_refused(field: str, value: object) -> None:
     data = drawn(6).to_json()
     with pytest.raises(BadRequest):
-        model_from_json(data | {field: value})
+        read_model_json(data | {field: value})

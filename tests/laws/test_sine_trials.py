@@ -27,7 +27,7 @@ from ssm_study.robustness.sine_trials import (
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.sine_judgement import design_lines, sine_facts
 
-SSM_MODEL = SSM.of(MODEL, 0.01)
+SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
 SHARE = 0.2
 MISMATCH = measure_mismatch(SSM_MODEL, records(scaled_model(SHARE), noise=1e-3))

@@ -59,12 +59,14 @@ def test_neurons_must_gain_a_percent_point() -> None:
 
 def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None:
     spec = StructuredSpec(order=5, neurons=4, starts=3, among_starts=LargestCertifiableRate())
-    sizes = [(one.order, one.neurons) for one in map(spec.at_start, range(spec.trainings))]
+    sizes = [
+        (one.order, one.neurons) for one in map(spec.for_training_run, range(spec.training_count))
+    ]
     expected = [(5, 4), (3, 4), (5, 4), (3, 0)]
     assert sizes == expected
     best = replace(spec, among_starts=None)
     expected = [best] * 3
-    assert [best.at_start(k) for k in range(best.trainings)] == expected
+    assert [best.for_training_run(k) for k in range(best.trainings)] == expected
 
 
 def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:

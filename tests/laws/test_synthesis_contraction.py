@@ -77,8 +77,8 @@ def closed_loop(
         estimates.append(xh)
         state_feedback_k = design.state_feedback.k
         ubar = model.scaffold_in(xh @ state_feedback_k.T)
-        scaled = model.read_scaled(xh, ubar)
-        innovation = scaled - model.read_scaled(x, ubar)
+        scaled = model.scaled_output_at(xh, ubar)
+        innovation = scaled - model.scaled_output_at(x, ubar)
         x = model.advance(x, ubar)
         observer_l = design.observer.l
         xh = model.advance(xh, ubar) + innovation @ observer_l.T

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from models_cases import data_set
 
-from ssm_study.models.baselines.regression import output_error
+from ssm_study.models.baselines.regression import fit_output_error
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured_spec import AUTO, StructuredSpec
 from ssm_study.refusal import BadRequest
@@ -139,7 +139,7 @@ def test_what_is_fixed_stays_fixed() -> None:
     choice = choose_model(spec, data, 0, quiet)
     assert choice.spec.neurons == 0
     assert choice.spec.knots == 4
-    assert choice.spec.automatic == ()
+    assert choice.spec.automatic_settings == ()
     orders = {row["order"] for row in choice.rows}
     assert orders >= {2, 3}
 
@@ -191,7 +191,7 @@ def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> Non
     data = changed(data, answering_at_once) if direct else data
     model = linear_model(data, 2, direct=direct)
     delay = 0 if direct else 1
-    recursion = output_error(data, 2, delay)
+    recursion = fit_output_error(data, 2, delay)
     u = data.test[0].u
     late = slice(300, None)
     actual = model.simulate(u)[late]
@@ -250,7 +250,7 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     c = np.eye(1)
     d = np.zeros((1, 1))
     system = StateSpace(a=a, b=b, c=c, d=d)
-    model = SSM.of(system, 1.0)
+    model = SSM.from_linear(system, 1.0)
     y = model.simulate(u)
     y[1800:1820] += y.std()
     log = Trajectory(u=u, y=y, step_s=1.0, log=1)
@@ -324,7 +324,7 @@ def test_a_delayed_structured_model_answers_as_the_model_did() -> None:
     fit.advance(2)
     model = fit.stored()
     u = data.test[0].u
-    late = model.delayed(3).simulate(u)
+    late = model.with_dead_time(3).simulate(u)
     actual = late[3:]
     response = model.simulate(u)
     expected = response[:-3]

@@ -11,17 +11,17 @@ from plants_cases import from_yaml
 from structured_adjoint import stepped_gradient
 
 from ssm_study.models.contracting import (
-    Core,
-    Free,
-    _balancing,
-    explicit,
-    in_metric,
-    metric,
-    parameters,
-    projected,
+    FreeParameters,
+    RecurrenceMatrices,
+    _balancing_scales,
+    find_contraction_metric,
+    matrices_from_parameters,
+    parameters_from_matrices,
+    project_to_contracting,
+    transform_to_metric,
 )
-from ssm_study.models.spec import scaled
-from ssm_study.models.structured_spec import Pieces
+from ssm_study.models.spec import scale_records
+from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.training.levenberg import DAMPING_RANGE
 from ssm_study.training.structured_problem import (
     CORE,
@@ -47,15 +47,15 @@ SIZES = {
 }
 
 
-def free_core(seed: int, n: int, q: int) -> Free:
+def free_core(seed: int, n: int, q: int) -> FreeParameters:
     rng = np.random.default_rng(seed)
     x_e = rng.normal(size=(n, q))
     x_g = rng.normal(size=(n + q, n))
     log_d = 0.5 * rng.normal(size=q)
-    return Free(x_e, x_g, log_d)
+    return FreeParameters(x_e, x_g, log_d)
 
 
-def analysis_gap(core: Core, multipliers: np.ndarray, rate: float) -> float:
+def analysis_gap(core: RecurrenceMatrices, multipliers: np.ndarray, rate: float) -> float:
     """The smallest eigenvalue of the open-loop inequality of docs/theory.md with `M = I`, as it
     stands there."""
     n = len(core.a)
@@ -73,29 +73,29 @@ def test_whatever_the_parameters_the_lmi_holds_and_they_are_found_again(
     seed: int, n: int, q: int, rate: float
 ) -> None:
     free = free_core(seed, n, q)
-    core = explicit(free, rate)
+    core = matrices_from_parameters(free, rate)
     multipliers = np.exp(-2.0 * free.log_d)
     assert analysis_gap(core, multipliers, rate) > 0
     d = np.exp(free.log_d)
     e = core.e * d
     f = core.f / d[:, None]
-    back = parameters(Core(core.a, e, f), rate)
+    back = parameters_from_matrices(RecurrenceMatrices(core.a, e, f), rate)
     np.testing.assert_allclose(back.x_e, free.x_e, atol=1e-7, rtol=1e-7)
     np.testing.assert_allclose(back.x_g, free.x_g, atol=1e-7, rtol=1e-7)
 
 
 def test_a_model_that_does_not_contract_has_no_parameters() -> None:
     free = free_core(0, 3, 2)
-    core = explicit(free, 0.9)
+    core = matrices_from_parameters(free, 0.9)
     norm = np.linalg.norm(core.a, 2)
     factor = 1.2 / norm
     with pytest.raises(np.linalg.LinAlgError):
-        parameters(replace_a(core, factor), 0.9)
+        parameters_from_matrices(replace_a(core, factor), 0.9)
 
 
-def replace_a(core: Core, factor: float) -> Core:
+def replace_a(core: RecurrenceMatrices, factor: float) -> RecurrenceMatrices:
     a = factor * core.a
-    return Core(a, core.e, core.f)
+    return RecurrenceMatrices(a, core.e, core.f)
 
 
 @settings(max_examples=20, deadline=None)
@@ -105,11 +105,11 @@ def test_the_projection_contracts_whatever_it_is_given(seed: int, n: int, q: int
     a = rng.normal(size=(n, n))
     e = rng.normal(size=(n, q))
     f = rng.normal(size=(q, n))
-    core = Core(a, e, f)
+    core = RecurrenceMatrices(a, e, f)
     slope = rng.uniform(0, 1, q)
-    found = projected(core, slope, 0.95)
+    found = project_to_contracting(core, slope, 0.95)
     multipliers = np.ones(q)
-    assert analysis_gap(in_metric(found), multipliers, 0.95) > 0
+    assert analysis_gap(transform_to_metric(found), multipliers, 0.95) > 0
 
 
 def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
@@ -119,13 +119,13 @@ def test_the_projection_ends_at_what_the_neurons_did_on_average() -> None:
     a = 0.5 * np.eye(2)
     e = 4 * rng.normal(size=(2, 2))
     f = 4 * rng.normal(size=(2, 2))
-    core = Core(a, e, f)
+    core = RecurrenceMatrices(a, e, f)
     slope = np.array([0.2, 0.3])
     eigenvalues = np.linalg.eigvals(core.a + (core.e * slope) @ core.f)
     spectral_radius = np.abs(eigenvalues).max()
     e = core.e * 0.6 / spectral_radius
     scaled = core._replace(e=e)
-    contracting = projected(scaled, slope, 0.9)
+    contracting = project_to_contracting(scaled, slope, 0.9)
     found = contracting.core
     largest = np.abs(found.e).max()
     assert largest < np.abs(scaled.e).max()
@@ -141,21 +141,21 @@ def test_a_model_that_contracts_already_is_left_as_it_is() -> None:
     free = free_core(1, 3, 2)
     x_e = 0.2 * free.x_e
     x_g = 0.3 * free.x_g
-    core = explicit(free._replace(x_e=x_e, x_g=x_g), 0.9)
-    assert metric(core, 0.9) is not None
+    core = matrices_from_parameters(free._replace(x_e=x_e, x_g=x_g), 0.9)
+    assert find_contraction_metric(core, 0.9) is not None
     slope = np.full(2, 0.5)
-    contracting = projected(core, slope, 0.9)
+    contracting = project_to_contracting(core, slope, 0.9)
     actual = contracting.core.f
     np.testing.assert_allclose(actual, core.f)
     f = 0.0 * core.f
-    assert metric(core._replace(f=f), 0.9) is not None  # neurons that see nothing
+    assert find_contraction_metric(core._replace(f=f), 0.9) is not None  # neurons that see nothing
     e = core.e[:, :0]
     f = core.f[:0]
-    assert metric(Core(core.a, e, f), 0.9) is not None  # no neurons
+    assert find_contraction_metric(RecurrenceMatrices(core.a, e, f), 0.9) is not None  # no neurons
     eigenvalues = np.linalg.eigvals(core.a)
     spectral_radius = np.abs(eigenvalues).max()
     factor = 1.5 / spectral_radius
-    assert metric(replace_a(core, factor), 0.9) is None
+    assert find_contraction_metric(replace_a(core, factor), 0.9) is None
 
 
 KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a kink is no derivative
@@ -170,9 +170,9 @@ def problem(
     p = 2
     q = 3
     pairs = [(rng.normal(size=(t, m)), rng.normal(size=(t, p))) for t in (30, 22)]
-    lift = Pieces(m, 4, 0.1, 1.5)
+    lift = TrainablePieces(m, 4, 0.1, 1.5)
     knots = 0 if integrating_output else 3
-    read = Pieces(p, knots, 0.3, 1.0)
+    read = TrainablePieces(p, knots, 0.3, 1.0)
     b = (n, m)
     c = (p, n)
     d = (p, m)
@@ -181,10 +181,12 @@ def problem(
     shapes = {"b": b, "c": c, "d": d, "g": g, "h": h, "bias": (q,)}
     theta = {name: 0.5 * rng.normal(size=shape) for name, shape in shapes.items()}
     theta |= (
-        free_core(seed, n, q)._asdict() if rate else explicit(free_core(seed, n, q), 0.9)._asdict()
+        free_core(seed, n, q)._asdict()
+        if rate
+        else matrices_from_parameters(free_core(seed, n, q), 0.9)._asdict()
     )
-    scaffold_in = 0.6 * rng.normal(size=len(lift.owners))
-    scaffold_out = 0.6 * rng.normal(size=len(read.owners))
+    scaffold_in = 0.6 * rng.normal(size=len(lift.parameter_channels))
+    scaffold_out = 0.6 * rng.normal(size=len(read.parameter_channels))
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
     theta["x0"] = rng.normal(size=(2, n + p * integrating_output))
     records = Batch.padded(pairs)
@@ -221,9 +223,9 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_out
 
 def test_the_gradient_is_that_of_the_adjoint() -> None:
     one, theta = problem(5, None)
-    lift = Pieces(2, 0, 0.1, 1.0)
-    read = Pieces(2, 0, 0.1, 1.0)
-    one = replace(one, lift=lift, read=read)
+    lift = TrainablePieces(2, 0, 0.1, 1.0)
+    read = TrainablePieces(2, 0, 0.1, 1.0)
+    one = replace(one, lift=lift, output_at=read)
     scaffold_in = np.zeros(0)
     scaffold_out = np.zeros(0)
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
@@ -257,8 +259,8 @@ def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None
 def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> None:
     """An unstable draw: the loss and the normal matrix are finite, not so the matrix times a
     damping."""
-    lift = Pieces(1, 0, 0.1, 1.0)
-    read = Pieces(1, 0, 0.1, 1.0)
+    lift = TrainablePieces(1, 0, 0.1, 1.0)
+    read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     pairs = [(np.ones((900, 1)), np.arange(900.0)[:, None])]
     records = Batch.padded(pairs)
@@ -284,10 +286,10 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     hundredth."""
     made = from_yaml("data", "simulated", "validation_samples=20", "test_samples=20")
     recording = made.build(from_yaml("plant", "dc_motor"), from_yaml("excitation", "aprbs"), 8)
-    lift = Pieces(1, 16, 0.1, 1.0)
-    read = Pieces(1, 0, 0.1, 1.0)
+    lift = TrainablePieces(1, 16, 0.1, 1.0)
+    read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
-    batch = Batch.padded(scaled(recording))
+    batch = Batch.padded(scale_records(recording))
     records = batch.cut(2000)
     one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(8)
@@ -310,8 +312,8 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
         x = np.array([0.975 * x[0] + 0.05 * x[1], 0.96 * x[1] + v[0]])
     standard_deviation = np.std(y)
     y = np.array(y) / standard_deviation
-    lift = Pieces(1, 0, 0.1, 1.0)
-    read = Pieces(1, 0, 0.1, 1.0)
+    lift = TrainablePieces(1, 0, 0.1, 1.0)
+    read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     pairs = [(u, y)]
     records = Batch.padded(pairs)
@@ -331,15 +333,15 @@ def test_the_projection_leaves_slow_modes_slow() -> None:
     a = np.diag([0.985, 0.5])
     e = np.full((2, 1), 1e-4)
     f = np.ones((1, 2))
-    slow = Core(a, e, f)
+    slow = RecurrenceMatrices(a, e, f)
     slope = np.full(1, 0.5)
-    contracting = projected(slow, slope, 0.999)
+    contracting = project_to_contracting(slow, slope, 0.999)
     core = contracting.core
     actual = core.a
     np.testing.assert_allclose(actual, slow.a, atol=1e-12)
     core = replace_a(slow, 1.1)
     slope = np.full(1, 0.5)
-    fast = projected(core, slope, 0.999)
+    fast = project_to_contracting(core, slope, 0.999)
     core_a = fast.core.a
     eigenvalues = np.linalg.eigvals(core_a)
     spectral_radius = np.abs(eigenvalues).max()
@@ -350,8 +352,8 @@ def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
     """Osborne: off the diagonal, rows and columns of `diag(1/d) G diag(d)` are equally long."""
     rng = np.random.default_rng(0)
     gains = rng.uniform(0.1, 10.0, (5, 5)) * np.geomspace(1, 100, 5)[:, None]
-    d = _balancing(gains + 50.0 * np.eye(5))
-    assert d == pytest.approx(_balancing(gains))
+    d = _balancing_scales(gains + 50.0 * np.eye(5))
+    assert d == pytest.approx(_balancing_scales(gains))
     scaled = gains / d[:, None] * d
     np.fill_diagonal(scaled, 0.0)
     norm = np.linalg.norm(scaled, axis=0)

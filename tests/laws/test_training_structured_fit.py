@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ssm_study.bounds.metrics import bound_facts
-from ssm_study.models.contracting import Core, metric
+from ssm_study.models.contracting import RecurrenceMatrices, find_contraction_metric
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
@@ -87,8 +87,8 @@ def test_a_model_of_the_class_is_identified_contracting_and_again_the_same(
     first = trained(data, tmp_path / "a")
     second = trained(data, tmp_path / "b")
     assert first.to_json() == second.to_json()
-    core = Core(first.a, first.e, first.f)
-    found = metric(core, 0.9995)
+    core = RecurrenceMatrices(first.a, first.e, first.f)
+    found = find_contraction_metric(core, 0.9995)
     assert found is not None
 
 

@@ -66,7 +66,7 @@ def test_rotations_and_signs_are_absorbed(inner, side: str) -> None:
     model = two_channel(inner) if side == "in" else two_channel(LinearScaffold.identity(2), inner)
     relative_radius = getattr(certified_balls(model), f"{side}put").relative_radius
     assert relative_radius >= 1
-    turned = model.absorbed()
+    turned = model.absorb_map_centres()
     relative_radius = getattr(certified_balls(turned), f"{side}put").relative_radius
     assert relative_radius < 0.6
     rng = np.random.default_rng(1)
@@ -91,7 +91,7 @@ def test_channels_of_different_gain_keep_their_map(side: str) -> None:
             if side == "in"
             else two_channel(LinearScaffold.identity(2), scaffold)
         )
-        turned = model.absorbed()
+        turned = model.absorb_map_centres()
         assert turned.linear is not model.linear
         rng = np.random.default_rng(2)
         u = rng.normal(size=(200, 2))
@@ -123,7 +123,7 @@ def test_what_cannot_be_absorbed_is_left_for_synthesis_to_refuse() -> None:
     breakpoints = np.zeros((2, 1))
     slopes = np.array([[-1.0, 1.0], [1.0, 1.0]])
     folding = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    model = two_channel(folding).absorbed()
+    model = two_channel(folding).absorb_map_centres()
     balls = certified_balls(model)
     relative_radius = balls.input.relative_radius
     assert relative_radius >= 1

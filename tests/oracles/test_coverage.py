@@ -71,7 +71,7 @@ def scaled_model(share: float):
 
 
 def premise(answer, **options) -> Premise:
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     made = records(answer, **options)
     validation = made[:1]
     mismatch = measure_mismatch(model, made)
@@ -83,7 +83,7 @@ def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Desig
     asked = RiccatiSynthesis(
         rate_controller=0.3, rate_observer=0.3, input_weight=input_weight, output_noise=0.1
     )
-    ssm = SSM.of(linear_model, 0.01)
+    ssm = SSM.from_linear(linear_model, 0.01)
     made = asked.design(ssm, BALLS)
     assert made.certified
     return made
@@ -91,7 +91,7 @@ def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Desig
 
 def covered(answer, **options) -> dict:
     known = premise(answer, **options)
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     return coverage_facts(with_coverage(design(), model, BALLS, known), model, known)
 
 
@@ -142,7 +142,7 @@ def test_noise_is_told_from_mismatch_where_an_input_repeats() -> None:
 def test_a_record_that_does_not_repeat_counts_its_noise() -> None:
     rng = np.random.default_rng(2)
     u = rng.uniform(-1, 1, (2000, 1))
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     needs = []
     for noise in (0.0, 0.05):
         y = 1.3 * MODEL.simulate(u)[0] + noise * rng.standard_normal(u.shape)
@@ -269,7 +269,7 @@ def test_a_mode_that_no_record_excites_is_no_coverage(size: float, noise: float)
 def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
     """A gain that is wrong by a tenth is measured as that in every band."""
     known = premise(scaled_model(0.1))
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     extra_certificates = with_coverage(design(), model, BALLS, known).extra_certificates
     part = extra_certificates["coverage"]
     weights = weights_of(part)
@@ -312,7 +312,7 @@ def test_a_model_that_integrates_has_no_premise() -> None:
     b = np.ones((2, 1))
     c = np.ones((1, 2))
     integrating = StateSpace(a=a, b=b, c=c, d=ZERO)
-    model = SSM.of(integrating, 0.01)
+    model = SSM.from_linear(integrating, 0.01)
     made = records(scaled_model(0.1))
     mismatch = measure_mismatch(model, made)
     shown = replace(mismatch, left_at_rest=None)
@@ -323,7 +323,7 @@ def test_an_empty_premise_is_refused() -> None:
     nothing = Premise(repeating=(), averaged=())
     assert nothing.missing(0.0) == EMPTY
     assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     extra_certificates = with_coverage(design(), model, BALLS, nothing).extra_certificates
     assert extra_certificates == {}
     coverage = coverage_facts(design(), model, nothing)["coverage"]
@@ -334,7 +334,7 @@ def test_stored_weights_are_not_trusted() -> None:
     """Ten times the weights at a tenth of kappa are the same proof; at the same kappa they are
     none, and a premise that is emptied takes the number away."""
     known = premise(scaled_model(0.1))
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     made = with_coverage(design(), model, BALLS, known)
     part = made.extra_certificates["coverage"]
     assert part.holds(**part.variables)
@@ -363,7 +363,7 @@ def test_stored_weights_are_not_trusted() -> None:
 
 def test_a_certificate_reads_back_to_the_same_numbers() -> None:
     known = premise(scaled_model(0.1))
-    model = SSM.of(MODEL, 0.01)
+    model = SSM.from_linear(MODEL, 0.01)
     made = with_coverage(design(), model, BALLS, known)
     again = Design.from_json(made.to_json())
     assert coverage_facts(again, model, known) == coverage_facts(made, model, known)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ssm_study.api.parts import Parts
-from ssm_study.models.warm_start import simulate_parts
+from ssm_study.models.warm_start import simulate_validation_and_test
 
 FOLDER = Path(__file__).parents[3] / "shared" / "data" / "logs_small"
 pytestmark = pytest.mark.skipif(not FOLDER.is_dir(), reason="needs ../shared/data/logs_small")
@@ -52,7 +52,7 @@ def fit_on_test(name: str, settings: dict[str, object], model: str, *words: str)
     parts.set_fields("data", path=path, **(columns | settings))
     data = parts.build("data").build(0)
     trained = parts.build("model").solve(data)
-    return simulate_parts(trained, data)[1].fit_percent
+    return simulate_validation_and_test(trained, data)[1].fit_percent
 
 
 @pytest.mark.parametrize("name", LAG)

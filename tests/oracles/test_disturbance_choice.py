@@ -16,7 +16,7 @@ from ssm_study.data.splits import split_by_time
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.models.warm_start import log_before, state_from_past
+from ssm_study.models.warm_start import preceding_log, state_from_past
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
@@ -77,10 +77,10 @@ def test_the_past_of_a_piece_is_driven_by_its_disturbance() -> None:
     start = whole.first
     u = whole.u[start : piece.first]
     d = whole.d[start : piece.first]
-    expected = slow_model().run(slow_model().drive(u, d), np.array([2.0]))[1]
+    expected = slow_model().simulate_mapped(slow_model().driving_signals(u, d), np.array([2.0]))[1]
     state = state_from_past(slow_model(), data, piece)
     np.testing.assert_allclose(state, expected.reshape(-1)[-1], rtol=1e-6)
-    before = log_before(data, piece)
+    before = preceding_log(data, piece)
     np.testing.assert_array_equal(before.d, whole.d[: piece.first])
 
 
@@ -139,7 +139,7 @@ def test_a_linear_model_of_the_choice_has_a_path_for_the_disturbance(direct: boo
     norm = np.linalg.norm(error[settled])
     upper_limit = 0.3 * np.linalg.norm(error_without[settled])
     assert norm < upper_limit
-    late = model.delayed(2)
+    late = model.with_dead_time(2)
     actual = late.b_d[:1]
     np.testing.assert_array_equal(actual, model.b_d)
 
@@ -164,7 +164,7 @@ def test_neurons_and_a_load_behind_a_dead_time(samples: int) -> None:
     u = rng.normal(size=(60, 1))
     d = rng.normal(size=(60, 1))
     late = np.concatenate([np.zeros((samples, 1)), u[:-samples]])
-    delayed = model.delayed(samples).simulate(u, d=d)
+    delayed = model.with_dead_time(samples).simulate(u, d=d)
     expected = model.simulate(late, d=d)
     np.testing.assert_allclose(delayed, expected, atol=1e-10)
 

@@ -145,8 +145,8 @@ def test_c_with_neurons_and_two_loads(tmp_path: Path) -> None:
     from ssm_study.export.portable import PortableController, _convert_neurons
 
     e = np.zeros((3, 1))
-    s_in = model.scaffold_in.portable()
-    s_out = model.scaffold_out.portable()
+    s_in = model.scaffold_in.as_portable()
+    s_out = model.scaffold_out.as_portable()
     neurons = _convert_neurons(model, gains["l_z"], 0)
     controller = PortableController(
         a=model.a, b=model.b, c=model.c, d=model.d, k=gains["k"], l=gains["l"],

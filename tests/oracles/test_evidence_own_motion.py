@@ -50,7 +50,7 @@ def case(y: np.ndarray, system: StateSpace, cut=split_by_time, log: int = 1) -> 
     data = assemble_dataset(parts, rest, channels, SKIP)
     model = replace(linear_model(0), linear=system)
     names = ("validation", "test")
-    free = {name: Simulation.of(model, getattr(data, name), SKIP) for name in names}
+    free = {name: Simulation.simulate_records(model, getattr(data, name), SKIP) for name in names}
     return Case(data=data, model=model, **free)
 
 

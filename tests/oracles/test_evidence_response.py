@@ -45,7 +45,7 @@ def case(u: np.ndarray, y: np.ndarray, slow: float = 0.9, source: str = "recorde
     lag = StateSpace(a=a, b=b, c=c, d=d)
     model = replace(linear_model(0), linear=lag)
     names = ("validation", "test")
-    parts = {name: Simulation.of(model, getattr(data, name), 0) for name in names}
+    parts = {name: Simulation.simulate_records(model, getattr(data, name), 0) for name in names}
     return Case(data=data, model=model, **parts)
 
 
@@ -302,7 +302,7 @@ def test_a_model_with_neurons_is_judged():
     data = case(LEVELS, answer(LEVELS)).data
     other = model()
     parts = (data.validation, data.test)
-    validation, test = (Simulation.of(other, part, 0) for part in parts)
+    validation, test = (Simulation.simulate_records(other, part, 0) for part in parts)
     mismatch = measure_mismatch(other, data.validation)
     judgement = collect_findings(data, other, validation, test, mismatch)
     level = judgement.level

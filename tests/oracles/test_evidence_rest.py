@@ -89,7 +89,7 @@ def fitted_log(
     known = case(LEVELS, answer(LEVELS), slow).model
     model = replace(known, scale=data.scale)
     names = ("validation", "test")
-    parts = {name: Simulation.of(model, getattr(data, name), 20) for name in names}
+    parts = {name: Simulation.simulate_records(model, getattr(data, name), 20) for name in names}
     log = Case(data=data, model=model, **parts)
     shown = measure_mismatch(model, data.validation, 20, data.mismatch_records)
     told = [found.sentence for found in judge_records(log, shown)]

@@ -39,7 +39,7 @@ def signals(model: SSM, seed: int) -> tuple[np.ndarray, np.ndarray]:
     linear_b = model.linear.b
     rest = np.linalg.solve(difference, linear_b)
     w = 1000 * levels[0]
-    return model.scale.physical_output(w), model.read(lifted @ rest.T, lifted)
+    return model.scale.physical_output(w), model.output_at(lifted @ rest.T, lifted)
 
 
 @pytest.mark.parametrize("real", ["double", "float"])
@@ -164,7 +164,7 @@ def test_a_set_point_beyond_the_limits_is_approached_and_nothing_winds_up(tmp_pa
 def test_the_inverse_undoes_the_map(kind: str, channels: int) -> None:
     rng = np.random.default_rng(4)
     scaffold = random_scaffold(rng, kind, channels)
-    portable = scaffold.portable()
+    portable = scaffold.as_portable()
     inverse = inverse_of(portable)
     portable_map = portable(np.linspace(-9, 9, 5000)[:, None] * np.ones(channels))
     slopes = np.diff(portable_map, axis=0)

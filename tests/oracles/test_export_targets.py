@@ -27,7 +27,7 @@ from ssm_study.export.targets import (
 )
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.loop.trajectory import scaled_equilibrium
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import NEURONS, StructuredSSM
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
@@ -60,7 +60,7 @@ MAIN_LIMITED_C = MAIN_C.replace(
 def python_loop(run: Path, y: np.ndarray, limit: float = np.inf) -> np.ndarray:
     text = (run / "model.json").read_text()
     content = json.loads(text)
-    model = model_from_json(content)
+    model = read_model_json(content)
     design = Design.load(run / "certificate.json")
     law = ObserverFeedback(model=model, gains=design.pair)
     memory = law.initial_memory(1)
@@ -209,7 +209,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     run = structured_run(tmp_path / "run", kinds, 0.05)
     text = (run / "model.json").read_text()
     content = json.loads(text)
-    model = model_from_json(content)
+    model = read_model_json(content)
     ends = (-2.0, 2.0)
     device = Device.from_controller(
         load_controller(run),
@@ -220,7 +220,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
     missed = device.set_point_maps.missed
     assert 1e-6 < missed < 1e-2
     lifted = model.scaffold_in(np.array([[-1.0], [0.7]]))
-    for r in model.read(np.stack([rested(model, v) for v in lifted]), lifted):
+    for r in model.output_at(np.stack([rested(model, v) for v in lifted]), lifted):
         x, u = scaled_equilibrium(model, r)
         aimed = device.nearest_equilibrium(r)
         assert model.scale.scaled_output(r) == pytest.approx(aimed["w"], abs=1e-9)
@@ -233,7 +233,11 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
         truth = np.zeros(model.order)
         assert not state.any()
         for _ in range(200):
-            y = model.read(truth, lift(model, applied)) if _ else model.scale.output_equilibrium
+            y = (
+                model.output_at(truth, lift(model, applied))
+                if _
+                else model.scale.output_equilibrium
+            )
             applied, state = device.compute_step(state, y, r)
             truth = model.advance(truth, lift(model, applied))
         difference = np.abs(model.scale.scaled_output(y) - model.scale.scaled_output(r))
@@ -242,7 +246,7 @@ def test_the_device_aims_where_the_model_rests(tmp_path: Path) -> None:
 
 
 def lift(model: StructuredSSM, u: np.ndarray) -> np.ndarray:
-    return model.lift(u[None])[0]
+    return model.map_input(u[None])[0]
 
 
 def rested(model: StructuredSSM, v: np.ndarray) -> np.ndarray:

@@ -86,7 +86,7 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     linear_b = model.linear.b
     rest = np.linalg.solve(difference, linear_b @ loads.T)
     ubar = np.zeros((8, 3))
-    scaled = model.read_scaled(rest.T, ubar)
+    scaled = model.scaled_output_at(rest.T, ubar)
     held = np.linalg.norm(scaled, axis=1)
     for channel in (0, 2):
         acting = loads[:, channel] != 0

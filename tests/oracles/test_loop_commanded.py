@@ -138,7 +138,7 @@ def test_what_the_records_show_is_relative_to_the_command() -> None:
     y = response + 0.05 * white_noise
     record = Trajectory(u=u, y=y, step_s=stand.step_s)
     norm = np.linalg.norm(stand.scale.scaled_input(u))
-    size = norm / np.linalg.norm(stand.lift(u))
+    size = norm / np.linalg.norm(stand.map_input(u))
     mismatch = mismatch_behind_map(stand, (record,), 0, ())
     gain = mismatch.gain
     mismatch = measure_mismatch(stand, (record,))

@@ -32,7 +32,7 @@ def bent() -> SSM:
     breakpoints = np.array([[-1.0, 0.5]])
     slopes = np.array([[1.0, 0.8, 1.0]])
     lifted = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    ssm = SSM.of(linear, 0.1)
+    ssm = SSM.from_linear(linear, 0.1)
     return replace(ssm, scaffold_in=lifted)
 
 
@@ -46,13 +46,13 @@ def test_the_output_is_the_same_later(inputs: int) -> None:
     c = rng.standard_normal((1, 3))
     d = rng.standard_normal((1, inputs))
     state_space = StateSpace(**matrices, c=c, d=d)
-    model = SSM.of(state_space, 0.1)
+    model = SSM.from_linear(state_space, 0.1)
     u = rng.standard_normal((80, inputs))
     y = model.simulate(u)
-    late = model.delayed(5).simulate(u)
+    late = model.with_dead_time(5).simulate(u)
     assert not late[:5].any()
     assert np.allclose(late[5:], y[:-5], atol=1e-12)
-    order = model.delayed(5).order
+    order = model.with_dead_time(5).order
     assert order == 3 + 5 * inputs
     record = Trajectory(u=u, y=late, step_s=0.1)
     data = DataSet(
@@ -79,11 +79,11 @@ def test_the_loop_reckons_with_the_dead_time_and_without_it_does_not_settle() ->
     balls = Balls(input=jacobian_ball, output=output)
     wanted = RiccatiSynthesis(rate_controller=0.08, rate_observer=0.1, input_weight=0.1)
     loop = Loop(horizon_s=20.0, measurement_noise_variance=0.0)
-    told, untold = (wanted.design(known, balls) for known in (model.delayed(LATE), model))
+    told, untold = (wanted.design(known, balls) for known in (model.with_dead_time(LATE), model))
     assert told.certified
     assert untold.certified
-    assert failed_checks(told.to_json(), model.delayed(LATE).linear, balls) == []
-    aware = loop.run_design(plant, model.delayed(LATE), told, seed=0)
+    assert failed_checks(told.to_json(), model.with_dead_time(LATE).linear, balls) == []
+    aware = loop.run_design(plant, model.with_dead_time(LATE), told, seed=0)
     assert behaviour_columns(aware)["stable_count"] == 10
     certified_bound_violations = certificate_columns(aware, told)["certified_bound_violations"]
     assert certified_bound_violations == 0

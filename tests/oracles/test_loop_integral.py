@@ -64,7 +64,7 @@ def test_the_augmented_pair_is_the_equations_written_out():
     expected = linear_a @ x + linear_b @ v
     np.testing.assert_allclose(actual, expected)
     actual = after[4:]
-    scaled = model.read_scaled(x, v)
+    scaled = model.scaled_output_at(x, v)
     expected = z + scaled
     np.testing.assert_allclose(actual, expected)
 
@@ -255,7 +255,7 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     system = with_modes(model, weight=0.09)
     cost = (system.c @ np.concatenate([x, z])) ** 2
     ubar = np.zeros(2)
-    scaled = model.read_scaled(x, ubar)
+    scaled = model.scaled_output_at(x, ubar)
     expected = (scaled**2).sum() + 0.09 * (z**2).sum()
     assert cost.sum() == pytest.approx(expected)
     integral_weight = inner().integral_weight

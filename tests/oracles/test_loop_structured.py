@@ -48,7 +48,7 @@ def test_a_plan_is_the_models_own_trajectory_and_ends_at_the_set_point() -> None
     reference = np.repeat([[1.0], [1.8], [0.7]], 200, axis=0)
     plan = feedback_trajectory(stand, k, reference)
     replayed = stand.simulate(stand.scale.physical_input(plan[:, 3:]))
-    planned = stand.read(plan[:, :3], stand.scaffold_in(plan[:, 3:]))
+    planned = stand.output_at(plan[:, :3], stand.scaffold_in(plan[:, 3:]))
     np.testing.assert_allclose(replayed, planned, atol=1e-10)
     assert planned[399, 0] == pytest.approx(1.8, abs=1e-6)
     assert not feedback_trajectory(stand, k, np.ones((5, 1))).any()

@@ -78,7 +78,7 @@ def test_an_equilibrium_is_one(seed):
     lifted = model.scaffold_in(u)
     actual = model.advance(x, lifted)
     np.testing.assert_allclose(actual, x, atol=1e-9)
-    actual = model.read(x, lifted)
+    actual = model.output_at(x, lifted)
     np.testing.assert_allclose(actual, y, rtol=1e-9)
 
 
@@ -93,7 +93,7 @@ def test_a_planned_trajectory_is_the_models_own_and_near():
     actual = x[1:]
     expected = model.advance(x[:-1], model.scaffold_in(u[:-1]))
     np.testing.assert_allclose(actual, expected, atol=1e-9)
-    y = model.read(x, model.scaffold_in(u))
+    y = model.output_at(x, model.scaffold_in(u))
     difference = np.abs(y - reference)
     largest = difference[20:].max()
     assert largest < 1.0
@@ -138,7 +138,7 @@ def test_the_loop_converges_to_any_planned_trajectory_of_its_model():
     loop_runs = loop.run_design(plant, model, motor_design(), seed=0)
     run = loop_runs.controlled
     plan = feasible_trajectory(model, run.reference)
-    target = model.read(plan[:, :2], model.scaffold_in(plan[:, 2:]))
+    target = model.output_at(plan[:, :2], model.scaffold_in(plan[:, 2:]))
     difference = np.abs(run.y - target)
     largest = difference[:, 300:].max()
     assert largest < 1e-3

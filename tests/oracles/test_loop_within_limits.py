@@ -47,7 +47,7 @@ def pair() -> tuple[SSM, Design]:
     c = np.array([[1.0, 0.0]])
     d = np.zeros((1, 1))
     state_space = StateSpace(a=a, b=b, c=c, d=d)
-    plain = SSM.of(state_space, 0.1)
+    plain = SSM.from_linear(state_space, 0.1)
     breakpoints = np.array([[-1.0, 0.1, 0.8]])
     slopes = np.array([SLOPES])
     lifted = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
@@ -67,10 +67,10 @@ def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
     target = np.zeros(model.order + 2)
     asked = []
     for _ in range(120):
-        y = model.read(x, np.zeros((1, 1)))
+        y = model.output_at(x, np.zeros((1, 1)))
         u = law.input(memory, y, target)
         memory = law.advance(memory, u, y, target)
-        x = model.advance(x, model.lift(u))
+        x = model.advance(x, model.map_input(u))
         asked.append(u[0, 0])
     return np.array(asked)
 
@@ -232,7 +232,7 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     c = np.eye(1)
     d = np.array([[-0.5]])
     lag = StateSpace(a=a, b=b, c=c, d=d)
-    model = SSM.of(lag, 0.1, rest)
+    model = SSM.from_linear(lag, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
     balls = Balls(input=ball, output=ball)
@@ -271,7 +271,7 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
         input_equilibrium=input_equilibrium,
         output_equilibrium=output_equilibrium,
     )
-    model = SSM.of(lags, 0.1, rest)
+    model = SSM.from_linear(lags, 0.1, rest)
     ball = JacobianBall(alpha=1.0, beta=0.0)
     wanted = RiccatiSynthesis(rate_controller=0.5, rate_observer=0.4, input_weight=0.5)
     balls = Balls(input=ball, output=ball)
@@ -301,7 +301,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
     c = np.eye(2)
     d = np.zeros((2, 2))
     lags = StateSpace(a=a, b=b, c=c, d=d)
-    ssm = SSM.of(lags, 0.1)
+    ssm = SSM.from_linear(lags, 0.1)
     scaffold_out = LinearScaffold(gain=gain)
     model = replace(ssm, scaffold_out=scaffold_out)
     balls_input = JacobianBall(alpha=1.0, beta=0.0)
@@ -314,7 +314,7 @@ def coupled_pair(gain: np.ndarray) -> tuple[SSM, Design]:
 def largest_request(model: SSM, design: Design, output: np.ndarray) -> float:
     """Largest input that the law asks for from rest at this output, the estimate exact."""
     rest, _, gain = model.linear.steady_states()
-    linear = model.scaffold_out.portable().linear
+    linear = model.scaffold_out.as_portable().linear
     solution = np.linalg.solve(linear @ gain, output)
     x = rest @ solution
     k = design.state_feedback.k
@@ -368,7 +368,7 @@ def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
     c = np.ones((1, 2))
     d = np.zeros((1, 2))
     lags = StateSpace(a=a, b=b, c=c, d=d)
-    model = SSM.of(lags, 0.1)
+    model = SSM.from_linear(lags, 0.1)
     assert rest_corners(model) is None
     breakpoints = np.zeros((1, 1))
     slopes = np.array([[1.0, -1.0]])
@@ -378,6 +378,6 @@ def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
     c = np.eye(1)
     d = np.zeros((1, 1))
     state_space = StateSpace(a=a, b=b, c=c, d=d)
-    ssm = SSM.of(state_space, 0.1)
+    ssm = SSM.from_linear(state_space, 0.1)
     folded = replace(ssm, scaffold_out=bent)
     assert rest_corners(folded) is None

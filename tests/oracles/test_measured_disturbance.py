@@ -20,7 +20,7 @@ from ssm_study.bounds.reduction import Reduction
 from ssm_study.data.splits import rest_segments
 from ssm_study.loop.controller import ObserverFeedback
 from ssm_study.models.scaffolds.linear import LinearScaffold
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale, Trajectory
@@ -85,11 +85,11 @@ def test_the_observer_is_told_the_load() -> None:
     plan = law.targets(reference)
     target = plan[0]
     for d in far_disturbance(model, 30):
-        y = model.read(x, np.zeros((1, 1)))
+        y = model.output_at(x, np.zeros((1, 1)))
         u = model.scale.input_equilibrium[None]
         told = law.advance(told, u, y, target, d)
         untold = law.advance(untold, u, y, target)
-        x = model.advance(x, model.lift(u)) + model.push(d)
+        x = model.advance(x, model.map_input(u)) + model.disturbance_contribution(d)
     np.testing.assert_allclose(told, x, atol=1e-12)
     difference = np.abs(untold - x)
     largest_difference = difference.max()
@@ -116,7 +116,7 @@ def test_a_model_without_a_load_is_written_as_before() -> None:
     for one in (model, without):
         text = json.dumps(one.to_json())
         content = json.loads(text)
-        again = model_from_json(content)
+        again = read_model_json(content)
         assert again.to_json() == one.to_json()
     b_d = np.zeros((0, 0))
     with pytest.raises(BadRequest, match="b_d"):
@@ -157,7 +157,7 @@ def no_load(scale: Scale) -> Scale:
 
 def test_a_load_acts_without_the_dead_time() -> None:
     model = replace(random_model(0, neurons=False), scaffold_in=LinearScaffold.identity(1))
-    late = model.delayed(4)
+    late = model.with_dead_time(4)
     input_equilibrium = model.scale.input_equilibrium
     rng = np.random.default_rng(0)
     u = input_equilibrium + rng.normal(size=(60, 1))

@@ -13,7 +13,7 @@ from models_cases import data_set
 from test_training_choice import training
 
 from ssm_study.api.model import Model
-from ssm_study.models.members import member_facts
+from ssm_study.models.members import member_columns
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
@@ -66,7 +66,7 @@ def test_a_changed_member_changes_what_verify_derives(
     folder: Path, data: DataSet, tmp_path: Path
 ) -> None:
     members = read_trained(folder).members
-    stated = member_facts(members, data)
+    stated = member_columns(members, data)
     for path in folder.glob("*.json"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     text = (tmp_path / MEMBERS).read_text()
@@ -75,14 +75,14 @@ def test_a_changed_member_changes_what_verify_derives(
     text = json.dumps(changed)
     (tmp_path / MEMBERS).write_text(text)
     members = read_trained(tmp_path).members
-    assert member_facts(members, data) != stated
+    assert member_columns(members, data) != stated
 
 
 def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
-    assert member_facts((), data) == {}
+    assert member_columns((), data) == {}
     members = trained.members[:1]
-    assert member_facts(members, data) == {}
+    assert member_columns(members, data) == {}
 
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:

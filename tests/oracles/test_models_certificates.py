@@ -11,7 +11,7 @@ from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.slopes import jacobian_ball
 from ssm_study.models.scaffolds.mlp import Mlp
 from ssm_study.models.scaffolds.residual import Residual, ResidualScaffold
-from ssm_study.models.scaffolds.trainable import Frame
+from ssm_study.models.scaffolds.trainable import MapContext
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
@@ -43,7 +43,7 @@ def test_the_stored_multipliers_prove_the_residual_map_1_lipschitz(depth: int, s
     rng = np.random.default_rng(seed)
     slopes = (0.1, 1.0)
     samples = rng.normal(size=(50, 3))
-    frame = Frame(width=6, slopes=slopes, samples=samples)
+    frame = MapContext(width=6, slopes=slopes, samples=samples)
     residual = Residual(depth=depth)
     frozen = residual.build(frame, rng).freeze()
     assert isinstance(frozen, ResidualScaffold)
@@ -63,7 +63,7 @@ def trained_like(channels: int, depth: int = 1) -> ResidualScaffold:
     rng = np.random.default_rng(channels)
     slopes = (0.1, 1.0)
     samples = rng.normal(size=(50, channels))
-    frame = Frame(width=8, slopes=slopes, samples=samples)
+    frame = MapContext(width=8, slopes=slopes, samples=samples)
     residual = Residual(depth=depth)
     frozen = residual.build(frame, rng).freeze()
     assert isinstance(frozen, ResidualScaffold)
@@ -149,7 +149,7 @@ def test_the_perceptron_of_one_channel_can_saturate() -> None:
     whatever their values."""
     frame_slopes = (0.1, 1.0)
     samples = np.linspace(-1, 1, 50)[:, None]
-    frame = Frame(width=8, slopes=frame_slopes, samples=samples)
+    frame = MapContext(width=8, slopes=frame_slopes, samples=samples)
     mlp = Mlp(depth=1, train_slopes=True, certified=True)
     rng = np.random.default_rng(0)
     scaffold = mlp.build(frame, rng)

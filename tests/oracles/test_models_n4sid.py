@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ssm_study.data.assembly import assemble_dataset
-from ssm_study.models.baselines.solved import N4SID, input_matrix
+from ssm_study.models.baselines.solved import N4SID, estimate_input_matrix
 from ssm_study.signals import Channel, Trajectory
 from ssm_study.systems import StateSpace
 
@@ -24,7 +24,7 @@ def test_the_input_matrix_is_recovered_from_records_with_unknown_starts() -> Non
         u = RNG.normal(size=(length, 2))
         response = TRUE.simulate(u, RNG.normal(size=2))
         records.append((u, response[0]))
-    actual = input_matrix(TRUE.a, TRUE.c, records)
+    actual = estimate_input_matrix(TRUE.a, TRUE.c, records)
     np.testing.assert_allclose(actual, TRUE.b, atol=1e-10)
 
 

@@ -5,10 +5,10 @@ import pytest
 
 from ssm_study.data.assembly import assemble_dataset
 from ssm_study.models.baselines.regression import (
-    best_baseline,
-    forward_selection,
-    output_error,
-    regression_rows,
+    fit_best_baseline,
+    fit_output_error,
+    regression_arrays,
+    select_regressors,
 )
 from ssm_study.models.baselines.solved import NARX, OutputError
 from ssm_study.refusal import BadRequest
@@ -43,7 +43,7 @@ def test_no_row_reaches_across_two_records() -> None:
     first = (np.arange(4.0)[:, None], 10.0 + np.arange(4.0)[:, None])
     second = (100.0 + np.arange(3.0)[:, None], 200.0 + np.arange(3.0)[:, None])
     codes = [1001, 2002]
-    rows, target = regression_rows([first, second], codes)
+    rows, target = regression_arrays([first, second], codes)
     expected = [[11, 0], [12, 1], [201, 100]]
     np.testing.assert_array_equal(rows, expected)
     expected = [12, 13, 202]
@@ -69,15 +69,15 @@ def test_forward_selection_takes_the_columns_that_explain() -> None:
     target = 3.0 * candidates[:, 4] - candidates[:, 1]
     repeated = np.column_stack([candidates, candidates[:, 4]])
     expected = [4, 1]
-    assert forward_selection(repeated, target, 2) == expected
-    assert len(forward_selection(repeated, target, 10)) == 6  # the copy is never taken
+    assert select_regressors(repeated, target, 2) == expected
+    assert len(select_regressors(repeated, target, 10)) == 6  # the copy is never taken
 
 
 def test_output_error_is_unbiased_where_arx_is_not() -> None:
     """Noise on the output biases the poles of ARX; the free run's error does not care."""
     data = records(noise=1.0)
     poles = {}
-    oe = output_error(data, 2, 1)
+    oe = fit_output_error(data, 2, 1)
     narx = NARX(lags=2, degree=1)
     arx = narx.solve(data)
     for name, model in {"oe": oe, "arx": arx}.items():
@@ -90,7 +90,7 @@ def test_output_error_is_unbiased_where_arx_is_not() -> None:
 
 def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     data = records(start_up=20, product=0.15, noise=0.02)
-    best = best_baseline(data)
+    best = fit_best_baseline(data)
     assert best is not None
     assert "NARX" in best.words
     assert mean_fit(best.model, data.test, data) > 90.0

@@ -14,7 +14,7 @@ import torch
 from ssm_study.cli.main import main
 from ssm_study.data.mcap import read_mcap
 from ssm_study.models.identified import SSM
-from ssm_study.models.torch_recurrence import ModalForm, by_convolution
+from ssm_study.models.torch_recurrence import ModalForm, simulate_by_convolution
 from ssm_study.study.line import undeclared_settings
 from ssm_study.study.loop_recordings import read_rollouts
 from ssm_study.study.verify import verify
@@ -104,8 +104,8 @@ def test_convolution_equals_stepwise_replay(smoke_run: Path) -> None:
     linear_d = model.linear.d
     d = torch.from_numpy(linear_d)
     modes = ModalForm(decay=decay, b=b, c=c, d=d)
-    u = torch.from_numpy(model.lift(groups["/input"]))[None]
-    output = by_convolution(modes, u)
+    u = torch.from_numpy(model.map_input(groups["/input"]))[None]
+    output = simulate_by_convolution(modes, u)
     ybar = output[0].numpy()
     output_equilibrium = model.scale.output_equilibrium
     output_scale = model.scale.output_scale

@@ -56,7 +56,7 @@ def least_squares_model(plant: Titration) -> SSM:
         input_equilibrium=input_equilibrium,
         output_equilibrium=output_equilibrium,
     )
-    ssm = SSM.of(linear, plant.step_s)
+    ssm = SSM.from_linear(linear, plant.step_s)
     return replace(ssm, scale=scale)
 
 

@@ -16,9 +16,9 @@ from ssm_study.models.warm_start import (
     PAST,
     SAMPLES,
     choose_piece_starts,
-    log_before,
-    simulate_parts,
-    start_facts,
+    piece_start_columns,
+    preceding_log,
+    simulate_validation_and_test,
     state_from_past,
 )
 from ssm_study.signals import Channel, DataSet, Trajectory
@@ -35,7 +35,7 @@ def model() -> SSM:
     c = np.ones((1, 2))
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    return SSM.of(linear, 0.1)
+    return SSM.from_linear(linear, 0.1)
 
 
 def log(*, noise: float = 0.0, drift: float = 0.0, samples: int = 3000) -> Trajectory:
@@ -89,9 +89,9 @@ def test_noise_over_the_first_samples_prefers_the_past_and_a_wandering_load_the_
 @pytest.mark.parametrize("splitter", [None, split_into_blocks])
 def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitter) -> None:
     data = cut(log(noise=0.1), splitter)
-    validation, test = simulate_parts(model(), data)
-    facts = start_facts(model(), data, test)
-    from_samples = Simulation.of(model(), data.test, START_UP)
+    validation, test = simulate_validation_and_test(model(), data)
+    facts = piece_start_columns(model(), data, test)
+    from_samples = Simulation.simulate_records(model(), data.test, START_UP)
     assert facts["piece_start"] == PAST
     assert facts["fit_test_other_start_percent"] == from_samples.fit_percent
     assert test.fit_percent > from_samples.fit_percent
@@ -101,10 +101,14 @@ def test_the_headline_is_that_of_the_choice_and_the_other_fit_is_a_column(splitt
 
 def test_a_doubt_has_both_fits_where_they_differ_by_more_than_ten_points() -> None:
     data = cut(log(noise=0.1))
-    from_samples = Simulation.of(model(), data.test, START_UP, (np.array([3.0, 0.0]),))
-    validation, test = simulate_parts(model(), data)
+    from_samples = Simulation.simulate_records(
+        model(), data.test, START_UP, (np.array([3.0, 0.0]),)
+    )
+    validation, test = simulate_validation_and_test(model(), data)
     case = Case(data=data, model=model(), validation=validation, test=test)
-    fit_test_other_start_percent = start_facts(model(), data, test)["fit_test_other_start_percent"]
+    fit_test_other_start_percent = piece_start_columns(model(), data, test)[
+        "fit_test_other_start_percent"
+    ]
     difference = fit_test_other_start_percent - test.fit_percent
     apart = abs(difference)
     expected = int(apart > fit.STARTS_APART)
@@ -122,17 +126,17 @@ def test_a_record_without_a_past_has_one_start() -> None:
     piece_starts = choose_piece_starts(model(), simulated)
     choice = piece_starts.choice
     assert choice is None
-    parts = simulate_parts(model(), simulated)
+    parts = simulate_validation_and_test(model(), simulated)
     test = parts[1]
-    piece_start = start_facts(model(), simulated, test)["piece_start"]
+    piece_start = piece_start_columns(model(), simulated, test)["piece_start"]
     assert piece_start is None
     data = cut(log())
     piece = data.training[0]
-    assert log_before(data, piece) is None
+    assert preceding_log(data, piece) is None
     first = data.test[0].first + 7
     behind_a_hole = replace(data.test[0], first=first)
     changed_data = replace(data, test=(behind_a_hole,))
-    assert log_before(changed_data, behind_a_hole) is None
+    assert preceding_log(changed_data, behind_a_hole) is None
     from_rest = replace(data, start_up_samples=0)
     piece_starts = choose_piece_starts(model(), from_rest)
     choice = piece_starts.choice

@@ -5,7 +5,7 @@ from jaxtyping import Complex, Float
 
 from ssm_study import style
 from ssm_study.api.pictures.picture import Band, Picture, PicturePanel, Series
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.signals import Trajectory
 from ssm_study.systems import JacobianBall
 
@@ -88,7 +88,7 @@ def _gain_band(
 def equilibrium_response(model: Model, angles: Angles) -> Complex[np.ndarray, "F"]:
     """Frequency response of the model at its equilibrium, from the first input to the first output.
     `s_y J_y (C (zI - A)^-1 B + D) J_u / s_u`, `z = exp(j angle)`."""
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     inputs = model.scaffold_in.inputs
     slope_in = model.scaffold_in.jacobian(np.zeros(inputs))
     slope_out = model.scaffold_out.jacobian(np.zeros(model.scaffold_out.inputs))

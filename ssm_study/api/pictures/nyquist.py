@@ -9,7 +9,7 @@ from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
 from ssm_study.api.pictures.picture import NothingToShow, Picture, PicturePanel, Series
 from ssm_study.bounds.frequency import frequency_response
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import View
@@ -65,7 +65,7 @@ def loop_responses(
     model: Model, pair: Gains, angles: Float[np.ndarray, "F"]
 ) -> tuple[Complex[np.ndarray, "F"], Complex[np.ndarray, "F"]]:
     """Frequency responses of plant and controller in the loop. `C = T_ue / (1 + P T_ue)`."""
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     slope_in = float(model.scaffold_in.jacobian(np.zeros(1))[0, 0])
     slope_out = float(model.scaffold_out.jacobian(np.zeros(1))[0, 0])
     state_space = sensitivity(linear, pair, slope_in, slope_out)

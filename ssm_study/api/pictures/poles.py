@@ -8,7 +8,7 @@ from jaxtyping import Inexact
 from ssm_study import style
 from ssm_study.api.pictures.drawing import circle_points
 from ssm_study.api.pictures.picture import Mark, Picture, PicturePanel, Series
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.systems import Gains
 
 MARKS: tuple[Mark, ...] = ("crosses", "circles", "triangles")
@@ -46,7 +46,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
 def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
     """Eigenvalues of the model, the controlled model and the estimation error at the equilibrium.
     `A + B J_u K`, `A + L J_y C`."""
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     n = len(linear.a)
     inputs = model.scaffold_in.inputs
     slope_in = model.scaffold_in.jacobian(np.zeros(inputs))

@@ -49,7 +49,7 @@ from jaxtyping import Float
 
 from ssm_study.bounds.frequency import frequency_response
 from ssm_study.certificates.certificate import StateFeedback
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.refusal import require
 from ssm_study.systems import StateSpace, StructuredSystem, System, error_input_matrix
 
@@ -114,7 +114,7 @@ def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1
     """
     gain = output_gain(model)
     inputs = model.linear.b.shape[1]
-    linear = at_rest(model)
+    linear = linearise_at_equilibrium(model)
     linear = replace(linear, a=linear.a * (1 - NUDGE))
     problem = "an input is needed for every controlled output"
     remedy = "use a synthesis without an internal model"
@@ -168,7 +168,7 @@ def augmented(
 def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
     """Gain of a linear output map, required for an internal model. `G` of `S_y(v) = G v`. Raises
     `BadRequest` for any other output map."""
-    found = model.scaffold_out.portable()
+    found = model.scaffold_out.as_portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"
     require(found.network is None, FIELD, model.scaffold_out.kind, problem, remedy)

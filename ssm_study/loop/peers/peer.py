@@ -9,7 +9,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.family import Family
 from ssm_study.loop.controller import Controller, ObserverFeedback
 from ssm_study.models.identified import SSM
-from ssm_study.models.structured import Model, at_rest
+from ssm_study.models.structured import Model, linearise_at_equilibrium
 from ssm_study.plants.plant import Plant
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
@@ -70,7 +70,7 @@ def linearise_neurons(model: Model) -> SSM:
     if isinstance(model, SSM):
         return model
     return SSM(
-        linear=at_rest(model),
+        linear=linearise_at_equilibrium(model),
         scaffold_in=model.scaffold_in,
         scaffold_out=model.scaffold_out,
         scale=model.scale,

@@ -9,7 +9,7 @@ from scipy.special import expit
 from torch import nn
 
 from ssm_study.models.identified import Inputs, Outputs, Simulator
-from ssm_study.models.scaffolds.scaffold import numbers
+from ssm_study.models.scaffolds.scaffold import tensor_to_numpy
 from ssm_study.models.spec import ModelSpec
 from ssm_study.models.torch_ssm import Signals, States, TorchModel
 from ssm_study.refusal import require_at_least, require_one_of
@@ -18,15 +18,15 @@ from ssm_study.signals import DataSet, Scale
 
 @dataclass(frozen=True, kw_only=True)
 class Recurrent(Simulator, names=("gru", "lstm")):
-    """Identified GRU or LSTM model. One layer of GRU or LSTM with a linear output, stepped by
-    torch's documented equations."""
+    """Identified GRU or LSTM model, as explicit numbers. One layer of GRU or LSTM with a linear
+    output, stepped by torch's documented equations."""
 
     kind: str  # type: ignore[misc] # of either cell
     weight_ih: Float[np.ndarray, "g m"]
     weight_hh: Float[np.ndarray, "g h"]
     bias_ih: Float[np.ndarray, "g"]
     bias_hh: Float[np.ndarray, "g"]
-    read: Float[np.ndarray, "p h"]
+    output_at: Float[np.ndarray, "p h"]
     offset: Float[np.ndarray, "p"]
     scale: Scale
 
@@ -50,13 +50,13 @@ class Recurrent(Simulator, names=("gru", "lstm")):
                 i, f, g, o = np.split(gates + fed_back, 4, axis=-1)
                 c = expit(f) * c + expit(i) * np.tanh(g)
                 h = expit(o) * np.tanh(c)
-            y[..., k, :] = h @ self.read.T + self.offset
+            y[..., k, :] = h @ self.output_at.T + self.offset
         return self.scale.physical_output(y)
 
 
 class TorchRecurrent(TorchModel):
-    """Trainable GRU or LSTM baseline in torch. `y = W h + b` of torch's GRU or LSTM cell,
-    float64; its state is h, and c of the LSTM."""
+    """Trainable GRU or LSTM model in torch. `y = W h + b` of torch's GRU or LSTM cell, float64; its
+    state is h, and c of the LSTM."""
 
     def __init__(self, kind: str, hidden: int, scale: Scale) -> None:
         super().__init__()
@@ -73,15 +73,18 @@ class TorchRecurrent(TorchModel):
 
     def freeze(self, data: DataSet) -> Recurrent:
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
-        weights = {name: numbers(getattr(self.cell, f"{name}_l0")) for name in names}
-        weights |= {"read": numbers(self.read.weight), "offset": numbers(self.read.bias)}
+        weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
+        weights |= {
+            "read": tensor_to_numpy(self.read.weight),
+            "offset": tensor_to_numpy(self.read.bias),
+        }
         return Recurrent(kind=self.kind, **weights, scale=data.scale)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecurrentSpec(ModelSpec):
-    """Settings of a recurrent baseline. `cell` is gru or lstm, `hidden` its states;
-    identification only."""
+    """Settings of a GRU or LSTM model. `cell` is gru or lstm, `hidden` its states; identification
+    only."""
 
     cell: str
     hidden: int

@@ -1,7 +1,7 @@
 """Baseline models fitted by least squares: ARX, output error and polynomial NARX.
 
 All three are the same stored model, a recursion whose terms are products of past inputs and
-outputs. `best_baseline` takes the one that simulates the validation records best.
+outputs. `fit_best_baseline` takes the one that simulates the validation records best.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,13 @@ from jaxtyping import Float, Int
 
 from ssm_study.models.identified import Inputs, Measured, Outputs, Simulator
 from ssm_study.models.metrics import Simulation
-from ssm_study.models.spec import Pairs, arx, impulse_response, realise, scaled
+from ssm_study.models.spec import (
+    Pairs,
+    arx_impulse_response,
+    fit_arx_matrices,
+    realise_impulse_response,
+    scale_records,
+)
 from ssm_study.signals import DataSet, Scale
 
 OVERFLOW = 1e3  # scaled units: a free run beyond this has diverged and is held there
@@ -38,7 +44,8 @@ Codes = Int[np.ndarray, "terms degree"]
 
 @dataclass(frozen=True, kw_only=True)
 class Polynomial(Simulator, names=("narx",)):
-    """Polynomial NARX model. `y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes.
+    """Polynomial NARX model with one output; a linear ARX model is of degree one. `y[k] = sum_i
+    theta_i prod_j factor_ij`, the factors named by codes.
 
     1000 + l is `y[k-l]`, 2000 + l is `u[k-l]` (3000 + l of the second input), 0 is one.
     """
@@ -48,11 +55,11 @@ class Polynomial(Simulator, names=("narx",)):
     scale: Scale
 
     def simulate(self, u: Inputs) -> Outputs:
-        """Simulate in free run from the equilibrium."""
+        """Simulate the polynomial model in free run from the equilibrium."""
         return self.simulate_after(u, np.zeros((*u.shape[:-2], 0, 1)))
 
     def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:
-        """Simulate in free run with the measured outputs as the first ones."""
+        """Simulate the polynomial model in free run, with measured outputs as its first ones."""
         v = self.scale.scaled_input(u)
         measured = self.scale.scaled_output(y_start)[..., 0]
         by_input = _input_factors(self.codes, v)
@@ -74,7 +81,7 @@ class Polynomial(Simulator, names=("narx",)):
 
 
 def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
-    """Product of the input factors of each term, `(*batch, T, terms)`. Inputs before zero are 0."""
+    """Product of the input factors of each polynomial term at each sample (`(*batch, T, terms)`)."""
     product = np.ones((*v.shape[:-1], len(codes)))
     for term, row in enumerate(codes):
         for code in row[row >= INPUT]:
@@ -84,30 +91,32 @@ def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarr
     return product
 
 
-def variables(lags: int, delay: int, inputs: int) -> list[int]:
-    """Codes of `lags` past outputs, and of as many past samples of each input from `delay` on."""
+def regressor_codes(lags: int, delay: int, inputs: int) -> list[int]:
+    """Integer codes of the past outputs and inputs that are regressors of the model."""
     outputs = [OUTPUT + lag for lag in range(1, lags + 1)]
     starts = [INPUT + 1000 * channel + delay for channel in range(inputs)]
     return [*outputs, *(start + lag for start in starts for lag in range(lags))]
 
 
-def regression_rows(
+def regression_arrays(
     records: Pairs, codes: Sequence[int]
 ) -> tuple[Float[np.ndarray, "N V"], Float[np.ndarray, "N"]]:
-    """Values of the variables and the output that follows. No row reaches across two records."""
+    """Regressors and target outputs of several records for a least-squares fit. No row reaches
+    across two records."""
     first = max(code % 1000 for code in codes)
     rows = []
     targets = []
     for u, y in records:
         if len(u) <= first:
             continue
-        columns = [_delayed(u, y, code, first) for code in codes]
+        columns = [_delayed_signal(u, y, code, first) for code in codes]
         rows.append(np.stack(columns, axis=1))
         targets.append(y[first:, 0])
     return np.concatenate(rows), np.concatenate(targets)
 
 
-def _delayed(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
+def _delayed_signal(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.ndarray, "N"]:
+    """Samples of the delayed input or output, or the constant, that a regressor code names."""
     if code == CONSTANT:
         return np.ones(len(u) - first)
     lag = code % 1000
@@ -115,40 +124,39 @@ def _delayed(u: np.ndarray, y: np.ndarray, code: int, first: int) -> Float[np.nd
     return signal[first - lag : len(signal) - lag]
 
 
-def linear_regression(data: DataSet, lags: int, delay: int) -> Polynomial:
-    """Fit a linear ARX model by least squares. ARX: the recursion that predicts the next sample
-    with the least squared error."""
-    codes = [CONSTANT, *variables(lags, delay, data.scale.inputs)]
-    rows, target = regression_rows(scaled(data), codes)
+def fit_arx(data: DataSet, lags: int, delay: int) -> Polynomial:
+    """Fit a linear ARX model by least squares."""
+    codes = [CONSTANT, *regressor_codes(lags, delay, data.scale.inputs)]
+    rows, target = regression_arrays(scale_records(data), codes)
     theta = np.linalg.lstsq(rows, target, rcond=None)[0]
     return Polynomial(codes=np.array(codes)[:, None], theta=theta, scale=data.scale)
 
 
-def polynomial_path(
+def fit_narx_models(
     data: DataSet, lags: int, degree: int, delay: int, counts: Sequence[int]
 ) -> Iterator[Polynomial]:
-    """Polynomial NARX with the first terms of one forward regression, for each number of terms.
+    """Fit polynomial NARX models with increasing numbers of terms from one forward regression.
 
     Source: Billings (2013), Nonlinear System Identification, chapter 3 (error reduction ratio).
     """
-    codes = [CONSTANT, *variables(lags, delay, data.scale.inputs)]
-    values, target = regression_rows(scaled(data), codes)
+    codes = [CONSTANT, *regressor_codes(lags, delay, data.scale.inputs)]
+    values, target = regression_arrays(scale_records(data), codes)
     thinned = slice(None, None, 1 + len(target) // ROWS)
     values = values[thinned]
     target = target[thinned]
     products = np.array(list(combinations_with_replacement(range(len(codes)), degree)))
     candidates = values[:, products].prod(axis=-1)
-    order = forward_selection(candidates, target, max(counts))
+    order = select_regressors(candidates, target, max(counts))
     for count in counts:
         chosen = order[:count]
         theta = np.linalg.lstsq(candidates[:, chosen], target, rcond=None)[0]
         yield Polynomial(codes=np.array(codes)[products[chosen]], theta=theta, scale=data.scale)
 
 
-def forward_selection(
+def select_regressors(
     candidates: Float[np.ndarray, "N M"], target: Float[np.ndarray, "N"], count: int
 ) -> list[int]:
-    """Order regressors by how much each explains of what those before it have left."""
+    """Order regressors by the share of the remaining residual that each explains."""
     left = candidates.copy()
     residual = target.copy()
     least_power = DEPENDENT * (left**2).sum(axis=0)
@@ -168,40 +176,40 @@ def forward_selection(
     return chosen
 
 
-def output_error(data: DataSet, order: int, delay: int) -> Polynomial:
-    """Fit a linear recursion with the least squared error of its free run. Each record has an
-    initial state of its own.
+def fit_output_error(data: DataSet, order: int, delay: int) -> Polynomial:
+    """Fit a linear output-error model, which minimises the squared error of its free run. Each
+    record has an initial state of its own.
 
     `y = (sum_j B_j u_j + decay) / F + offset`; Levenberg-Marquardt from ARX of as many lags, and
     from an ARX of many lags reduced to the order, which noise disturbs less. Source: Ljung (1999),
     System Identification, section 4.2.
     """
-    problem = _OutputError(scaled(data), order, delay)
-    starts = [problem.started(f) for f in _starting_denominators(data, order, delay)]
-    parameters = min((problem.minimised(start) for start in starts), key=problem.loss)
+    problem = _OutputErrorProblem(scale_records(data), order, delay)
+    starts = [problem.initial_parameters(f) for f in _initial_denominators(data, order, delay)]
+    parameters = min((problem.minimise(start) for start in starts), key=problem.squared_error)
     f = parameters[:order]
-    offset = parameters[-problem.extra] * (1.0 + f.sum())
-    b = parameters[order : -problem.extra]
-    codes = np.array([CONSTANT, *variables(order, delay, data.scale.inputs)])[:, None]
+    offset = parameters[-problem.extra_count] * (1.0 + f.sum())
+    b = parameters[order : -problem.extra_count]
+    codes = np.array([CONSTANT, *regressor_codes(order, delay, data.scale.inputs)])[:, None]
     return Polynomial(codes=codes, theta=np.concatenate([[offset], -f, b]), scale=data.scale)
 
 
-def _starting_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
-    """Stable initial denominators F of the descent. They are of ARX, and of a long ARX cut down to
-    the order by a balanced realisation of its impulse response."""
-    short = linear_regression(data, order, delay)
-    starts = [_stabilised(-short.theta[1 : order + 1])]
-    records = scaled(data)
+def _initial_denominators(data: DataSet, order: int, delay: int) -> list[Float[np.ndarray, "n"]]:
+    """Stable initial denominator polynomials for the fit of an output-error model. They are of ARX,
+    and of a long ARX cut down to the order by a balanced realisation of its impulse response."""
+    short = fit_arx(data, order, delay)
+    starts = [_stabilise_polynomial(-short.theta[1 : order + 1])]
+    records = scale_records(data)
     lags = min(LONG_LAGS, min(len(u) for u, _ in records) // 4)
     if lags > order:
-        response = impulse_response(*arx(records, lags, delay == 0))
-        system = realise(response, order, np.random.default_rng(0))
-        starts.append(_stabilised(np.poly(np.linalg.eigvals(system.a)).real[1:]))
+        response = arx_impulse_response(*fit_arx_matrices(records, lags, delay == 0))
+        system = realise_impulse_response(response, order, np.random.default_rng(0))
+        starts.append(_stabilise_polynomial(np.poly(np.linalg.eigvals(system.a)).real[1:]))
     return starts
 
 
-def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Polynomial with its roots pulled inside the circle of radius 0.998."""
+def _stabilise_polynomial(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Move the roots of a polynomial inside the circle of radius 0.998."""
     roots = np.roots([1.0, *f])
     radius = np.maximum(np.abs(roots), 1e-12)
     inside = np.where(radius > 0.998, roots / radius * np.minimum(1.0 / radius, 0.998), roots)
@@ -209,8 +217,8 @@ def _stabilised(f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
 
 @dataclass(frozen=True)
-class _OutputError:
-    """Least-squares problem of an output-error model. Residuals of the free run and their
+class _OutputErrorProblem:
+    """Least-squares problem of fitting an output-error model. Residuals of the free run and their
     Jacobian, by filtering with `1 / F`."""
 
     records: Pairs
@@ -218,64 +226,65 @@ class _OutputError:
     delay: int
 
     @property
-    def extra(self) -> int:
+    def extra_count(self) -> int:
         """Number of parameters of the offset and of each record's free decay."""
         return 1 + self.order * len(self.records)
 
-    def started(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
-        """Initial parameters with a given denominator. Parameters with this F and all others by
-        least squares: the free run is linear in them."""
-        parameters = np.concatenate([f, np.zeros(self.extra + self._input_coefficient_count)])
-        residual, jacobian = self.linearised(parameters)
+    def initial_parameters(self, f: Float[np.ndarray, "n"]) -> Float[np.ndarray, "P"]:
+        """Initial parameters with a given denominator; all others follow by least squares."""
+        others = np.zeros(self.extra_count + self._input_coefficient_count)
+        parameters = np.concatenate([f, others])
+        residual, jacobian = self.residual_and_jacobian(parameters)
         others = np.linalg.lstsq(jacobian[:, self.order :], -residual, rcond=None)[0]
         return np.concatenate([f, others])
 
     @property
     def _input_coefficient_count(self) -> int:
-        """Number of the input's coefficients."""
+        """Number of coefficients of the model's numerator polynomials."""
         return self.order * self.records[0][0].shape[1]
 
-    def loss(self, parameters: Float[np.ndarray, "P"]) -> float:
-        """Squared error of the free run. Infinite where that is not finite."""
-        residual, _ = self.linearised(parameters)
+    def squared_error(self, parameters: Float[np.ndarray, "P"]) -> float:
+        """Squared error of the free run over all records. Infinite where that is not finite."""
+        residual, _ = self.residual_and_jacobian(parameters)
         value = float(residual @ residual)
         return value if np.isfinite(value) else np.inf
 
-    def linearised(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Free run minus output of all records in a row, and its Jacobian."""
+    def residual_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Simulation error of all records, and its Jacobian by the parameters."""
         residuals = []
         jacobians = []
         for index, (u, y) in enumerate(self.records):
-            jacobian = self._jacobian(index, u, parameters)
+            jacobian = self._output_jacobian(index, u, parameters)
             linear = jacobian[:, self.order :] @ parameters[self.order :]
-            free_run = linear - parameters[-self.extra]
-            filtered = _filtered(parameters[: self.order], -free_run)
-            jacobian[:, : self.order] = _shifted(filtered, 1, self.order)
+            free_run = linear - parameters[-self.extra_count]
+            filtered = _filter_recursively(parameters[: self.order], -free_run)
+            jacobian[:, : self.order] = _delayed_copies(filtered, 1, self.order)
             residuals.append(linear - y[:, 0])
             jacobians.append(jacobian)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def _jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
-        """Jacobian of one record's simulated output. Derivative of one record's output by every
-        parameter that it is linear in; the columns of F are left zero."""
+    def _output_jacobian(self, index: int, u: np.ndarray, parameters: np.ndarray) -> np.ndarray:
+        """Jacobian of one record's simulated output by the parameters in which it is linear.
+        Derivative of one record's output by every parameter that it is linear in; the columns of F
+        are left zero."""
         f = parameters[: self.order]
         n = self.order
         jacobian = np.zeros((len(u), len(parameters)))
         for channel in range(u.shape[1]):
             column = n * (1 + channel)
-            filtered = _filtered(f, u[:, channel])
-            jacobian[:, column : column + n] = _shifted(filtered, self.delay, n)
-        jacobian[:, -self.extra] = 1.0
+            filtered = _filter_recursively(f, u[:, channel])
+            jacobian[:, column : column + n] = _delayed_copies(filtered, self.delay, n)
+        jacobian[:, -self.extra_count] = 1.0
         impulse = np.zeros(len(u))
         impulse[0] = 1.0
-        column = len(parameters) - self.extra + 1 + n * index
-        jacobian[:, column : column + n] = _shifted(_filtered(f, impulse), 0, n)
+        column = len(parameters) - self.extra_count + 1 + n * index
+        jacobian[:, column : column + n] = _delayed_copies(_filter_recursively(f, impulse), 0, n)
         return jacobian
 
-    def minimised(self, parameters: np.ndarray) -> np.ndarray:
-        """Minimise the simulation error by Levenberg-Marquardt. At most `OUTPUT_ERROR_STEPS`
-        steps of Levenberg-Marquardt; F stays stable."""
-        residual, jacobian = self.linearised(parameters)
+    def minimise(self, parameters: np.ndarray) -> np.ndarray:
+        """Minimise the squared simulation error by Levenberg-Marquardt. At most
+        `OUTPUT_ERROR_STEPS` steps of Levenberg-Marquardt; F stays stable."""
+        residual, jacobian = self.residual_and_jacobian(parameters)
         damping = 1e-3
         for _ in range(OUTPUT_ERROR_STEPS):
             normal = jacobian.T @ jacobian
@@ -284,7 +293,7 @@ class _OutputError:
             trial = parameters + step
             stable = np.abs(np.roots([1.0, *trial[: self.order]])).max() < 0.9999
             if stable:
-                new_residual, new_jacobian = self.linearised(trial)
+                new_residual, new_jacobian = self.residual_and_jacobian(trial)
             if stable and new_residual @ new_residual < residual @ residual:
                 gain = 1.0 - (new_residual @ new_residual) / (residual @ residual)
                 parameters = trial
@@ -300,15 +309,15 @@ class _OutputError:
         return parameters
 
 
-def _filtered(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
+def _filter_recursively(f: np.ndarray, signal: np.ndarray) -> np.ndarray:
     """Filter a signal by `1 / (1 + f_1 z^-1 + ...)`."""
     from scipy.signal import lfilter  # SciPy loads this part at its first use, in half a second
 
     return np.asarray(lfilter([1.0], [1.0, *f], signal))
 
 
-def _shifted(signal: np.ndarray, first: int, count: int) -> np.ndarray:
-    """Copies of one signal, delayed by `first` and more samples, as columns."""
+def _delayed_copies(signal: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Copies of one signal with increasing delays, as columns."""
     columns = np.zeros((len(signal), count))
     for column in range(count):
         lag = first + column
@@ -318,19 +327,17 @@ def _shifted(signal: np.ndarray, first: int, count: int) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Baseline:
-    """Fitted baseline model with its name and score. A baseline in words, the model, and its fit
-    to the validation records."""
+    """Simple fitted model with a description and its validation fit."""
 
     words: str
     model: Polynomial
     fit_validation_percent: float
 
 
-def best_baseline(data: DataSet) -> Baseline | None:
-    """Fit several simple models and return the best. The baseline that simulates the validation
-    records best; None for several outputs.
+def fit_best_baseline(data: DataSet) -> Baseline | None:
+    """Fit several simple models and return the one with the best validation fit.
 
-    Trained on the training records alone. ARX with up to 20 lags, output error with up to 6, NARX
+    None for several outputs. Trained on the training records alone. ARX with up to 20 lags, output error with up to 6, NARX
     of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
     """
     longest = max(len(record) for record in data.training)
@@ -338,58 +345,57 @@ def best_baseline(data: DataSet) -> Baseline | None:
         return None
     orders = [order for order in ARX_ORDERS if 4 * order < longest]
     tried = [
-        _scored(
-            f"ARX with {order} lags, delay {delay}", linear_regression(data, order, delay), data
-        )
+        _score_baseline(f"ARX with {order} lags, delay {delay}", fit_arx(data, order, delay), data)
         for order in orders
         for delay in DELAYS
     ]
-    delay = int(_delay_of(max(tried, key=_validation_fit).model))
+    delay = int(_shortest_input_lag(max(tried, key=_validation_fit).model))
     delays = sorted({0, 1, delay})
     for order in OUTPUT_ERROR_ORDERS:
         words = f"an output-error model with {order} lags, delay {delay}"
-        tried.append(_scored(words, output_error(data, order, delay), data))
+        tried.append(_score_baseline(words, fit_output_error(data, order, delay), data))
     for lags in NARX_LAGS:
         for degree in NARX_DEGREES:
             for late in delays:
-                path = polynomial_path(data, lags, degree, late, NARX_TERMS)
-                tried += [_scored(_narx_words(degree, model), model, data) for model in path]
+                path = fit_narx_models(data, lags, degree, late, NARX_TERMS)
+                for model in path:
+                    tried.append(_score_baseline(_describe_narx(degree, model), model, data))
     return max(tried, key=_validation_fit)
 
 
-def baseline_facts(data: DataSet) -> dict[str, object] | None:
-    """Columns of the best simple model. The columns `baseline` and `fit_baseline_percent`: the best
-    baseline on the test records.
+def baseline_columns(data: DataSet) -> dict[str, object] | None:
+    """Columns on the best simple model and its fit to the test records.
 
     None for several outputs, and where the records are too short for any of them.
     """
     data = data.with_disturbances_as_inputs()  # a baseline knows no other path
-    best = best_baseline(data)
+    best = fit_best_baseline(data)
     if best is None:
         return None
     with np.errstate(all="ignore"):
-        fit = Simulation.of(best.model, data.test, data.start_up_samples).fit_percent
+        fit = Simulation.simulate_records(best.model, data.test, data.start_up_samples).fit_percent
     return {"baseline": best.words, "fit_baseline_percent": fit if np.isfinite(fit) else None}
 
 
-def _scored(words: str, model: Polynomial, data: DataSet) -> Baseline:
-    """A fitted baseline with its fit on the validation records."""
+def _score_baseline(words: str, model: Polynomial, data: DataSet) -> Baseline:
+    """Score a simple model by its fit to the validation records."""
     with np.errstate(all="ignore"):
-        fit = Simulation.of(model, data.validation, data.start_up_samples).fit_percent
-    return Baseline(
-        words=words, model=model, fit_validation_percent=fit if np.isfinite(fit) else -np.inf
-    )
+        fit = Simulation.simulate_records(model, data.validation, data.start_up_samples).fit_percent
+    fit = fit if np.isfinite(fit) else -np.inf
+    return Baseline(words=words, model=model, fit_validation_percent=fit)
 
 
-def _narx_words(degree: int, model: Polynomial) -> str:
+def _describe_narx(degree: int, model: Polynomial) -> str:
+    """Description of a polynomial NARX model in words."""
     return f"a polynomial NARX of degree {degree} with {len(model.theta)} terms"
 
 
 def _validation_fit(baseline: Baseline) -> float:
+    """Fit of a simple model to the validation records, in percent."""
     return baseline.fit_validation_percent
 
 
-def _delay_of(model: Polynomial) -> int:
-    """Shortest input lag among the terms."""
+def _shortest_input_lag(model: Polynomial) -> int:
+    """Shortest input lag among the terms of a polynomial model."""
     inputs = model.codes[model.codes >= INPUT]
     return int((inputs % 1000).min())

@@ -11,12 +11,12 @@ from jaxtyping import Float
 
 from ssm_study.models.baselines.regression import (
     Polynomial,
-    linear_regression,
-    output_error,
-    polynomial_path,
+    fit_arx,
+    fit_narx_models,
+    fit_output_error,
 )
 from ssm_study.models.identified import SSM, Simulator
-from ssm_study.models.spec import ModelSpec, Pairs, scaled
+from ssm_study.models.spec import ModelSpec, Pairs, scale_records
 from ssm_study.refusal import BadRequest, require, require_at_least
 from ssm_study.signals import DataSet
 from ssm_study.systems import StateSpace
@@ -28,20 +28,21 @@ MOST_TERMS = 20
 
 
 class SolvedSpec(ModelSpec, ABC):
-    """Settings of a model that is solved without training. A model found without training;
-    `solve` returns its explicit numbers."""
+    """Base class of settings of models that are solved without iterative training. A model found
+    without training; `solve` returns its explicit numbers."""
 
     @abstractmethod
     def solve(self, data: DataSet) -> Simulator: ...
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
+        """Refuse to build a torch model, as this model is solved without training."""
         raise TypeError("solved, which is a training of its own")
 
 
 @dataclass(frozen=True, kw_only=True)
 class N4SID(SolvedSpec):
-    """Settings of subspace identification. Linear state space by subspace identification with
-    `block_rows` block rows; an SSM without nonlinearity.
+    """Settings of subspace identification by N4SID. Linear state space by subspace identification
+    with `block_rows` block rows; an SSM without nonlinearity.
 
     A and C are N4SID's. Its D is left out, since the loop samples the output before the input acts,
     and B is fitted again without it. N4SID takes one record: several are joined end to end, and
@@ -65,9 +66,10 @@ class N4SID(SolvedSpec):
         )
 
     def solve(self, data: DataSet) -> SSM:
-        nfoursid = library("nfoursid.nfoursid")
-        pandas = library("pandas")
-        u, y = (np.concatenate(parts) for parts in zip(*scaled(data), strict=True))
+        """Identify a linear state-space model by subspace identification."""
+        nfoursid = import_library("nfoursid.nfoursid")
+        pandas = import_library("pandas")
+        u, y = (np.concatenate(parts) for parts in zip(*scale_records(data), strict=True))
         names = [f"u{i}" for i in range(u.shape[1])], [f"y{i}" for i in range(y.shape[1])]
         table = pandas.DataFrame(np.hstack([u, y]), columns=[*names[0], *names[1]])
         method = nfoursid.NFourSID(
@@ -76,17 +78,17 @@ class N4SID(SolvedSpec):
         method.subspace_identification()
         found, _ = method.system_identification(rank=self.order)
         a = found.a * min(1.0, SLOWEST / float(np.abs(np.linalg.eigvals(found.a)).max()))
-        b = input_matrix(a, found.c, scaled(data))
-        return SSM.of(
+        b = estimate_input_matrix(a, found.c, scale_records(data))
+        return SSM.from_linear(
             StateSpace(a=a, b=b, c=found.c, d=np.zeros_like(found.d)), data.step_s, data.scale
         )
 
 
-def input_matrix(
+def estimate_input_matrix(
     a: Float[np.ndarray, "n n"], c: Float[np.ndarray, "p n"], records: Pairs
 ) -> Float[np.ndarray, "n m"]:
-    """Estimate the input matrix for known dynamics by least squares. `argmin over B and each
-    record's x0 of sum |y - C x|^2,  x+ = A x + B u`: linear in both, so solved at once."""
+    """Estimate the input matrix for known system dynamics by least squares. `argmin over B and each
+    record's x0 of sum |y - C x|^2, x+ = A x + B u`: linear in both, so solved at once."""
     n = len(a)
     m = records[0][0].shape[1]
     count = len(records)
@@ -109,9 +111,9 @@ def input_matrix(
 
 @dataclass(frozen=True, kw_only=True)
 class NARX(SolvedSpec):
-    """Settings of a polynomial NARX model. Polynomial NARX of `degree` with `lags` past inputs
-    and outputs; `terms` chosen by forward regression. Of degree one with every term it is ARX;
-    then `terms` may be null."""
+    """Settings of a polynomial NARX model. Polynomial NARX of `degree` with `lags` past inputs and
+    outputs; `terms` chosen by forward regression. Of degree one with every term it is ARX; then
+    `terms` may be null."""
 
     sizes: ClassVar = ("lags", "degree")
 
@@ -127,12 +129,13 @@ class NARX(SolvedSpec):
             require_at_least(1, "model.terms", self.terms, "use 12 or so, or null for all")
 
     def solve(self, data: DataSet) -> Polynomial:
+        """Fit the polynomial NARX model by forward regression."""
         _refuse_several_outputs(data, "NARX")
         _refuse_short_records(data, self.lags + self.delay)
         if self.degree == 1 and self.terms is None:
-            return linear_regression(data, self.lags, self.delay)
+            return fit_arx(data, self.lags, self.delay)
         count = MOST_TERMS if self.terms is None else self.terms
-        return next(polynomial_path(data, self.lags, self.degree, self.delay, [count]))
+        return next(fit_narx_models(data, self.lags, self.degree, self.delay, [count]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,25 +153,28 @@ class OutputError(SolvedSpec):
         require_at_least(0, "model.delay", self.delay, "use 1, or 0 where the input acts at once")
 
     def solve(self, data: DataSet) -> Polynomial:
+        """Fit the output-error model by Levenberg-Marquardt."""
         _refuse_several_outputs(data, "OutputError")
         _refuse_short_records(data, self.order + self.delay)
-        return output_error(data, self.order, self.delay)
+        return fit_output_error(data, self.order, self.delay)
 
 
 def _refuse_several_outputs(data: DataSet, model: str) -> None:
+    """Refuse records with several outputs for a model that has one."""
     problem = f"takes one output, and there are {data.scale.outputs}"
     require(data.scale.outputs == 1, "model", model, problem, "choose another model")
 
 
 def _refuse_short_records(data: DataSet, lags: int) -> None:
+    """Refuse training records that are shorter than the model's lags."""
     longest = max(len(record) for record in data.training)
     problem = f"the longest training record has {longest} samples"
     require(lags < longest, "model.lags", lags, problem, "use fewer lags")
 
 
-def library(name: str) -> Any:
-    """Import an optional package. An optional package; raises `BadRequest` with what to install
-    where it is missing."""
+def import_library(name: str) -> Any:
+    """Import an optional package, or refuse in one sentence where it is not installed. An optional
+    package; raises `BadRequest` with what to install where it is missing."""
     try:
         return import_module(name)
     except ImportError as error:

@@ -15,18 +15,19 @@ from ssm_study.bounds.slopes import (
 )
 from ssm_study.models.lazy_torch import Tensor
 from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearScaffold(Scaffold, names=("linear",)):
-    """Linear static map. `S(v) = gain v`, `gain (k, m)`; the identity when it stands for "no
-    nonlinearity"."""
+    """Static map that is linear, `S(v) = gain v`. `S(v) = gain v`, `gain (k, m)`; the identity when
+    it stands for "no nonlinearity"."""
 
     gain: Float[np.ndarray, "k m"]
 
     @classmethod
     def identity(cls, channels: int) -> "LinearScaffold":
+        """Identity map of several channels."""
         return cls(gain=np.eye(channels))
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
@@ -47,18 +48,22 @@ class LinearScaffold(Scaffold, names=("linear",)):
     def after(self, m: Square) -> "LinearScaffold":
         return self.identity(len(m))
 
-    def portable(self) -> PortableMap:
+    def as_portable(self) -> PortableMap:
         return PortableMap(linear=self.gain, network=None)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Linear(Trainable):
-    """Identity as input or output map, without parameters. `S(v) = v`: nothing to train, for a
-    gain would only repeat what B or C already hold."""
+    """Identity as a trainable input or output map, without parameters. `S(v) = v`: nothing to
+    train, for a gain would only repeat what B or C already hold."""
 
     fixed = ("gain",)
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:  # noqa: ARG002
+    def initial_values(
+        self,
+        frame: MapContext,
+        rng: np.random.Generator,  # noqa: ARG002
+    ) -> dict[str, Float[np.ndarray, "..."]]:
         return {"gain": np.eye(frame.samples.shape[1])}
 
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Tensor:  # noqa: ARG002
@@ -67,5 +72,5 @@ class Linear(Trainable):
     def evaluate(self, explicit: Tensor, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:  # noqa: ARG002
         return v
 
-    def frozen(self, explicit: Tensor, slopes: tuple[float, float]) -> LinearScaffold:  # noqa: ARG002
+    def freeze(self, explicit: Tensor, slopes: tuple[float, float]) -> LinearScaffold:  # noqa: ARG002
         return LinearScaffold.identity(len(explicit))

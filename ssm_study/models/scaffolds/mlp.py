@@ -10,8 +10,8 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, numbers
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, tensor_to_numpy
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 from ssm_study.refusal import require_at_least
 
 # how far a unit of a free jump moves the logit of the slopes beyond it; small keeps training smooth
@@ -24,8 +24,8 @@ StartingValues = dict[str, Float[np.ndarray, "..."]]
 
 @dataclass(frozen=True, kw_only=True)
 class MlpScaffold(Scaffold, names=("mlp",)):
-    """Multilayer perceptron with leaky ReLU as a static map, zero at zero. `S(v) = N(v) - N(0)`, N
-    a perceptron of any depth and width with leaky ReLU.
+    """Static map that is a multilayer perceptron with leaky ReLU, zero at zero. `S(v) = N(v) -
+    N(0)`, N a perceptron of any depth and width with leaky ReLU.
 
     For one input and one hidden layer the slope is constant between the break points `-b_i / w_i`.
     Source: [Z26] section IV.
@@ -55,7 +55,7 @@ class MlpScaffold(Scaffold, names=("mlp",)):
         first, *inner = self.network.weights
         return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
 
-    def portable(self) -> PortableMap:
+    def as_portable(self) -> PortableMap:
         return PortableMap(
             linear=np.zeros((self.network.outputs, self.network.inputs)), network=self.network
         )
@@ -63,8 +63,8 @@ class MlpScaffold(Scaffold, names=("mlp",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Mlp(Trainable):
-    """Trainable perceptron of the paper. It has `depth` hidden layers of leaky ReLU, slopes fixed
-    at the sector's ends or trained in it.
+    """Trainable multilayer perceptron of the paper. It has `depth` hidden layers of leaky ReLU,
+    slopes fixed at the sector's ends or trained in it.
 
     `certified` keeps every Jacobian in the sector by construction: of one channel the slopes of the
     whole map are trained, whatever `train_slopes` says (`OneChannel`); of several
@@ -73,7 +73,7 @@ class Mlp(Trainable):
         upper_l]
 
     Each Jacobian `W^T diag(phi') W` is symmetric with eigenvalues in `[lower_l, upper_l]`;
-    `layer_sector` splits the sector so that the composition of all layers stays inside.
+    `layer_slope_bounds` splits the sector so that the composition of all layers stays inside.
     """
 
     depth: int
@@ -83,17 +83,17 @@ class Mlp(Trainable):
     def __post_init__(self) -> None:
         require_at_least(1, "scaffold.depth", self.depth, "use 1 (the paper's)")
 
-    def build(self, frame: Frame, rng: np.random.Generator) -> Any:
+    def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
         if self.certified and frame.samples.shape[1] == 1:
             return OneChannel(depth=self.depth).build(frame, rng)
         return super().build(frame, rng)
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:
+    def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:
         h = frame.width
         if self.certified:
-            free = certified_start(frame, self.depth, rng)
+            free = certified_initial_values(frame, self.depth, rng)
         else:
-            free = unconstrained_start(frame, self.depth, rng)
+            free = unconstrained_initial_values(frame, self.depth, rng)
         if self.train_slopes:  # they begin near the two ends of the sector
             for i in range(self.depth):
                 free[f"slope_negative_{i}"] = np.full(h, -2.0)
@@ -101,29 +101,29 @@ class Mlp(Trainable):
         return free
 
     def explicit(self, free: Free, slopes: Sector) -> list[Layer]:
-        return [self._layer(free, i, slopes) for i in range(self.depth)]
+        return [self._layer_weights(free, i, slopes) for i in range(self.depth)]
 
-    def _layer(self, free: Free, i: int, slopes: Sector) -> Layer:
-        """Weights, biases and slopes of layer i, and the weights that follow it."""
+    def _layer_weights(self, free: Free, i: int, slopes: Sector) -> Layer:
+        """Weights, biases and slopes of one layer of the perceptron."""
         if not self.certified:
             bias = free[f"bias_{i}"]
             is_last = i == self.depth - 1
             after = free[f"weight_{self.depth}"] if is_last else None
-            return (free[f"weight_{i}"], bias, *self._inside(free, i, slopes, bias), after)
+            return (free[f"weight_{i}"], bias, *self._bounded_slopes(free, i, slopes, bias), after)
         v = free[f"direction_{i}"]
         # W = V R^{-T} has W^T W = I, and is cheap to differentiate.
         root = torch.linalg.cholesky(v.T @ v)
         w = torch.linalg.solve_triangular(root, v.T, upper=False).T
         # A neuron bends where its unit direction meets the kink.
         bias = -free[f"kink_{i}"] * w.norm(dim=1)
-        sector = layer_sector(*slopes, self.depth, 2)
-        return (w, bias, *self._inside(free, i, sector, bias), w.T)
+        sector = layer_slope_bounds(*slopes, self.depth, 2)
+        return (w, bias, *self._bounded_slopes(free, i, sector, bias), w.T)
 
-    def _inside(
+    def _bounded_slopes(
         self, free: Free, layer: int, sector: Sector, like: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Negative and positive slopes within the sector. They are fixed at its two ends, or
-        trained inside by a logistic map."""
+        """Negative-side and positive-side slopes of the neurons, within the sector. They are fixed
+        at its two ends, or trained inside by a logistic map."""
         lower, upper = sector
         if not self.train_slopes:
             return torch.full_like(like, lower), torch.full_like(like, upper)
@@ -141,8 +141,8 @@ class Mlp(Trainable):
         return v
 
     def pieces(self, explicit: list[Layer]) -> Pieces | None:
-        """Affine pieces between sorted kinks of `sum_i last_i phi_i(first_i v + b_i)` minus its
-        value at zero."""
+        """Affine pieces of a one-channel perceptron between its sorted kinks. `sum_i last_i
+        phi_i(first_i v + b_i)`."""
         w, b, low, high, after = explicit[0]
         if after is None or w.shape[1] > 1:  # several inputs, or several layers of free weights
             return None
@@ -156,36 +156,43 @@ class Mlp(Trainable):
         home = torch.searchsorted(points.detach(), points.new_zeros(1), right=True)
         return points, active @ (last * first), offsets - offsets[home]
 
-    def frozen(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
+    def freeze(self, explicit: list[Layer], slopes: Sector) -> MlpScaffold:  # noqa: ARG002
         weights = []
         before = None  # what comes after the layer before
         for w, _, _, _, after in explicit:
-            weights.append(numbers(w) if before is None else numbers(w) @ numbers(before))
+            weights.append(
+                tensor_to_numpy(w)
+                if before is None
+                else tensor_to_numpy(w) @ tensor_to_numpy(before)
+            )
             before = after
         assert before is not None  # nothing but weights comes after the last layer
         network = Network(
-            weights=(*weights, numbers(before)),
-            biases=tuple(numbers(bias) for _, bias, _, _, _ in explicit),
-            negative_slopes=tuple(numbers(low) for _, _, low, _, _ in explicit),
-            positive_slopes=tuple(numbers(high) for _, _, _, high, _ in explicit),
+            weights=(*weights, tensor_to_numpy(before)),
+            biases=tuple(tensor_to_numpy(bias) for _, bias, _, _, _ in explicit),
+            negative_slopes=tuple(tensor_to_numpy(low) for _, _, low, _, _ in explicit),
+            positive_slopes=tuple(tensor_to_numpy(high) for _, _, _, high, _ in explicit),
         )
         return MlpScaffold(network=network)
 
 
-def certified_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
-    """Initial directions and kinks of each layer of a perceptron whose Jacobians stay in the
-    sector."""
-    layers = [start_layer(frame.samples, frame.width, rng) for _ in range(depth)]
+def certified_initial_values(
+    frame: MapContext, depth: int, rng: np.random.Generator
+) -> StartingValues:
+    """Initial directions and kinks for each layer of a perceptron with certified slopes."""
+    layers = [draw_layer(frame.samples, frame.width, rng) for _ in range(depth)]
     directions = {f"direction_{i}": weights for i, (weights, _) in enumerate(layers)}
     kinks = {f"kink_{i}": values for i, (_, values) in enumerate(layers)}
     return directions | kinks
 
 
-def unconstrained_start(frame: Frame, depth: int, rng: np.random.Generator) -> StartingValues:
-    """Initial weights and biases of a perceptron without constraints."""
+def unconstrained_initial_values(
+    frame: MapContext, depth: int, rng: np.random.Generator
+) -> StartingValues:
+    """Initial weights and biases of a perceptron without slope constraints."""
     h = frame.width
     channels = frame.samples.shape[1]
-    directions, kinks = start_layer(frame.samples, h, rng)
+    directions, kinks = draw_layer(frame.samples, h, rng)
     free = {"weight_0": directions}
     shapes = [(h, h)] * (depth - 1) + [(channels, h)]
     for i, shape in enumerate(shapes, start=1):
@@ -208,7 +215,7 @@ class OneChannel(Trainable):
 
     depth: int
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> StartingValues:  # noqa: ARG002
+    def initial_values(self, frame: MapContext, rng: np.random.Generator) -> StartingValues:  # noqa: ARG002
         kinks = max(frame.width - 1, 1)
         ranks = (np.arange(kinks) + 0.5) / kinks
         points = np.quantile(frame.samples[:, 0], ranks)
@@ -220,7 +227,7 @@ class OneChannel(Trainable):
         return free
 
     def explicit(self, free: Free, slopes: Sector) -> list[Pieces]:
-        lower, upper = layer_sector(*slopes, self.depth, channels=1)
+        lower, upper = layer_slope_bounds(*slopes, self.depth, channels=1)
         layers = []
         for i in range(self.depth):
             points, order = free[f"points_{i}"].sort(-1)
@@ -228,30 +235,32 @@ class OneChannel(Trainable):
             passed = torch.nn.functional.pad(jumps.cumsum(-1), (1, 0))
             logit = free[f"base_{i}"] + JUMP_UNIT * passed
             inside = lower + (upper - lower) * torch.sigmoid(logit)
-            layers.append((points, inside, scaffold.home_offsets(points, inside)))
+            layers.append((points, inside, scaffold.zero_preserving_offsets(points, inside)))
         return layers
 
     def evaluate(
         self, explicit: list[Pieces], v: Float[Tensor, "*batch 1"]
     ) -> Float[Tensor, "*batch 1"]:
         for points, slopes, offsets in explicit:
-            v = scaffold.evaluate((points[None], slopes[None], offsets[None]), v)
+            v = scaffold.evaluate_pieces((points[None], slopes[None], offsets[None]), v)
         return v
 
     def pieces(self, explicit: list[Pieces]) -> Pieces | None:
         return explicit[0] if self.depth == 1 else None
 
     def roughness(self, explicit: list[Pieces]) -> Float[Tensor, ""]:
-        return torch.stack([scaffold.roughness(slopes) for _, slopes, _ in explicit]).sum(0)
+        return torch.stack([scaffold.relative_roughness(slopes) for _, slopes, _ in explicit]).sum(
+            0
+        )
 
-    def frozen(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
+    def freeze(self, explicit: list[Pieces], slopes: Sector) -> MlpScaffold:
         """Write the trained pieces of each layer as a leaky-ReLU network. First weights are one,
         positive slopes `upper`; the last neuron is linear."""
-        lower, upper = layer_sector(*slopes, self.depth, channels=1)
+        lower, upper = layer_slope_bounds(*slopes, self.depth, channels=1)
         lasts = []
         biases = []
         for pieces in explicit:
-            points, inside, _ = (numbers(part) for part in pieces)
+            points, inside, _ = (tensor_to_numpy(part) for part in pieces)
             bends = np.diff(inside) / (upper - lower)
             straight = (inside[0] - lower * bends.sum()) / upper
             lasts.append(np.append(bends, straight)[None, :])
@@ -268,9 +277,10 @@ class OneChannel(Trainable):
         return MlpScaffold(network=network)
 
 
-def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple[float, float]:
-    """Sector of slopes for each of `depth` layers, so that all layers together keep `[lower,
-    upper]`.
+def layer_slope_bounds(
+    lower: float, upper: float, depth: int, channels: int
+) -> tuple[float, float]:
+    """Slope bounds for each layer, such that all layers together stay within given bounds.
 
     One channel: slopes multiply, so the depth-th roots. More: with `J_l = a (I + E_l), |E_l| <= d`,
     the product lies in the ball of centre `a^L` and radius `a^L ((1 + d)^L - 1)`, so `d =
@@ -284,11 +294,11 @@ def layer_sector(lower: float, upper: float, depth: int, channels: int) -> tuple
     return centre * (1 - relative), centre * (1 + relative)
 
 
-def start_layer(
+def draw_layer(
     inputs: Float[np.ndarray, "N m"], width: int, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "h m"], Float[np.ndarray, "h"]]:
-    """Random initial directions of a layer. Kinks lie at evenly ranked samples of the training
-    input, so that each can be learned.
+    """Draw random initial weights and biases of a layer. Kinks lie at evenly ranked samples of the
+    training input, so that each can be learned.
 
     With one input, neighbouring kinks bend in opposite directions: any region can then be made
     steeper or flatter.

@@ -11,15 +11,15 @@ from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_interval
 from ssm_study.models.lazy_torch import Tensor, torch
 from ssm_study.models.scaffolds import scaffold
-from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, numbers
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold, Square, tensor_to_numpy
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 from ssm_study.refusal import require
 
 
 @dataclass(frozen=True, kw_only=True)
 class MonotoneScaffold(Scaffold, names=("monotone",)):
-    """Piecewise-linear monotone map, one per channel. `S_c(v) = int_0^v s_c(t) dt` in each channel
-    c, `s_c = slopes[c, j]` between `breakpoints[c, j-1]` and `[c, j]`.
+    """Static map that is piecewise linear and monotone in each channel. `S_c(v) = int_0^v s_c(t)
+    dt` in each channel c, `s_c = slopes[c, j]` between `breakpoints[c, j-1]` and `[c, j]`.
 
     Shapes: `breakpoints (m, h)` not decreasing along h, `slopes (m, h + 1)`. The exact slope
     interval is the smallest and the largest of `slopes`; the Jacobian is diagonal, so the interval
@@ -45,7 +45,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         for c in range(len(self.breakpoints)):
             breakpoints = self.breakpoints[c]
             slopes = self.slopes[c]
-            offsets = piece_offsets(breakpoints, slopes)
+            offsets = continuous_offsets(breakpoints, slopes)
             piece = np.searchsorted(breakpoints, v[..., c], side="right")
             out[..., c] = slopes[piece] * v[..., c] + offsets[piece]
         return out
@@ -77,7 +77,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
             slopes=np.where(turned, slopes[:, ::-1], slopes),
         )
 
-    def portable(self) -> PortableMap:
+    def as_portable(self) -> PortableMap:
         """The map as a network with one neuron per break point, `S_c(v) = s_0 v + sum_j (s_{j+1} -
         s_j) (relu(v - t_j) - relu(-t_j))`."""
         channels, breaks = self.breakpoints.shape
@@ -94,7 +94,7 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         return PortableMap(linear=np.diag(self.slopes[:, 0]), network=network)
 
 
-def piece_offsets(
+def continuous_offsets(
     breakpoints: Float[np.ndarray, "h"], slopes: Float[np.ndarray, "h1"]
 ) -> Float[np.ndarray, "h1"]:
     """Offsets of affine pieces that join continuously. Offsets of the pieces `slope v + offset`:
@@ -115,7 +115,11 @@ class Monotone(Trainable):
     two cross, the piece between them has zero width and the map stays continuous in its parameters.
     """
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:  # noqa: ARG002
+    def initial_values(
+        self,
+        frame: MapContext,
+        rng: np.random.Generator,  # noqa: ARG002
+    ) -> dict[str, Float[np.ndarray, "..."]]:
         ranks = (np.arange(frame.width) + 0.5) / frame.width
         points = np.quantile(frame.samples, ranks, axis=0).T
         return {"points": points, "free": np.zeros((len(points), frame.width + 1))}
@@ -124,10 +128,10 @@ class Monotone(Trainable):
         lower, upper = slopes
         points = free["points"].sort(dim=-1).values
         inside = lower + (upper - lower) * torch.sigmoid(free["free"])
-        return points, inside, scaffold.home_offsets(points, inside)
+        return points, inside, scaffold.zero_preserving_offsets(points, inside)
 
     def evaluate(self, explicit: Pieces, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch m"]:
-        return scaffold.evaluate(explicit, v)
+        return scaffold.evaluate_pieces(explicit, v)
 
     def pieces(self, explicit: Pieces) -> Pieces | None:
         points, inside, offsets = explicit
@@ -136,8 +140,8 @@ class Monotone(Trainable):
         return points[0], inside[0], offsets[0]
 
     def roughness(self, explicit: Pieces) -> Float[Tensor, ""]:
-        return scaffold.roughness(explicit[1]).sum(-1)
+        return scaffold.relative_roughness(explicit[1]).sum(-1)
 
-    def frozen(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
+    def freeze(self, explicit: Pieces, slopes: tuple[float, float]) -> MonotoneScaffold:  # noqa: ARG002
         points, inside, _ = explicit
-        return MonotoneScaffold(breakpoints=numbers(points), slopes=numbers(inside))
+        return MonotoneScaffold(breakpoints=tensor_to_numpy(points), slopes=tensor_to_numpy(inside))

@@ -11,16 +11,16 @@ from ssm_study.bounds.lipschitz import is_proved_nonexpansive
 from ssm_study.bounds.network import Network, PortableMap
 from ssm_study.bounds.slopes import SlopeBound, bound_from_ball, network_bound
 from ssm_study.models.lazy_torch import Tensor, torch
-from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square, numbers
-from ssm_study.models.scaffolds.trainable import Frame, Trainable
+from ssm_study.models.scaffolds.scaffold import Free, Scaffold, Square, tensor_to_numpy
+from ssm_study.models.scaffolds.trainable import MapContext, Trainable
 from ssm_study.refusal import require, require_at_least
 from ssm_study.systems import JacobianBall
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualScaffold(Scaffold, names=("residual",)):
-    """Static map whose Jacobians lie in a ball by construction. `S(v) = alpha v + beta (G(v) -
-    G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
+    """Static map whose Jacobians lie in a ball by construction, in any dimension. `S(v) = alpha v +
+    beta (G(v) - G(0))` with `|G(v) - G(w)| <= |v - w|`: exactly the ball `alpha I + beta Delta`.
 
     `multipliers[l] (h_l,) > 0` are the diagonal multipliers of the Lipschitz certificate of G. It
     is decided exactly whenever the ball is asked for (`bounds.lipschitz`). Where they prove nothing
@@ -60,15 +60,14 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
     def bound(self) -> SlopeBound:
         if not is_proved_nonexpansive(self.network, self.multipliers):
-            return network_bound(self.portable().as_network())
+            return network_bound(self.as_portable().as_network())
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
     def centre(self) -> None:
-        """Return None: the Jacobians lie around `alpha I` already, so no centre can be moved into
-        the linear part."""
+        """No centre, since the Jacobians already lie around a multiple of the identity."""
         return
 
-    def portable(self) -> PortableMap:
+    def as_portable(self) -> PortableMap:
         *inner, last = self.network.weights
         network = replace(self.network, weights=(*inner, self.beta * last))
         return PortableMap(linear=self.alpha * np.eye(network.inputs), network=network)
@@ -76,8 +75,8 @@ class ResidualScaffold(Scaffold, names=("residual",)):
 
 @dataclass(frozen=True, kw_only=True)
 class Residual(Trainable):
-    """Trainable static map with 1-Lipschitz sandwich layers. G is a stack of `depth` sandwich
-    layers `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
+    """Trainable static map of 1-Lipschitz sandwich layers. G is a stack of `depth` sandwich layers
+    `h -> sqrt2 A^T Psi relu(sqrt2 Psi^-1 B h + b)` closed by a linear one.
 
     With `A A^T + B B^T = I` from a Cayley map every value of the free parameters is 1-Lipschitz;
     written out, G is a perceptron with Lipschitz multipliers `Psi^2`. It couples the channels.
@@ -89,7 +88,9 @@ class Residual(Trainable):
     def __post_init__(self) -> None:
         require_at_least(1, "scaffold.depth", self.depth, "use 1 or 2")
 
-    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
+    def initial_values(
+        self, frame: MapContext, rng: np.random.Generator
+    ) -> dict[str, Float[np.ndarray, "..."]]:
         m = frame.samples.shape[1]
         h = frame.width
         layers = range(self.depth)
@@ -106,11 +107,11 @@ class Residual(Trainable):
         left: Any = None
         psis = [torch.exp(free[f"scale_{i}"]) for i in range(self.depth)]
         for i, psi in enumerate(psis):
-            a, b = cayley(free[f"skew_{i}"], free[f"tail_{i}"])
+            a, b = cayley_transform(free[f"skew_{i}"], free[f"tail_{i}"])
             enter = math.sqrt(2.0) * b / psi[:, None]
             weights.append(enter if left is None else enter @ left)
             left = math.sqrt(2.0) * a.T * psi  # sqrt2 A^T Psi, into the next layer
-        _, b = cayley(free["last_skew"], free["last_tail"])
+        _, b = cayley_transform(free["last_skew"], free["last_tail"])
         ball = (slopes[1] + slopes[0]) / 2, (slopes[1] - slopes[0]) / 2
         return ball, [*weights, b @ left], [free[f"bias_{i}"] for i in range(self.depth)], psis
 
@@ -123,15 +124,15 @@ class Residual(Trainable):
             d = torch.relu(d @ w.T + b) - torch.relu(b)
         return alpha * v + beta * (d @ weights[-1].T)
 
-    def frozen(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
+    def freeze(self, explicit: "Sandwich", slopes: tuple[float, float]) -> ResidualScaffold:  # noqa: ARG002
         (alpha, beta), weights, biases, psis = explicit
         network = Network(
-            weights=tuple(numbers(w) for w in weights),
-            biases=tuple(numbers(b) for b in biases),
+            weights=tuple(tensor_to_numpy(w) for w in weights),
+            biases=tuple(tensor_to_numpy(b) for b in biases),
             negative_slopes=tuple(np.zeros(len(b)) for b in biases),
             positive_slopes=tuple(np.ones(len(b)) for b in biases),
         )
-        multipliers = tuple(numbers(psi) ** 2 for psi in psis)
+        multipliers = tuple(tensor_to_numpy(psi) ** 2 for psi in psis)
         return ResidualScaffold(alpha=alpha, beta=beta, network=network, multipliers=multipliers)
 
 
@@ -139,11 +140,11 @@ class Residual(Trainable):
 Sandwich = tuple[tuple[float, float], list[Tensor], list[Tensor], list[Tensor]]
 
 
-def cayley(
+def cayley_transform(
     skew: Float[Tensor, "h h"], tail: Float[Tensor, "m h"]
 ) -> tuple[Float[Tensor, "h h"], Float[Tensor, "h m"]]:
-    """Cayley transform to a matrix pair with orthonormal rows. `(A, B)` with `A A^T + B B^T = I`
-    for any real `skew, tail`.
+    """Cayley transform of free matrices to a pair with orthonormal rows. `(A, B)` with `A A^T + B
+    B^T = I` for any real `skew, tail`.
 
     `Z = X - X^T + Y^T Y`, `A^T = (I + Z)^-1 (I - Z)`, `B^T = -2 Y (I + Z)^-1`.
     """

@@ -25,58 +25,66 @@ FLAT = (Network, Scale, StateSpace)  # their entries stand beside those of what 
 
 
 class Explicit:
-    """Mixin that writes and reads the numbers of an object as JSON. A mixin of dataclasses whose
-    fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or tuples."""
+    """Base class of objects whose numbers are written to JSON and read from it. A mixin of
+    dataclasses whose fields are arrays, numbers, words, `FLAT` nouns, others of its kind, or
+    tuples."""
 
     kind: ClassVar[str | None] = None
 
     def to_json(self) -> dict[str, Any]:
-        """JSON form with the kind and the explicit numbers. Floats read back to the same float64.
-        An empty array that a field has by default is left out."""
+        """Plain numbers of the object for JSON. Floats read back to the same float64. An empty
+        array that a field has by default is left out."""
         data = {} if self.kind is None else {"kind": self.kind}
-        for field, value in _entries(self):
-            nested = _entries(value) if isinstance(value, FLAT) else [(field, value)]
-            data |= {part.name: _plain(own) for part, own in nested}
+        for field, value in _json_fields(self):
+            nested = _json_fields(value) if isinstance(value, FLAT) else [(field, value)]
+            data |= {part.name: _to_plain(own) for part, own in nested}
         return data
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """Construct the object from its JSON form. The inverse of `to_json`; raises `BadRequest`
-        naming the entry that is missing or malformed."""
-        return _built(cls, data)
+        """Build the object from its JSON form. The inverse of `to_json`; raises `BadRequest` naming
+        the entry that is missing or malformed."""
+        return _build_from_json(cls, data)
 
 
-def _entries(of: Any) -> list[tuple[Field[Any], Any]]:
-    """Fields that are written to JSON, with their values."""
+def _json_fields(of: Any) -> list[tuple[Field[Any], Any]]:
+    """Fields of an object that are written to JSON, with their values."""
     entries = [(field, getattr(of, field.name)) for field in fields(of)]
-    return [(field, value) for field, value in entries if not (_optional(field) and not value.size)]
+    return [
+        (field, value) for field, value in entries if not (_is_optional(field) and not value.size)
+    ]
 
 
-def _optional(field: Field[Any]) -> bool:
+def _is_optional(field: Field[Any]) -> bool:
     """Whether a field is empty by default, so that older files lack it."""
     return field.default_factory is not MISSING
 
 
-def _plain(value: Any) -> Any:
+def _to_plain(value: Any) -> Any:
+    """Convert a value to plain lists and numbers for JSON."""
     if isinstance(value, tuple):
-        return [_plain(part) for part in value]
+        return [_to_plain(part) for part in value]
     if isinstance(value, np.ndarray):
         return value.tolist()
     return value.to_json() if isinstance(value, Explicit) else value
 
 
-def _built(kind: Any, data: Mapping[str, Any]) -> Any:
+def _build_from_json(kind: Any, data: Mapping[str, Any]) -> Any:
+    """Build an object of a given class from its JSON form."""
     hints = get_type_hints(kind)
-    needed = (field for field in fields(kind) if field.name in data or not _optional(field))
-    return kind(**{field.name: _read(hints[field.name], field.name, data) for field in needed})
+    needed = (field for field in fields(kind) if field.name in data or not _is_optional(field))
+    return kind(
+        **{field.name: _read_entry(hints[field.name], field.name, data) for field in needed}
+    )
 
 
-def _read(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
+def _read_entry(kind: Any, key: str, data: Mapping[str, Any]) -> Any:
+    """Read one field of an object from its JSON form."""
     if kind in FLAT:
-        return _built(kind, data)
+        return _build_from_json(kind, data)
     if get_origin(kind) is tuple:
         require(isinstance(data.get(key), list), key, data.get(key), "expected a list", AGAIN)
-        return tuple(_read(get_args(kind)[0], key, {key: part}) for part in data[key])
+        return tuple(_read_entry(get_args(kind)[0], key, {key: part}) for part in data[key])
     if kind is float:
         return float(array_from_json(data, key, 0))
     if kind is str or issubclass(kind, Explicit):
@@ -104,8 +112,8 @@ ROUNDING = (
 
 
 class Scaffold(Family, Explicit):
-    """Base class of static maps with a known ball of Jacobians. A static map `S: R^m -> R^k` with
-    `S(0) = 0` exactly, held as explicit parameters only.
+    """Base class of static maps whose Jacobians lie in a known ball. A static map `S: R^m -> R^k`
+    with `S(0) = 0` exactly, held as explicit parameters only.
 
     Scaled units on both sides. Every member is a frozen dataclass that is written to and read from
     JSON without loss.
@@ -113,52 +121,54 @@ class Scaffold(Family, Explicit):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """`(k, m)`: output and input channels, as of the Jacobian."""
-        outputs, inputs = self.portable().linear.shape
+        """Numbers of output and input channels of the static map."""
+        outputs, inputs = self.as_portable().linear.shape
         return outputs, inputs
 
     @property
     def outputs(self) -> int:
+        """Number of output channels of the static map."""
         return self.shape[0]
 
     @property
     def inputs(self) -> int:
+        """Number of input channels of the static map."""
         return self.shape[1]
 
     @abstractmethod
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
-        """`S(v)` for every vector of the batch."""
+        """Evaluate the static map at every vector of a batch."""
 
     @abstractmethod
     def jacobian(self, v: Float[np.ndarray, "m"]) -> Float[np.ndarray, "k m"]:
-        """Jacobian `dS/dv` at one point. At a break point it has the slope to its right (of the
-        pre-activation)."""
+        """Jacobian of the static map at one point. At a break point it has the slope to its right
+        (of the pre-activation)."""
 
     @abstractmethod
     def bound(self) -> SlopeBound:
-        """Ball `alpha I + beta Delta` of all Jacobians, with sign."""
+        """Ball that contains all Jacobians of the static map. `alpha I + beta Delta`."""
 
     @abstractmethod
     def centre(self) -> Square | None:
-        """Centre matrix of the Jacobians, which may be moved into the linear part. None if there is
-        none."""
+        """Centre matrix of the map's Jacobians, which may be moved into the linear part. None if
+        there is none."""
 
     def after(self, m: Square) -> "Scaffold":
-        """The map followed by a matrix. `v -> m S(v)`, m the inverse of `centre()`; asked of
+        """Static map followed by a matrix. `v -> m S(v)`, m the inverse of `centre()`; asked of
         scaffoldings that have one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
     def before(self, m: Square) -> "Scaffold":
-        """The map preceded by a matrix. `v -> S(m v)`, m the inverse of `centre()`."""
+        """Static map preceded by a matrix. `v -> S(m v)`, m the inverse of `centre()`."""
         return self.after(m)
 
     @abstractmethod
-    def portable(self) -> PortableMap:
-        """The same map as a matrix and a leaky-ReLU network, as C, ONNX and Python take it."""
+    def as_portable(self) -> PortableMap:
+        """Same map as plain arrays: a matrix and a leaky-ReLU network."""
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Any:
-        """Read a static map of the kind that `kind` names. Raises `BadRequest` for an unknown one,
+        """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown one,
         and as `Explicit` does."""
         if "portable" not in cls.__abstractmethods__:
             return super().from_json(data)
@@ -166,16 +176,16 @@ class Scaffold(Family, Explicit):
         return kinds[data["kind"]].from_json(data)
 
 
-def numbers(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
-    """Convert a tensor to float64 numbers."""
+def tensor_to_numpy(values: Float[Tensor, "..."]) -> Float[np.ndarray, "..."]:
+    """Convert a tensor to a float64 array."""
     return values.detach().cpu().double().numpy().copy()
 
 
-def home_offsets(
+def zero_preserving_offsets(
     points: Float[Tensor, "*c h"], slopes: Float[Tensor, "*c h1"]
 ) -> Float[Tensor, "*c h1"]:
-    """Offsets of the affine pieces, exactly zero for the piece that holds v = 0. Continuity gives
-    the others one by one."""
+    """Offsets of continuous affine pieces for which the map is exactly zero at zero. Continuity
+    gives the others one by one."""
     jumps = (
         slopes[..., :-1] - slopes[..., 1:]
     ) * points  # what keeps the map continuous at each point
@@ -185,17 +195,17 @@ def home_offsets(
     return torch.cat([zero, beyond], -1) - torch.cat([before, zero], -1)
 
 
-def evaluate(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
-    """Value `S_c(v_c)` of a piecewise-linear map for every vector of the batch. Points, slopes and
-    offsets have one row a channel."""
+def evaluate_pieces(pieces: Pieces, v: Float[Tensor, "*batch c"]) -> Float[Tensor, "*batch c"]:
+    """Evaluate a piecewise-linear map at every vector of a batch. Points, slopes and offsets have
+    one row a channel."""
     points, slopes, offsets = pieces
     flat = v.flatten(0, -2).mT.contiguous()  # searchsorted wants rows that lie in order
     piece = torch.searchsorted(points.detach(), flat.detach(), right=True)
     return (slopes.gather(-1, piece) * flat + offsets.gather(-1, piece)).mT.reshape(v.shape)
 
 
-def roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
-    """Total variation of the slope along v, relative to the largest slope. It is rounded off at one
+def relative_roughness(slopes: Float[Tensor, "*c h1"]) -> Float[Tensor, "*c"]:
+    """Total variation of a map's slope, relative to its largest slope. It is rounded off at one
     percent of it.
 
     A step from flat to steep costs the same however many pieces it takes; spikes between two levels

@@ -12,9 +12,8 @@ from ssm_study.models.scaffolds.scaffold import Free, Pieces, Scaffold
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frame:
-    """Data that a model gives its static maps: width, sector, and samples of the signal that each
-    will receive, `(N, m)`."""
+class MapContext:
+    """Width, slope sector and input samples that a model gives to each of its static maps."""
 
     width: int
     slopes: tuple[float, float]
@@ -34,31 +33,34 @@ class Trainable(ABC):
     ] = ()  # Names, or beginnings of names, of parameters that are not trained
 
     @abstractmethod
-    def start(self, frame: Frame, rng: np.random.Generator) -> dict[str, Float[np.ndarray, "..."]]:
-        """Initial values of the free parameters."""
+    def initial_values(
+        self, frame: MapContext, rng: np.random.Generator
+    ) -> dict[str, Float[np.ndarray, "..."]]:
+        """Initial values of the map's free parameters."""
 
     @abstractmethod
     def explicit(self, free: Free, slopes: tuple[float, float]) -> Any:
-        """Explicit parameters for any values of the free ones, with slopes in the sector."""
+        """Explicit parameters of the map, within its slope sector for any free parameters."""
 
     @abstractmethod
     def evaluate(self, explicit: Any, v: Float[Tensor, "*batch m"]) -> Float[Tensor, "*batch k"]:
-        """Evaluate the map, `S(v)`."""
+        """Evaluate the trainable map at a batch of vectors."""
 
     @abstractmethod
-    def frozen(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
-        """Trained static map as explicit numbers in float64."""
+    def freeze(self, explicit: Any, slopes: tuple[float, float]) -> Scaffold:
+        """Trained static map as explicit float64 numbers."""
 
     def pieces(self, explicit: Any) -> Pieces | None:  # noqa: ARG002
-        """Pieces of a one-channel piecewise-linear map. None for others."""
+        """Affine pieces of a one-channel piecewise-linear map. None for others."""
         return None
 
     def roughness(self, explicit: Any) -> Float[Tensor, ""]:  # noqa: ARG002
-        """Total variation of the slopes (`roughness` below). Zero where slopes are not explicit."""
+        """Total variation of the map's slopes, for the training penalty. Zero where slopes are not
+        explicit."""
         return torch.zeros((), dtype=torch.float64)
 
-    def build(self, frame: Frame, rng: np.random.Generator) -> Any:
-        """Torch module of the map with its initial values."""
+    def build(self, frame: MapContext, rng: np.random.Generator) -> Any:
+        """Build the torch module of the trainable map."""
         from ssm_study.models.torch_scaffold import TorchScaffold
 
-        return TorchScaffold(self, self.start(frame, rng), frame.slopes)
+        return TorchScaffold(self, self.initial_values(frame, rng), frame.slopes)

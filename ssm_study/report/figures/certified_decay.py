@@ -63,7 +63,7 @@ def observed(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - t
     """`xh+ = A xh + L S_y(C xh)`: two observers that see the same input and output (u = 0, D drops
     out)."""
     rest = np.zeros((PAIRS, model.linear.b.shape[1]))
-    return lambda x: model.advance(x, rest) + model.read_scaled(x, rest) @ l.T
+    return lambda x: model.advance(x, rest) + model.scaled_output_at(x, rest) @ l.T
 
 
 def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:

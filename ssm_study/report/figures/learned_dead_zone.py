@@ -77,7 +77,7 @@ def _around_rest(model: SSM, reach: float) -> Range:
 
 
 def _lifted(model: SSM, voltage: Range) -> Range:
-    return model.lift(voltage[:, None])[:, 0]
+    return model.map_input(voltage[:, None])[:, 0]
 
 
 def _said(model: SSM, voltage: Range, threshold: float) -> str:

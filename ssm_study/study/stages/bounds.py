@@ -3,7 +3,7 @@ alone."""
 
 from ssm_study.bounds.metrics import bound_facts
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.models.warm_start import simulate_parts
+from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.free_run import SIMULATED, ModelRun, compute_simulated, measure_score
 from ssm_study.study.stages.model import Trained
@@ -12,7 +12,7 @@ from ssm_study.study.stages.model import Trained
 def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Facts:
     """Columns of the certified model: fits, linear part, slopes."""
     facts = measure_score(simulated, data, trained)
-    _, test_before_reduction = simulate_parts(trained.model, data)
+    _, test_before_reduction = simulate_validation_and_test(trained.model, data)
     facts["fit_test_before_reduction_percent"] = test_before_reduction.fit_percent
     return facts | bound_facts(simulated.model)
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 from ssm_study.data.metrics import benchmark_rmse
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.models.metrics import Simulation, fit_facts
-from ssm_study.models.warm_start import simulate_parts, start_facts
+from ssm_study.models.metrics import Simulation, fit_columns
+from ssm_study.models.warm_start import piece_start_columns, simulate_validation_and_test
 from ssm_study.signals import DataSet
 from ssm_study.study.recordings import read_simulation, states_to_text, write_records
 from ssm_study.study.stages.files import write_json
@@ -52,7 +52,7 @@ def compute_simulated(
     """
     model = trained.model if reduction is None else reduction.reduce(trained.model)
     write_json(folder / "model.json", model.to_json())
-    validation, test = simulate_parts(model, data)
+    validation, test = simulate_validation_and_test(model, data)
     for name, run in (("validation", validation), ("test", test)):
         about: dict[str, Any] = {"start_up_samples": str(data.start_up_samples)}
         if any(state is not None for state in run.starts):
@@ -66,8 +66,8 @@ def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
     score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
     train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}
-    fits = fit_facts(simulated.validation, simulated.test, scores)
-    return train | fits | start_facts(simulated.model, data, simulated.test)
+    fits = fit_columns(simulated.validation, simulated.test, scores)
+    return train | fits | piece_start_columns(simulated.model, data, simulated.test)
 
 
 SCORE = Stage("score", compute_simulated, ModelRun, measure_score, SIMULATED)

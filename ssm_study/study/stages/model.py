@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ssm_study.engine.stages import Facts, Stage
-from ssm_study.models.members import member_facts
-from ssm_study.models.metrics import size_facts
-from ssm_study.models.stored import model_from_json
+from ssm_study.models.members import member_columns
+from ssm_study.models.metrics import size_columns
+from ssm_study.models.stored import read_model_json
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.training.metrics import training_facts
@@ -53,9 +53,9 @@ def compute_model(
     if identified.chosen:
         facts["chosen"] = identified.chosen
     if data.metadata.get("source") == "recorded":
-        from ssm_study.models.baselines.regression import baseline_facts
+        from ssm_study.models.baselines.regression import baseline_columns
 
-        facts["baseline"] = baseline_facts(data)
+        facts["baseline"] = baseline_columns(data)
     write_json(folder / "training.json", facts)
     write_json(folder / "training_curve.json", with_null_gaps(identified.curve))
     if identified.members:
@@ -73,21 +73,21 @@ def read_trained(folder: Path) -> Trained:
 def measure_model(trained: Trained, data: DataSet) -> Facts:
     """Columns of the training: its time, why it ended, the model's size, what the log chose, and a
     baseline's fit."""
-    facts = training_facts(trained.seconds, trained.ended) | size_facts(trained.model)
+    facts = training_facts(trained.seconds, trained.ended) | size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
-    return facts | member_facts(trained.members, data) | (trained.baseline or {})
+    return facts | member_columns(trained.members, data) | (trained.baseline or {})
 
 
 def read_model(folder: Path) -> Any:
     """Read the model from its explicit numbers, without torch."""
-    return model_from_json(read_json(folder / "model.json"))
+    return read_model_json(read_json(folder / "model.json"))
 
 
 def read_members(folder: Path) -> tuple[Any, ...]:
     """Models whose mean is the prediction. None where one model predicts."""
     path = folder / MEMBERS
-    return tuple(model_from_json(each) for each in read_json(path)) if path.exists() else ()
+    return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
 
 
 def with_null_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
