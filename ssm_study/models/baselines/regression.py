@@ -44,10 +44,10 @@ Codes = Int[np.ndarray, "terms degree"]
 
 @dataclass(frozen=True, kw_only=True)
 class Polynomial(Simulator, names=("narx",)):
-    """Polynomial NARX model with one output; a linear ARX model is of degree one. `y[k] = sum_i
-    theta_i prod_j factor_ij`, the factors named by codes.
+    """Polynomial NARX model with one output; a linear ARX model is of degree one.
 
-    1000 + l is `y[k-l]`, 2000 + l is `u[k-l]` (3000 + l of the second input), 0 is one.
+    `y[k] = sum_i theta_i prod_j factor_ij`, the factors named by codes: 1000 + l is `y[k-l]`, 2000
+    + l is `u[k-l]` (3000 + l of the second input), 0 is one.
     """
 
     codes: Codes
@@ -81,7 +81,7 @@ class Polynomial(Simulator, names=("narx",)):
 
 
 def _input_factors(codes: Codes, v: Float[np.ndarray, "*batch T m"]) -> np.ndarray:
-    """Product of the input factors of each polynomial term at each sample (`(*batch, T, terms)`)."""
+    """Product of the input factors of each polynomial term at each sample."""
     product = np.ones((*v.shape[:-1], len(codes)))
     for term, row in enumerate(codes):
         for code in row[row >= INPUT]:
@@ -337,8 +337,8 @@ class Baseline:
 def fit_best_baseline(data: DataSet) -> Baseline | None:
     """Fit several simple models and return the one with the best validation fit.
 
-    None for several outputs. Trained on the training records alone. ARX with up to 20 lags, output error with up to 6, NARX
-    of degree 2 and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
+    None for several outputs. ARX with up to 20 lags, output error with up to 6, NARX of degree 2
+    and 3 with up to 20 terms; delays up to 8 samples, 0 where the input acts at once.
     """
     longest = max(len(record) for record in data.training)
     if data.scale.outputs != 1 or longest < SHORTEST:
