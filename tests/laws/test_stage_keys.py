@@ -198,9 +198,11 @@ ROWS = {
     "plant": ("plants/dc_motor.py", r"^class DCMotor\(", "class DCMotor(object, ", ALL),
     "simulated data": ("data/simulated.py", r"^class SimulatedData", "@edited\nclass SimulatedData",
                        ALL),
-    "loop": ("loop/rollout.py", r"^def close_loop\(", "@edited\ndef close_loop(",
+    "loop": ("loop/rollout.py", r"^def simulate_closed_loop\(",
+             "@edited\ndef simulate_closed_loop(",
              ["textbook_pi", "loop"]),
-    "evidence": ("evidence/metrics.py", r"^def judge\(", "@edited\ndef judge(", ALL[5:]),
+    "evidence": ("evidence/metrics.py", r"^def collect_findings\(",
+                 "@edited\ndef collect_findings(", ALL[5:]),
 }  # fmt: skip
 
 

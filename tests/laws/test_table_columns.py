@@ -26,9 +26,7 @@ ADDED = {
             'Column("input_mean_square", "Float64", "low", '
             'word="Mean square of the input", unit="V²"),'
         ),
-        '"input_peak_v": max(float(np.abs(effort).max()) for effort in efforts),': (
-            '"input_mean_square": float((efforts[0] ** 2).mean()),'
-        ),
+        '"input_peak_v": input_peak_v,': ('"input_mean_square": float((efforts[0] ** 2).mean()),'),
     },
     "ssm_study/training/metrics.py": {
         "COLUMNS = (": (

@@ -81,7 +81,7 @@ def test_set_points_are_reached_without_error_under_a_constant_load(undone: bool
     assert controlled_y[:, -1, 0] == pytest.approx(1.6, abs=1e-4)
     changed_loop = replace(loop, disturbance=NoDisturbance())
     identified_plant = IdentifiedPlant.from_model(stand)
-    without = changed_loop.run(identified_plant, stand, design, 0)
+    without = changed_loop.run_design(identified_plant, stand, design, 0)
     controlled_u = without.controlled.u
     difference = np.abs(controlled_u[:, -1] - runs.controlled.u[:, -1])
     largest_difference = difference.max()
