@@ -11,6 +11,7 @@ import pandas as pd
 import scipy
 from jaxtyping import Float
 
+from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.summaries import html_table
 from ssm_study.api.systems import read_matrix
@@ -104,8 +105,8 @@ def certify(
     *,
     K: Any = None,
     L: Any = None,
-    slopes: tuple[float, float] = (1.0, 1.0),
-    output_slopes: tuple[float, float] = (1.0, 1.0),
+    slopes: Slopes = (1.0, 1.0),
+    output_slopes: Slopes = (1.0, 1.0),
 ) -> Certification:
     """Certify given state-feedback and observer gains with the largest contraction rate that can be
     proved.

@@ -12,8 +12,9 @@ import pandas as pd
 from jaxtyping import Complex, Float
 
 from ssm_study import save_as_run
+from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
-from ssm_study.api.model import Model, Values, draw_or_refuse
+from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, summarise_design, text_table
 from ssm_study.bounds.slopes import certified_balls

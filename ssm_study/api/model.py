@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Complex, Float
 
+from ssm_study.api.arguments import Values
 from ssm_study.api.linearisation import linearise, response_table, undo_sampling
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, summarise_model, text_table
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
     from ssm_study.api.pictures.picture import Picture
     from ssm_study.training.metrics import Identification
-
-Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
