@@ -175,7 +175,7 @@ def certify_gain(
     )
     for inside, slack in product(INSIDE, SLACKS):
         rate = supremum * (1 - inside)
-        part = _prove_rate(problem.at(rate), k, slack, supremum, limit, theorem)
+        part = _prove_rate(problem.at_rate(rate), k, slack, supremum, limit, theorem)
         if part is not None and part.certified:
             return GainCertificate(
                 rate=rate,

@@ -15,7 +15,7 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.linearisation import linearise, response_table, undo_sampling
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, summarise_model, text_table
-from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
 from ssm_study.data.metrics import data_columns
@@ -68,7 +68,7 @@ class Model:
         facts |= piece_start_columns(self.simulator, data, test)
         facts |= member_columns(training.members, data)
         if isinstance(self.simulator, SSM | StructuredSSM):
-            facts |= bound_facts(self.simulator)
+            facts |= model_bound_columns(self.simulator)
         return facts
 
     @cached_property

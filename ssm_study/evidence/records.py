@@ -16,10 +16,10 @@ from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
     RESPONSES,
-    after_motion,
-    is_return,
+    output_after_motion,
+    is_return_to_rest,
     remaining_offset,
-    spread_of_rest_points,
+    equilibrium_spread,
 )
 from ssm_study.signals import DataSet, Trajectory
 
@@ -299,11 +299,12 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.impulse_response_length()
     rests = [
-        after_motion(*case.scale_with_disturbances(record), response) for record in case.data.test
+        output_after_motion(*case.scale_with_disturbances(record), response)
+        for record in case.data.test
     ]
     offsets = [remaining_offset(y) for y in rests if len(y)]
     off = max((*mismatch.stuck, *offsets), default=0.0)
-    if not mismatch.rests:
+    if not mismatch.comes_to_rest:
         left = mismatch.left_at_rest
         told = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(
@@ -318,8 +319,8 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
             "Record more returns to rest."
         )
     elif mismatch.left_at_rest is None:
-        apart = spread_of_rest_points(
-            case.model.scale, [one for one in case.data.mismatch_records if is_return(one)]
+        apart = equilibrium_spread(
+            case.model.scale, [one for one in case.data.mismatch_records if is_return_to_rest(one)]
         )
         problem = "No two returns to rest input outlast the model's response"
         if (

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import inverse_of
+from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
     Design,
@@ -37,7 +37,7 @@ from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_st
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.input_inversion import of_commands
+from ssm_study.synthesis.input_inversion import commanded_model_and_balls
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
@@ -48,13 +48,13 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def with_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Design with further certificates for its gains, each verified exactly. They are largest
-    rates, tolerance, and the effect of physical input `limits`.
+    """Add to a design all further certificates that its gains have, each verified exactly. They are
+    largest rates, tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
     """
-    model, balls = of_commands(design, model, balls)
+    model, balls = commanded_model_and_balls(design, model, balls)
     certificates: dict[str, Theorem | None] = {}
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}
     for side, part in sides.items():
@@ -64,15 +64,15 @@ def with_gain_certificates(
     certificates["tolerance"] = tolerance_certificate(design, model, balls)
     extra = {name: part for name, part in certificates.items() if part is not None}
     design = replace(design, extra_certificates=extra)
-    if limits is None or design.inverts:
+    if limits is None or design.inverts_input_map:
         return design
     limited = with_limits(model, design, *limits)
     return replace(design, extra_certificates=extra | limited)
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest mismatch at the input for which the loop converges. None for gains
-    certified by another class, and where none is proved."""
+    """Certificate of the largest mismatch at the input under which the loop converges. None for
+    gains certified by another class, and where none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
@@ -100,7 +100,7 @@ def at_largest_rate(part: Side) -> Side | None:
     if hasattr(part, "lambda_"):
         from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
 
-        return structured_lmi.at_largest_rate(part)
+        return structured_lmi.certify_largest_rate(part)
     return deployed_rate.at_largest_rate(part)
 
 
@@ -142,7 +142,7 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
     S_y couples there is no such box: None.
     """
-    inverse = inverse_of(model.scaffold_out.as_portable())
+    inverse = invert_map(model.scaffold_out.as_portable())
     rest, _, gain = model.linear.steady_states()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
@@ -181,9 +181,9 @@ class WithinLimits:
     everywhere: LimitedFeedback | None
 
     @classmethod
-    def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Read the limits from the parts of a certificate. None where they have no set of initial
-        states."""
+    def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
+        """Limits and proved outputs, read from the parts of a certificate; None where it has no
+        such part. None where they have no set of initial states."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
         starts = starts_at_rest(model, parts[SETS].starts)
@@ -203,7 +203,7 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
     problem = "do not enclose the input at rest"
     remedy = "widen them or choose another operating point"
     require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
-    found = WithinLimits.of(model, with_limits(model, design, lower, upper))
+    found = WithinLimits.from_certificate(model, with_limits(model, design, lower, upper))
     if found is None:
         raise BadRequest(
             "input limits", limits, "nothing is proved within them", "request lower rates"

@@ -127,7 +127,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
         run = Run(path=root)
         stages = RunStages(root / ".store", run, announces)
         for _ in range(2):  # what is there already is not announced
-            stages.keyed("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
+            stages.stage_with_key("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
         assert terminal.getvalue().count("model ...") == 1
     string_io = io.StringIO()
     monkeypatch.setattr(sys, "stderr", string_io)
