@@ -99,7 +99,9 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         sizes = {"plant": plant, "seed": seed, "start": start, "order": model.order}
         sizes |= {"neurons": len(getattr(model, "neurons", ()))}
         told = {name: f"{value:.5g}" for name, value in numbers.items()}
-        rate = largest_certifiable_rate(model.system, certified_balls(model).input) if near else None
+        rate = (
+            largest_certifiable_rate(model.system, certified_balls(model).input) if near else None
+        )
         rows.append(
             sizes | told | {"r_controller": "" if rate is None else f"{np.sqrt(1 - rate):.4g}"}
         )

@@ -26,7 +26,11 @@ from ssm_study.robustness.coverage_table import coverage_table
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_run import coverage_columns, certificate_weights, add_coverage_certificate
+from ssm_study.synthesis.measured_discs_run import (
+    coverage_columns,
+    certificate_weights,
+    add_coverage_certificate,
+)
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 ONE = np.ones((1, 1))
@@ -324,7 +328,9 @@ def test_an_empty_premise_is_refused() -> None:
     assert nothing.missing(0.0) == EMPTY
     assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
     model = SSM.from_linear(MODEL, 0.01)
-    extra_certificates = add_coverage_certificate(design(), model, BALLS, nothing).extra_certificates
+    extra_certificates = add_coverage_certificate(
+        design(), model, BALLS, nothing
+    ).extra_certificates
     assert extra_certificates == {}
     coverage = coverage_columns(design(), model, nothing)["coverage"]
     assert coverage is None

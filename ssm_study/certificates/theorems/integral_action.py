@@ -108,7 +108,9 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[n
     return np.kron(scipy.linalg.block_diag(*blocks), np.eye(outputs))
 
 
-def append_internal_model(model: Model, words: Sequence[str] = ("step",), weight: float = 1.0) -> System:
+def append_internal_model(
+    model: Model, words: Sequence[str] = ("step",), weight: float = 1.0
+) -> System:
     """Append an internal model to the identified model, with joint state `(x, z)`.
 
     Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
