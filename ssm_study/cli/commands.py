@@ -51,6 +51,7 @@ def look_at_log(options: argparse.Namespace) -> None:
         output=options.output,
         time=options.time,
         step_s=options.step_s,
+        disturbance=options.disturbance,
         settings=TextSettings(separator=options.separator, decimal=options.decimal, header=header),
     )
     print(log)

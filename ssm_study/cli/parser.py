@@ -92,6 +92,8 @@ def add_look(subparsers: Subparsers) -> None:
     command.add_argument("file", type=Path, metavar="FILE", help="the log")
     for name in ("input", "output", "time"):
         command.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
+    disturbance_help = "a column that moves the output and is not commanded, as a load or weather"
+    command.add_argument("--disturbance", metavar="COLUMN", help=disturbance_help)
     command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
     separator_help = "of a text: tabs, semicolons, commas, bars, spaces"
     command.add_argument("--separator", metavar="NAME", help=separator_help)
