@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.arrays import ARRAYS
 from ssm_study.data.clock import EvenRows, cut_at_missing_values, log_length, require_equal_period
 from ssm_study.data.clock_column import (
     clock_column_seconds,
@@ -18,10 +17,10 @@ from ssm_study.data.clock_column import (
     unread_clocks,
 )
 from ssm_study.data.clock_restarts import resample_experiments
+from ssm_study.data.log_refusals import refusal_with_look_command
 from ssm_study.data.missing_codes import code_remarks
 from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import (
-    FOREIGN,
     Reader,
     Table,
     choose_reader,
@@ -35,7 +34,6 @@ from ssm_study.signals import Channel, Trajectory
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
-LOOK = "`ssm-study look {}` shows what is in the file"
 
 
 def as_name_list(names: Names) -> tuple[str, ...]:
@@ -334,16 +332,6 @@ class _LogFile:
     table: Table
     time_s: Float[np.ndarray, "T"] | None
     remarks: list[str]
-
-
-def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
-    """Add to an error on a log file the command that shows its contents."""
-    remedy = error.remedy.rstrip(".")
-    is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
-    is_of_arrays = path.parent.name == ARRAYS and path.suffix == ".parquet"
-    if "look" in remedy or is_foreign or is_of_arrays or not path.is_file():
-        return error
-    return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
 
 
 @dataclass(frozen=True, kw_only=True)
