@@ -38,13 +38,13 @@ from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.signals import DataSet
 from ssm_study.synthesis import auto
-from ssm_study.synthesis.decay_response import decays_of
+from ssm_study.synthesis.decay_response import simulate_decays
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.synthesis.measured_discs_run import (
-    coverage_facts,
-    fresh_facts,
-    fresh_needs,
-    with_coverage,
+    coverage_columns,
+    fresh_data_column,
+    fresh_data_needs,
+    add_coverage_certificate,
 )
 
 KEY = ("plant", "model", "order", "seed", "cover")
@@ -108,14 +108,14 @@ class IdentifiedCase:
 
         balls = certified_balls(self.model)
         with patch.object(auto, "prefer_covered", prefer_and_note):
-            decays = decays_of(self.model, self.data.mismatch_records, self.data.validation)
+            decays = simulate_decays(self.model, self.data.mismatch_records, self.data.validation)
             chosen: Design = (
-                synthesis.covering(self.premise)
-                .starting_from(decays)
+                synthesis.prefer_covered_designs(self.premise)
+                .prefer_faster_than_decays(decays)
                 .design(self.model, balls, self.data.validation, self.mismatch)
             )
         plain = certified[0] if certified else chosen
-        return plain, with_coverage(chosen, self.model, balls, self.premise)
+        return plain, add_coverage_certificate(chosen, self.model, balls, self.premise)
 
     def columns(self, design: Design) -> dict[str, Any]:
         """Prediction and loop of one design."""
@@ -155,11 +155,15 @@ def row_of(arguments: argparse.Namespace, plant: str, seed: int) -> dict[str, An
     designed = time.process_time()
     fresh = case.parts.data.simulate_fresh_sets(case.plant, seed)
     start_up = case.data.start_up_samples
-    needs = fresh_needs(chosen, case.model, case.premise, case.mismatch, fresh, start_up)
+    needs = fresh_data_needs(chosen, case.model, case.premise, case.mismatch, fresh, start_up)
     row: dict[str, Any] = {"plant": plant, "model": arguments.model, "seed": seed}
     row |= {"order": arguments.order or "", "cover": arguments.cover or ""}
-    row |= {"evidence": case.evidence, "rests": case.mismatch.rests, "fit_test": case.fit_percent}
-    row |= coverage_facts(chosen, case.model, case.premise) | fresh_facts(needs)
+    row |= {
+        "evidence": case.evidence,
+        "rests": case.mismatch.comes_to_rest,
+        "fit_test": case.fit_percent,
+    }
+    row |= coverage_columns(chosen, case.model, case.premise) | fresh_data_column(needs)
     columns = case.columns(chosen)
     plain_columns = columns if have_same_gains(plain, chosen) else case.columns(plain)
     row |= columns | {f"plain_{name}": value for name, value in plain_columns.items()}

@@ -64,11 +64,11 @@ class StandardServer:
             self.context.set_forkserver_preload([Path(__file__).stem])
         process = self.context.Process(target=do, args=(number,))
         process.start()
-        child = ours.Child(pid=process.pid, listen=self.listen)
+        child = ours.Child(pid=process.pid, wait_for_job_end=self.wait_for_job_end)
         self.children[process.sentinel] = (process, child)
         return child
 
-    def listen(self, timeout: float | None) -> None:
+    def wait_for_job_end(self, timeout: float | None) -> None:
         for sentinel in multiprocessing.connection.wait(list(self.children), timeout):
             process, child = self.children.pop(sentinel)
             process.join()

@@ -24,7 +24,7 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.loop.design_grid import DesignGrid
 from ssm_study.loop.peers.peer import Identified
 from ssm_study.plants.plant import Plant
-from ssm_study.robustness.return_to_rest import is_return
+from ssm_study.robustness.return_to_rest import is_return_to_rest
 from ssm_study.signals import DataSet
 
 PLANTS = ["dc_motor", "stribeck_drive", "peaking_gain", "thinning_damping", "stiction",
@@ -66,7 +66,7 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
     made = []
     for views, trials in (
         ("three", data.mismatch_records),
-        ("one", tuple(filter(is_return, data.mismatch_records))),
+        ("one", tuple(filter(is_return_to_rest, data.mismatch_records))),
     ):
         known = Identified.from_data_set(
             model, certified_balls(model), replace(data, mismatch_records=trials)

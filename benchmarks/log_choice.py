@@ -25,7 +25,7 @@ from log_kinds import KINDS
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.baselines.regression import fit_best_baseline
 from ssm_study.models.warm_start import simulate_validation_and_test
-from ssm_study.synthesis.model_selection import largest_rate_of
+from ssm_study.synthesis.model_selection import largest_certifiable_rate
 from ssm_study.training.metrics import mean_fit
 
 TARGET = REFERENCE / "training"
@@ -140,7 +140,7 @@ def quote(setting: str) -> str:
 def largest_rate(model: object) -> float:
     """The largest rate of a certified state feedback; not a number where there is none."""
     balls = certified_balls(model)
-    return float(largest_rate_of(model.system, balls.input))  # type: ignore[attr-defined]
+    return float(largest_certifiable_rate(model.system, balls.input))  # type: ignore[attr-defined]
 
 
 def main() -> None:

@@ -10,6 +10,7 @@ with, stand in a table.
 """
 
 import argparse
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
@@ -25,6 +26,8 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
 
 ROWS = 400
+SINCE_1970_MS = 1_772_700_000_000
+FIRST_DAY = 46086.375  # of a spreadsheet: 5 March 2026, nine o'clock
 ENDS = ("read", "refused", "wrong", "traceback")
 NAMES = {
     "plain": ("u", "y"),
@@ -46,6 +49,10 @@ CLOCKS = {
     "date": ("date", 0.0),
     "date with zone": ("Timestamp", 0.0),
     "european date": ("Datum", 0.0),
+    "date with month": ("Zeitpunkt", 0.0),
+    "date in digits": ("timestamp", 0.0),
+    "date of a spreadsheet": ("Date", 0.0),
+    "ms since 1970": ("ts", 1e3),
 }
 
 
@@ -65,7 +72,7 @@ class Variant:
     line_end: str
     step_s: float
     trailing: bool
-    quoted: bool
+    quote_for_command: bool
     counter: bool
     seed: int
 
@@ -81,8 +88,9 @@ def is_possible(variant: Variant) -> bool:
         or variant.units_row
         or CLOCKS[variant.clock][0] not in ("", "t", "time_ms", "timestamp_us")
     )
-    both = variant.separator == variant.decimal and not variant.quoted
-    bare_clock = variant.names == "none" and variant.clock not in ("none", "t", "date")
+    both = variant.separator == variant.decimal and not variant.quote_for_command
+    nameless = ("none", "t", "date", "ms since 1970", "date in digits")
+    bare_clock = variant.names == "none" and variant.clock not in nameless
     bare_units = variant.units_row and variant.names in ("none", "units", "brackets")
     dated_fast = dated and variant.step_s < 1.0
     bare_counter = variant.counter and (variant.names == "none" or variant.separator == " ")
@@ -104,7 +112,7 @@ variants = st.builds(
     line_end=st.sampled_from(["\n", "\r\n"]),
     step_s=st.sampled_from([0.001, 0.01, 0.25, 1.0, 60.0]),
     trailing=st.booleans(),
-    quoted=st.sampled_from([False, False, True]),
+    quote_for_command=st.sampled_from([False, False, True]),
     counter=st.sampled_from([False, False, True]),
     seed=st.integers(0, 10_000),
 ).filter(is_possible)
@@ -145,7 +153,7 @@ def write(variant: Variant, folder: Path) -> Written:
         rows = [[str(k), *row] for k, row in enumerate(rows)]
         names = ["", *names]
         units = ["", *units]
-    if variant.quoted:
+    if variant.quote_for_command:
         rows = [[f'"{cell}"' for cell in row] for row in rows]
         names = [f'"{name}"' for name in names]
         units = [f'"{unit}"' for unit in units]
@@ -179,11 +187,20 @@ def number(value: float, decimal: str) -> str:
 def clock_cells(variant: Variant, index: np.ndarray) -> list[str]:
     """The times as the variant writes them."""
     seconds = variant.step_s * index
+    if variant.clock == "ms since 1970":
+        return [f"{SINCE_1970_MS + 1000 * second:.0f}" for second in seconds]
+    if variant.clock == "date of a spreadsheet":
+        days = [FIRST_DAY + second / 86400 for second in seconds]
+        return [f"{day:.10f}".replace(".", variant.decimal) for day in days]
     if "date" not in variant.clock:
         factor = CLOCKS[variant.clock][1]
         return [f"{factor * second:.9g}".replace(".", variant.decimal) for second in seconds]
     stamps = np.datetime64("2026-02-27T23:10:00") + seconds.astype("timedelta64[s]")
     texts = [str(stamp).replace("T", " ") for stamp in stamps]
+    if variant.clock == "date in digits":
+        return [re.sub(r"\D", "", text) for text in texts]
+    if variant.clock == "date with month":
+        return [pd.Timestamp(text).strftime("%d-%b-%Y %H:%M:%S") for text in texts]
     if variant.clock == "european date":
         return [f"{t[8:10]}.{t[5:7]}.{t[:4]} {t[11:]}" for t in texts]
     return [f"{text}+01:00" for text in texts] if "zone" in variant.clock else texts

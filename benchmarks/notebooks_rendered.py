@@ -97,7 +97,8 @@ def shown(output: NotebookNode, pictures: Iterator[str]) -> str:
     if "image/png" in data:
         picture = next(pictures)
         (TARGET / picture).write_bytes(smaller(base64.b64decode(data["image/png"])))
-        return f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})"
+        image = f"![{picture.removesuffix('.png').replace('_', ' ')}]({picture})"
+        return "\n\n".join(filter(None, (image, data.get("text/markdown", ""))))
     if "text/html" in data:
         table = re.sub(
             r"<style scoped>.*?</style>|<div>|</div>|<pre[^>]*></pre>",

@@ -4,7 +4,7 @@
     python benchmarks/readme_pictures.py results/paper
 
 writes `docs/pictures/ten_speeds.gif` (below 1 MB: ten initial speeds under control beside the same
-motor left alone; the frames follow the recorded samples, ten times slower) and
+motor without control; the frames follow the recorded samples, ten times slower) and
 `docs/pictures/study_line.png` (below 300 kB: the whole study in one picture, from the record over
 the model and its certificate to the closed loop).
 """
@@ -44,7 +44,7 @@ def animation(loop: RecordedCases) -> FuncAnimation:
         figure = Figure(figsize=(7.2, 2.7), layout="constrained")
         FigureCanvasAgg(figure)
         left, right = figure.subplots(1, 2, sharey=True)
-        pairs = [(left, "output", "Under control"), (right, "uncontrolled", "Left alone")]
+        pairs = [(left, "output", "Under control"), (right, "uncontrolled", "Without control")]
         drawn = [(lines_of(axes, loop, title), loop[name][:, :, 0]) for axes, name, title in pairs]
         left.set_ylabel(loop.label("output"))
     time_s = loop.time_s("output")
@@ -110,7 +110,7 @@ def study_line(study: StudyFolder) -> Figure:
             panels[3].plot(
                 loop.time_s("output"), response, color=style.GREY, lw=0.6, ls=":", zorder=1
             )
-        panels[3].plot([], [], color=style.GREY, lw=0.6, ls=":", label="left alone")
+        panels[3].plot([], [], color=style.GREY, lw=0.6, ls=":", label="without control")
         panels[3].set_ylabel(loop.label("output"))
         for axes in panels:
             axes.legend(

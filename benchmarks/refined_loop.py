@@ -36,6 +36,7 @@ SHOWN = [
     "resolved_margin",
     "mismatch_in_loop",
     "certified_tolerance",
+    "coverage",
 ]
 SHOWN += ["stable_count", "initial_conditions", "settling_time_mean_s", "settling_time_open_loop_s"]
 
@@ -57,20 +58,19 @@ def iterations(folder: Path, settings: list[str]) -> list[Path]:
 
 
 def picture(runs: list[Path], table: pd.DataFrame) -> Figure:
-    """The noise-free output of each iteration's loop from its own starts, and its input."""
+    """The noise-free output of each iteration's loop from its own starts."""
     from ssm_study.study.loop_recordings import read_experiment
 
     fig = style.new_figure(style.COLUMN_IN, 1.6 * len(runs))
     panels = fig.subplots(len(runs), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, run, (_, row) in zip(panels, runs, table.iterrows(), strict=True):
         loop = read_experiment(run)[0].controlled
-        axes.plot(loop.step_s * np.arange(loop.y.shape[1]), loop.y[:, :, 0].T, lw=0.8)
-        settled = f"{row.stable_count:.0f} of {row.initial_conditions:.0f} settle"
-        proved = row.certified_tolerance
-        axes.set_title(
-            f"choice {row.refinements + 1:.0f}: {settled}, {proved:.2g} is proved", fontsize=8
-        )
-        axes.set_ylabel("Output")
+        time_s = loop.step_s * np.arange(loop.y.shape[1])
+        axes.plot(time_s, loop.y[:, :, 0].T, lw=0.8)
+        settled = f"{row.stable_count:.0f} of {row.initial_conditions:.0f} starts settle"
+        proved = f"coverage {row.coverage:.2g}"
+        axes.set_title(f"Choice {row.refinements + 1:.0f}: {settled}, {proved}", loc="left")
+        axes.set_ylabel("Output (–)")
     panels[-1].set_xlabel("Time (s)")
     return fig
 

@@ -24,7 +24,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from ssm_study.engine import fingerprint
-from ssm_study.engine.fingerprint import Code, symbol_of
+from ssm_study.engine.fingerprint import Code, find_symbol
 
 ROOT = Path(__file__).resolve().parents[1]
 STAGES = {
@@ -83,16 +83,16 @@ def versions(package: Path) -> dict[str, str]:
     found = {}
     for stage, (compute, *targets) in STAGES.items():
         roots = [("ssm_study.study.stages", compute)]
-        roots += [symbol_of(f"ssm_study.{target}") for target in targets]
+        roots += [find_symbol(f"ssm_study.{target}") for target in targets]
         present = [root for root in roots if is_defined(sources, *root)]
         if roots[0] in present:
-            found[stage] = sources.version(*present)
+            found[stage] = sources.code_digest(*present)
     return found
 
 
 def is_defined(sources: Code, module: str, name: str) -> bool:
     read = sources._read_columns(module)
-    return read is not None and (name in read.bound or name in read.imported)
+    return read is not None and (name in read.bound_names or name in read.imported)
 
 
 def both_ways(commit: str) -> tuple[dict[str, str], dict[str, str]]:

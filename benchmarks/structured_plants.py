@@ -26,10 +26,10 @@ from common import REFERENCE, study_of, write
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.certificates.problem import dual
+from ssm_study.certificates.problem import dual_system
 from ssm_study.models.structured import linearise_at_equilibrium
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.model_selection import largest_rate_of
+from ssm_study.synthesis.model_selection import largest_certifiable_rate
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import JacobianBall, StateSpace, System
 from ssm_study.training.metrics import mean_fit
@@ -70,7 +70,7 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
 def largest(system: System, ball: JacobianBall, observes: bool) -> float:
     """Of a one-layer model, which a start may end as, the frontier is exact."""
     if isinstance(system, StateSpace):
-        return controller_frontier(dual(system) if observes else system, ball).rate_limit
+        return controller_frontier(dual_system(system) if observes else system, ball).rate_limit
     return largest_rate(
         RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1).problem(system, ball, observes)
     )
@@ -99,7 +99,9 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         sizes = {"plant": plant, "seed": seed, "start": start, "order": model.order}
         sizes |= {"neurons": len(getattr(model, "neurons", ()))}
         told = {name: f"{value:.5g}" for name, value in numbers.items()}
-        rate = largest_rate_of(model.system, certified_balls(model).input) if near else None
+        rate = (
+            largest_certifiable_rate(model.system, certified_balls(model).input) if near else None
+        )
         rows.append(
             sizes | told | {"r_controller": "" if rate is None else f"{np.sqrt(1 - rate):.4g}"}
         )

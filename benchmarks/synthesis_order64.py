@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.certificates.problem import dual
+from ssm_study.certificates.problem import dual_system
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -57,7 +57,7 @@ def main() -> None:
         own = 1 - system.spectral_radius**2
         limits = (
             controller_frontier(system, balls.input),
-            controller_frontier(dual(system), balls.output),
+            controller_frontier(dual_system(system), balls.output),
         )
         rates = [own + share * (limit.rate_limit - own) for limit in limits]
         spec = RiccatiSynthesis(rate_controller=rates[0], rate_observer=rates[1])

@@ -23,8 +23,8 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual
-from ssm_study.synthesis.structured_lmi import StructuredLmi, is_confirmed, largest_rate
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, dual_system
+from ssm_study.synthesis.structured_lmi import StructuredLmi, is_confirmed_exactly, largest_rate
 from ssm_study.synthesis.structured_riccati import least_cost
 from ssm_study.systems import JacobianBall, StructuredSystem
 
@@ -67,7 +67,7 @@ def timed(solve: Callable[[], Solution]) -> tuple[Solution | None, float]:
 
 def problem_of(system: StructuredSystem, observes: bool, ball: JacobianBall) -> Problem:
     """The state feedback of the system, or its observer, at any rate."""
-    system = dual(system) if observes else system
+    system = dual_system(system) if observes else system
     weight = np.eye(system.order)
     neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=observes)
     return Problem(
@@ -142,7 +142,7 @@ def row(index: int) -> str | None:
     (slow, cost_s), (deep, deep_s) = (
         timed(lambda program=p: program.solve(problem.rate)) for p in programs
     )
-    certified = fast is not None and is_confirmed(problem, fast)
+    certified = fast is not None and is_confirmed_exactly(problem, fast)
     costs = [
         np.nan if found is None else np.trace(np.linalg.inv(found.p)) for found in (fast, slow)
     ]
@@ -150,7 +150,7 @@ def row(index: int) -> str | None:
     proof = fast if certified else deep
     started = time.process_time()
     assert proof is not None
-    assert is_confirmed(problem, proof)
+    assert is_confirmed_exactly(problem, proof)
     exact_s = time.process_time() - started
     worst = sampled(system, problem, proof, rng)
     ratio_cell = "" if np.isnan(ratio) else f"{ratio:.4f}"

@@ -22,9 +22,9 @@ from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.guaranteed_cost import at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import solve_at_tau, guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi
-from ssm_study.synthesis.minimum_energy import fast_gain, minimum_energy_solution
+from ssm_study.synthesis.minimum_energy import minimum_energy_gain, minimum_energy_solution
 from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall
 
@@ -67,14 +67,14 @@ def tasks(problem: Problem) -> dict[str, Callable[[], object]]:
 
     def smallest_gain() -> object:
         modes = split_modes(problem.a, problem.b, problem.contraction)
-        return fast_gain(modes, ball, problem.contraction, widen=False).k
+        return minimum_energy_gain(modes, ball, problem.contraction, widen=False).k
 
     return {
         "paper_lmi_full": lambda: lmis[True].solve(problem),
         "lmi_y_equals_p": lambda: lmis[False].solve(problem),
         "closed_form_gain_from_matrices": smallest_gain,
         "closed_form_with_metric": lambda: minimum_energy_solution(problem),
-        "riccati_at_one_tau": lambda: at_tau(problem, 10.0),
+        "riccati_at_one_tau": lambda: solve_at_tau(problem, 10.0),
         "riccati_search": lambda: guaranteed_cost(problem),
         "doubling": lambda: solve_riccati(problem.a_hat, problem.b_hat, problem.state_weight, 4.0),
         "scipy_dare": lambda: scipy.linalg.solve_discrete_are(

@@ -13,7 +13,6 @@
 # knows which of its columns can be commanded. No line of it converts anything.
 
 # %%
-import json
 import os
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from IPython.display import Image, display
 from ssm_study.cli.main import main
 from ssm_study.data.recorded import RecordedData
 from ssm_study.refusal import BadRequest
+from ssm_study.report.study_folder import StudyFolder
 
 RESULTS = Path(os.environ.get("SSM_STUDY_RESULTS", "results"))
 RESULTS.mkdir(parents=True, exist_ok=True)
@@ -99,16 +99,11 @@ _ = main([*COMMAND, *FIRST, "study=greenhouse_weather", "data.disturbance='Auße
 # quick and asks for too much: the prediction says that, too. Without `synthesis=riccati` and the
 # rates the run chooses a pair that can be predicted, if there is one.
 
-
 # %%
-def fit_percent(study: str) -> float:
-    """Fit on the test record of the only run of a study."""
-    (record,) = (RESULTS / study).glob("*/record.json")
-    return json.loads(record.read_text())["fit_test_percent"]
-
-
-print(f"fit on the test record without the weather  {fit_percent('greenhouse'):.1f} %")
-print(f"fit on the test record with the weather     {fit_percent('greenhouse_weather'):.1f} %")
+both = [StudyFolder(folder=RESULTS / name) for name in ("greenhouse", "greenhouse_weather")]
+for study in both:
+    fit = study.best.record["fit_test_percent"]
+    print(f"fit on the test record  {fit:.1f} %  {study.folder.name}")
 
 # %% [markdown]
 # ## What a misreading looks like

@@ -23,8 +23,6 @@ import json
 import os
 from pathlib import Path
 
-from IPython.display import Image, Markdown, display
-
 from ssm_study.cli.main import main
 from ssm_study.report import figures
 from ssm_study.report.study_folder import StudyFolder
@@ -47,13 +45,6 @@ run = study.best
 assert run is not None, "no run of this study left a model"
 print("\n".join(sorted(path.name for path in run.path.iterdir())))
 
-
-def show(name: str) -> None:
-    """Draw a figure of the study and put it here."""
-    png, _ = figures.draw([name], study.folder)
-    display(Image(filename=str(png), retina=True), Markdown(f"*{figures.caption(name)}*"))
-
-
 # %% [markdown]
 # ## Identification
 #
@@ -61,8 +52,8 @@ def show(name: str) -> None:
 # never a measured output.
 
 # %%
-show("validation_trajectory")
 print(f"fit on the noise-free test record: {run.record['fit_test_percent']:.1f} %")
+figures.captioned_figure("validation_trajectory", study)
 
 # %% [markdown]
 # What did the network learn of the motor? Its input map, scaled to volts, over the true dead-zone.
@@ -72,7 +63,7 @@ print(f"fit on the noise-free test record: {run.record['fit_test_percent']:.1f} 
 # being able to certify anything.
 
 # %%
-show("learned_dead_zone")
+figures.captioned_figure("learned_dead_zone", study)
 
 # %% [markdown]
 # ## Certificate
@@ -89,19 +80,19 @@ for side in ("state_feedback", "observer"):
     part = certificate[side]
     rates = f"rate {part['rate']:.3f} of at most {part['rate_limit']:.3f}"
     print(f"{side:15} {rates}, certified: {part['certified']}")
-show("certified_decay")
+figures.captioned_figure("certified_decay", study)
 
 # %% [markdown]
 # ## The simulated motor
 #
 # Ten initial speeds, measured with noise, controlled through the observer; beside them the same
-# starts left alone.
+# starts without control.
 
 # %%
-show("closed_loop_responses")
 controlled, alone = (run.record[f"settling_time_{name}_s"] for name in ("mean", "open_loop"))
 print(f"settled: {run.record['stable_count']} of {run.record['initial_conditions']}")
-print(f"mean settling time: {controlled:.3f} s, left alone {alone:.3f} s")
+print(f"mean settling time: {controlled:.3f} s, uncontrolled {alone:.3f} s")
+figures.captioned_figure("closed_loop_responses", study)
 
 # %% [markdown]
 # ## Check it

@@ -172,7 +172,7 @@ with style.paper_style():
 display(Image(filename=str(png), retina=True))
 
 # %% [markdown]
-# Both controllers carry a certificate, and each aims at the rest point of its own records. The
+# Both controllers carry a certificate, and each aims at the equilibrium of its own records. The
 # verdict on the evidence
 # told them apart before either was tried.
 #

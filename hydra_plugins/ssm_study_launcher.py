@@ -81,9 +81,9 @@ class ProcessesLauncher(Launcher):
     def launch(
         self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
     ) -> Sequence[JobReturn]:
-        from ssm_study.engine.launcher import Processes, launch
+        from ssm_study.engine.launcher import Processes, launch_sweep
 
-        return launch(
+        return launch_sweep(
             Processes(**self.settings),
             self,
             [list(words) for words in job_overrides],

@@ -16,9 +16,9 @@ with suppress(ImportError):  # the extra `slurm` is not installed
         def launch(
             self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
         ) -> Sequence[JobReturn]:
-            from ssm_study.engine.launcher import launch
+            from ssm_study.engine.launcher import launch_sweep
             from ssm_study.engine.slurm import Slurm
 
-            return launch(
+            return launch_sweep(
                 Slurm(self), self, [list(words) for words in job_overrides], initial_job_idx
             )

@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -49,6 +50,7 @@ _PAPER: dict[str, dict[str, Any]] = {  # by group, as `matplotlib.rc` takes them
 }  # fmt: skip
 
 
+NOTEBOOK_DPI = 100  # as wide as shown; drawn twice as fine for sharp screens
 _PAGE: ContextVar[float] = ContextVar("_PAGE", default=PAGE_IN)
 
 
@@ -82,10 +84,24 @@ def paper_style(width: Width = "page") -> Iterator[None]:
 
 def new_figure(width_in: float = COLUMN_IN, height_in: float = 2.3) -> "Figure":
     """Empty Matplotlib figure, independent of pyplot's global state. Such figures can be drawn
-    anywhere and are freed."""
+    anywhere and are freed; a notebook shows them, whether or not it has loaded pyplot."""
+    return _figure_class()(figsize=(width_in, height_in), layout="constrained")
+
+
+@cache
+def _figure_class() -> "type[Figure]":
+    """Class of figures that notebooks show in the style of the project."""
     from matplotlib.figure import Figure
 
-    return Figure(figsize=(width_in, height_in), layout="constrained")
+    class NotebookFigure(Figure):
+        def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
+            content = io.BytesIO()
+            with paper_style():
+                self.savefig(content, format="png", dpi=2 * NOTEBOOK_DPI)
+            width, height = (round(NOTEBOOK_DPI * side_in) for side_in in self.get_size_inches())
+            return content.getvalue(), {"width": width, "height": height}
+
+    return NotebookFigure
 
 
 def place_legend_above(axes: "Axes", columns: int = 3, others: "tuple[Axes, ...]" = ()) -> None:

@@ -207,7 +207,7 @@ MADE_AGAIN = (
     "ssm_study.loop.regulation.Loop.run_on_model",
     "ssm_study.loop.regulation.Loop.run_on_plant",
     "ssm_study.loop.regulation.Loop.run_design",
-    "ssm_study.study.claims.bound_facts",
+    "ssm_study.study.claims.model_bound_columns",
     "ssm_study.study.design_claims.failed_checks",
     "ssm_study.study.design_claims.measure_mismatch",
     "ssm_study.study.design_claims.measure_premise",

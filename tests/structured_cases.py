@@ -3,7 +3,7 @@ enters."""
 
 import numpy as np
 
-from ssm_study.certificates.problem import Neurons, Problem, dual
+from ssm_study.certificates.problem import Neurons, Problem, dual_system
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.models.structured import StructuredSSM
@@ -42,7 +42,7 @@ def asked(system: StructuredSystem, side: str, ball: JacobianBall, rate: float) 
     """The problem of a state feedback or an observer with unit weights and cheap inputs."""
     feeds = side == "state_feedback"
     one = np.eye(system.order)
-    system = system if feeds else dual(system)
+    system = system if feeds else dual_system(system)
     neurons = Neurons(e=system.e, f=system.f, g=system.g, observes=not feeds)
     return Problem(
         a=system.a,

@@ -22,7 +22,7 @@ from ssm_study.certificates.semidefinite import SOLVERS
 from ssm_study.refusal import require
 from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.lmi import OBJECTIVES, CompiledLmi
-from ssm_study.synthesis.modes import FastGain, split_modes, with_slow_modes
+from ssm_study.synthesis.modes import FastGain, split_modes, weighted_block_metric
 from ssm_study.systems import JacobianBall
 
 # The inequality is asked for a rate this share of the room faster, so that the slow modes find room
@@ -69,7 +69,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     m = problem.b.shape[1]
     if modes.fast == 0:
         fast = FastGain(k=np.zeros((m, len(problem.a))), p=np.zeros((0, 0)))
-        p = with_slow_modes(problem, modes, fast)
+        p = weighted_block_metric(problem, modes, fast)
         return Solution(p=p, y=p, k=fast.k, sigma=1.0, status="no fast modes")
     ah = modes.a_fast / faster
     bh = modes.b_fast / faster
@@ -95,7 +95,7 @@ def solve_on_fast_modes(problem: Problem, faster: float, objective: str, solver:
     triangular = scipy.linalg.solve_triangular(root, found.k.T, lower=True, trans="T")
     k = triangular.T @ modes.left[: modes.fast]
     fast = FastGain(k=k, p=root @ (found.p / found.sigma) @ root.T)
-    p = with_slow_modes(problem, modes, fast)
+    p = weighted_block_metric(problem, modes, fast)
     return Solution(p=p, y=p, k=k, sigma=1.0, status=f"{found.status} on {modes.fast} fast modes")
 
 

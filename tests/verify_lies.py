@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.certificates.certificate import digest
+from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.data.mcap import read_mcap, write_mcap
 from ssm_study.engine.records import read_record, write_record
 from ssm_study.engine.runs import seal_run
@@ -19,7 +19,7 @@ from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.recordings import read_simulation, states_to_text
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import verify
-from ssm_study.synthesis.deployed import outputs_of
+from ssm_study.synthesis.deployed import output_range
 
 
 def failing(run: Path) -> set[str]:
@@ -106,7 +106,7 @@ def lie_about_observer(run: Path, columns: dict[str, Any], **fields: Any) -> Non
 
     def change(content: dict[str, Any]) -> None:
         content["observer"] |= fields
-        content["observer"]["digest"] = digest(content["observer"])
+        content["observer"]["certificate_digest"] = certificate_digest(content["observer"])
 
     edited(run / "certificate.json", change)
     sealed_anew(run, **columns)
@@ -123,7 +123,7 @@ def lie_about_starts(run: Path) -> None:
     size = np.sqrt(item / part.level)
     starts = (1 - 1e-9) * farthest / size
     assert type(part).holds(**(part.variables | {"starts": starts}))
-    low, high = outputs_of(model, starts)
+    low, high = output_range(model, starts)
     unlimited_to = (read_record(run) or {})["unlimited_to"]
     lower_limit = 1.5 * unlimited_to
     assert high[0] > lower_limit
@@ -131,7 +131,7 @@ def lie_about_starts(run: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         entry = content["state_feedback_unlimited"]
         entry["starts"] = starts.tolist()
-        entry["digest"] = digest(entry)
+        entry["certificate_digest"] = certificate_digest(entry)
 
     edited(run / "certificate.json", change)
     unlimited_from = float(low[0])
@@ -185,7 +185,7 @@ def lie_beside(run: Path) -> None:
 
     def change(content: dict[str, Any]) -> None:
         part = content["observer_deployed"] | {"certified_rate": 0.99}
-        content["observer_deployed"] = part | {"digest": digest(part)}
+        content["observer_deployed"] = part | {"digest": certificate_digest(part)}
 
     edited(run / "certificate.json", change)
     sealed_anew(run)

@@ -111,7 +111,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
         "both_right": int((old & rows.predicted_stable & settles).sum()),
         "choice_predicted": bool(rows.predicted_stable[0]), "choice_settles": bool(settles[0]),
         "choice_margin": rows.resolved_margin[0], "choice_time_ratio": controlled / alone,
-        "rests": known.mismatch.rests,
+        "rests": known.mismatch.comes_to_rest,
     }  # fmt: skip
 
 

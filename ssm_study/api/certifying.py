@@ -11,6 +11,7 @@ import pandas as pd
 import scipy
 from jaxtyping import Float
 
+from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
 from ssm_study.api.summaries import html_table
 from ssm_study.api.systems import read_matrix
@@ -104,8 +105,8 @@ def certify(
     *,
     K: Any = None,
     L: Any = None,
-    slopes: tuple[float, float] = (1.0, 1.0),
-    output_slopes: tuple[float, float] = (1.0, 1.0),
+    slopes: Slopes = (1.0, 1.0),
+    output_slopes: Slopes = (1.0, 1.0),
 ) -> Certification:
     """Certify given state-feedback and observer gains with the largest contraction rate that can be
     proved.
@@ -174,7 +175,7 @@ def certify_gain(
     )
     for inside, slack in product(INSIDE, SLACKS):
         rate = supremum * (1 - inside)
-        part = _prove_rate(problem.at(rate), k, slack, supremum, limit, theorem)
+        part = _prove_rate(problem.at_rate(rate), k, slack, supremum, limit, theorem)
         if part is not None and part.certified:
             return GainCertificate(
                 rate=rate,

@@ -8,14 +8,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from typing_extensions import TypeAliasType
 
-from ssm_study.api.model import Model, Values
+from ssm_study.api.arguments import Values
+from ssm_study.api.model import Model
 from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.refusal import require
 from ssm_study.signals import fit_percent, rmse
 
 Outputs = Float[np.ndarray, "T p"]
 Records = Sequence[Float[np.ndarray, "_ p"]]  # of any lengths
+
+Models = TypeAliasType("Models", Sequence[Model] | Mapping[str, Model])
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -53,10 +57,7 @@ class ModelComparison:
 
 
 def compare(
-    models: Sequence[Model] | Mapping[str, Model],
-    u: Values,
-    y: Values,
-    disturbance: Values | None = None,
+    models: Models, u: Values, y: Values, disturbance: Values | None = None
 ) -> ModelComparison:
     """Simulate several models on one record and score them. A measured disturbance is given to the
     models that have a path for it.

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ssm_study.api.arguments import Slopes
 from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts, part_name
@@ -28,8 +29,8 @@ def control(
     rate: float | None = None,
     observer_rate: float | None = None,
     method: str | None = None,
-    slopes: tuple[float, float] | None = None,
-    output_slopes: tuple[float, float] | None = None,
+    slopes: Slopes | None = None,
+    output_slopes: Slopes | None = None,
     input_limits: tuple[Any, Any] = (None, None),
     **settings: Any,
 ) -> Design:
@@ -128,8 +129,8 @@ def _design_for_model(model: Model, parts: Parts, limits: tuple[Any, Any]) -> De
 def _design_for_system(
     system: Any,
     parts: Parts,
-    slopes: tuple[float, float] | None,
-    output_slopes: tuple[float, float] | None,
+    slopes: Slopes | None,
+    output_slopes: Slopes | None,
     overrides: tuple[str, ...],
 ) -> Design:
     """Design a controller for a linear system behind static maps with known slopes."""
@@ -146,7 +147,7 @@ def _design_for_system(
     return Design(certificate=certificate, model=model, overrides=overrides)
 
 
-def slope_ball(name: str, slopes: tuple[float, float]) -> JacobianBall:
+def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of Jacobians of a static map, from its smallest and largest slope."""
     pair = np.asarray(slopes, dtype=float)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())

@@ -12,8 +12,9 @@ import pandas as pd
 from jaxtyping import Complex, Float
 
 from ssm_study import save_as_run
+from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
-from ssm_study.api.model import Model, Values, draw_or_refuse
+from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, summarise_design, text_table
 from ssm_study.bounds.slopes import certified_balls
@@ -25,10 +26,10 @@ from ssm_study.models.identified import SSM
 from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.deployed import WithinLimits, within_limits
-from ssm_study.synthesis.expected_response import response_facts
-from ssm_study.synthesis.measured_discs_run import coverage_facts
-from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.deployed import WithinLimits, limits_proof
+from ssm_study.synthesis.expected_response import response_columns
+from ssm_study.synthesis.measured_discs_run import coverage_columns
+from ssm_study.synthesis.metrics import design_columns
 
 if TYPE_CHECKING:
     import control as python_control
@@ -98,10 +99,10 @@ class Design:
             return dict(self.stored_record)
         balls = certified_balls(self.model)
         mismatch = self.origin.mismatch
-        facts = design_facts(self.certificate, self.model, balls, mismatch)
+        facts = design_columns(self.certificate, self.model, balls, mismatch)
         facts |= self._coverage_columns()
         data = self.origin.data
-        facts |= response_facts(
+        facts |= response_columns(
             self.certificate,
             self.model,
             self.origin.mismatch,
@@ -123,7 +124,7 @@ class Design:
         mismatch = self.origin.mismatch
         premise = measure_coverage_premise(self.model, data, mismatch)
         fresh = measure_premise(self.model, data.test, mismatch, data.start_up_samples, ())
-        return coverage_facts(self.certificate, self.model, premise, fresh)
+        return coverage_columns(self.certificate, self.model, premise, fresh)
 
     @cached_property
     def record(self) -> dict[str, Any]:
@@ -170,7 +171,7 @@ class Design:
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
         limits = (lower, upper)
         ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in limits]
-        return within_limits(self.model, self.certificate, *ends)
+        return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
         """Write the controller as C99: header `path`, and beside it the source and a replay

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.api.fitting import Signals, fit
-from ssm_study.api.model import Model, Values
+from ssm_study.api.arguments import Signals, Slopes, Values
+from ssm_study.api.fitting import fit
+from ssm_study.api.model import Model
 from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.refusal import BadRequest, require, require_at_least
@@ -39,7 +40,7 @@ class Estimator:
     model: str = "log"
     order: int | str | None = None
     neurons: int | None = None
-    slopes: tuple[float, float] | None = None
+    slopes: Slopes | None = None
     feedthrough: bool | str | None = None
     seed: int | None = None
     settings: Mapping[str, Any] | None = None

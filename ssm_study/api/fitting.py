@@ -1,6 +1,5 @@
 """Identify a model from arrays."""
 
-from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -8,14 +7,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ssm_study.api.model import Model, Values
+from ssm_study.api.arguments import Signals, Slopes
+from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
 from ssm_study.data.arrays import write_log_files
 from ssm_study.refusal import BadRequest, require_positive
 
-Signals = Values | Sequence[Values]
 CHOICES = {
     "data": "recorded",
     "model": "log",
@@ -35,7 +34,7 @@ def fit(
     model: str = "log",
     order: int | str | None = None,
     neurons: int | None = None,
-    slopes: tuple[float, float] | None = None,
+    slopes: Slopes | None = None,
     feedthrough: bool | str | None = None,
     seed: int | None = None,
     progress: bool = True,

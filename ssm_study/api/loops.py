@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
+from ssm_study.api.arguments import Values
 from ssm_study.api.parts import Parts
 from ssm_study.data.arrays import disturbance_values, signal_columns
 from ssm_study.loop.controller import Controller, ObserverFeedback
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ssm_study.api.design import Design
 
 LOOP = {"loop": "regulation"}
-Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 
 def make_identified_plant(design: "Design") -> IdentifiedPlant:

@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Complex, Float
 
+from ssm_study.api.arguments import Values
 from ssm_study.api.linearisation import linearise, response_table, undo_sampling
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, summarise_model, text_table
-from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
 from ssm_study.data.metrics import data_columns
@@ -34,8 +35,6 @@ if TYPE_CHECKING:
 
     from ssm_study.api.pictures.picture import Picture
     from ssm_study.training.metrics import Identification
-
-Values = Float[np.ndarray, "..."] | pd.Series | pd.DataFrame | list[float]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -69,7 +68,7 @@ class Model:
         facts |= piece_start_columns(self.simulator, data, test)
         facts |= member_columns(training.members, data)
         if isinstance(self.simulator, SSM | StructuredSSM):
-            facts |= bound_facts(self.simulator)
+            facts |= model_bound_columns(self.simulator)
         return facts
 
     @cached_property

@@ -3,9 +3,10 @@
 import numpy as np
 import pandas as pd
 
+from ssm_study.api.arguments import Values
 from ssm_study.api.design import Design
 from ssm_study.api.loops import make_identified_plant, simulate_loop, tabulate_rollouts
-from ssm_study.api.model import Model, Values
+from ssm_study.api.model import Model
 from ssm_study.data.arrays import check_time_index, signal_columns
 from ssm_study.plants.plant import Plant
 

@@ -84,9 +84,9 @@ def design_controller(
     evidence allows no judgement, `auto` takes the largest stability margin.
     """
     from ssm_study.synthesis.auto import Auto
-    from ssm_study.synthesis.decay_response import decays_of
+    from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import with_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
+    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, add_coverage_certificate
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)
@@ -95,13 +95,15 @@ def design_controller(
     if isinstance(synthesis, Auto):
         if judgement.level == CANNOT_JUDGE:
             synthesis = synthesis.with_largest_margin()
-        decays = decays_of(model, data.mismatch_records, data.validation)
-        synthesis = synthesis.covering(premise).starting_from(decays)
-        synthesis = synthesis.within(scale_deviation(model, lower), scale_deviation(model, upper))
+        decays = simulate_decays(model, data.mismatch_records, data.validation)
+        synthesis = synthesis.prefer_covered_designs(premise).prefer_faster_than_decays(decays)
+        synthesis = synthesis.with_input_limits(
+            scale_deviation(model, lower), scale_deviation(model, upper)
+        )
     design = synthesis.design(model, balls, data.validation, relevant_mismatch)
     design = with_gain_certificates(design, model, balls, (lower, upper))
     if is_coverage_sought(model, synthesis):
-        design = with_coverage(design, model, balls, premise)
+        design = add_coverage_certificate(design, model, balls, premise)
     return design
 
 

@@ -28,8 +28,8 @@ def frequency_response(
     )
 
 
-def gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
-    """The largest singular value of the frequency response at each angle."""
+def largest_gains(system: StateSpace, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "F"]:
+    """Largest singular value of the frequency response at each angle."""
     return np.linalg.norm(frequency_response(system, angles), ord=2, axis=(1, 2))
 
 
@@ -43,39 +43,38 @@ def hinf_norm(system: StateSpace) -> float:
     Steinbuch, Systems & Control Letters 14 (1990) 287-293.
     """
     try:
-        return _peak(system) if system.spectral_radius < 1 else float("inf")
+        return _peak_gain(system) if system.spectral_radius < 1 else float("inf")
     except (
         np.linalg.LinAlgError
     ):  # an eigenvalue on the circle, to rounding: nothing may be claimed
         return float("inf")
 
 
-def _peak(system: StateSpace) -> float:
-    """Largest gain of a stable system over all frequencies. A level is raised until no frequency
-    crosses it."""
+def _peak_gain(system: StateSpace) -> float:
+    """Largest gain of a stable system over all frequencies (H-infinity norm). A level is raised
+    until no frequency crosses it."""
     poles = np.linalg.eigvals(system.a)
     angles = np.concatenate([[0.0, np.pi], np.abs(np.angle(poles)), np.geomspace(1e-4, np.pi, 32)])
-    best = float(gains(system, angles).max())
-    continuous = _bilinear(system)
+    best = float(largest_gains(system, angles).max())
+    continuous = _continuous_equivalent(system)
     for _ in range(40):  # a bound only: convergence is quadratic
         if best**2 < np.finfo(float).tiny:  # the squares below underflow
             return best
-        crossings = _crossings(continuous, best * (1 + PEAK_TOLERANCE))
+        crossings = _crossing_frequencies(continuous, best * (1 + PEAK_TOLERANCE))
         if not len(crossings):
             break
         between = np.concatenate(
             [crossings, (crossings[1:] + crossings[:-1]) / 2]
         )  # a peak lies between two crossings
-        found = float(gains(system, 2 * np.arctan(between)).max())
+        found = float(largest_gains(system, 2 * np.arctan(between)).max())
         if found <= best * (1 + PEAK_TOLERANCE):
             break
         best = found
     return best * (1 + PEAK_TOLERANCE)
 
 
-def _bilinear(system: StateSpace) -> StateSpace:
-    """Continuous-time system with the same H-infinity norm, by `z = (1 + s) / (1 - s)`, so `w =
-    tan(angle / 2)`."""
+def _continuous_equivalent(system: StateSpace) -> StateSpace:
+    """Continuous-time system with the same H-infinity norm, by the bilinear transform."""
     one = np.eye(system.order)
     root2 = np.sqrt(2)
     shifted = np.linalg.inv(one + system.a)  # exists: no eigenvalue at -1, A is stable
@@ -84,8 +83,9 @@ def _bilinear(system: StateSpace) -> StateSpace:
     return StateSpace(a=a, b=root2 * shifted @ system.b, c=root2 * system.c @ shifted, d=d)
 
 
-def _crossings(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
-    """Frequencies at which some singular value equals `gamma`, ascending, both signs."""
+def _crossing_frequencies(system: StateSpace, gamma: float) -> Float[np.ndarray, "w"]:
+    """Frequencies at which a singular value of the response equals `gamma`, ascending, both
+    signs."""
     a = system.a
     b = system.b
     c = system.c

@@ -18,11 +18,11 @@ RANK_FLOOR = (
 )
 
 
-def gramian(
+def controllability_gramian(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], horizon: int | None = None
 ) -> Float[np.ndarray, "n n"]:
-    """Controllability Gramian of a pair `(A, B)`. `W = sum_k A^k B B^T (A^T)^k`, over `horizon`
-    samples or, for a stable model, over all: `W = A W A^T + B B^T`.
+    """Controllability Gramian of a pair `(A, B)`, over a finite or infinite horizon. `W = sum_k A^k
+    B B^T (A^T)^k`, over `horizon` samples or, for a stable model, over all: `W = A W A^T + B B^T`.
 
     Controllability's; observability's is that of `(A^T, C^T)`. Raises `BadRequest` for an infinite
     horizon on a model that is not stable. Source: [Z26] eq. (9), without the scaffolding.
@@ -50,13 +50,13 @@ def gramian(
 def hankel_singular_values(linear: StateSpace) -> Float[np.ndarray, "n"]:
     """Hankel singular values of a linear system. `sqrt(eig(W_c W_o))`, descending: how much each
     balanced state carries from past input to future output."""
-    root_c, root_o = _roots(linear)
+    root_c, root_o = _gramian_factors(linear)
     return np.asarray(scipy.linalg.svdvals(root_o.T @ root_c))
 
 
-def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
-    """Balancing transformation of a linear system. `z = T^+ x` by square roots (Laub et al. 1987):
-    both Gramians are diagonal with the Hankel singular values.
+def balanced_realization(linear: StateSpace, order: int | None = None) -> StateSpace:
+    """Balanced realization of a linear system, truncated to fewer states on request. `z = T^+ x` by
+    square roots (Laub et al. 1987): both Gramians are diagonal with the Hankel singular values.
 
     Keeps the first `order` states (default: all); twice the sum of the values dropped bounds the
     H-infinity norm of what truncation changes (Enns 1984; Glover 1984). Raises `BadRequest` for a
@@ -66,7 +66,7 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     order = linear.order if order is None else order
     problem = f"the model has order {linear.order}"
     require(1 <= order <= linear.order, "truncate_to", order, problem, "choose 1 .. order")
-    root_c, root_o = _roots(linear)
+    root_c, root_o = _gramian_factors(linear)
     left, hankel, right_t = np.linalg.svd(root_o.T @ root_c)  # R_o^T R_c = U Sigma V^T
     well = hankel > BALANCING_FLOOR * hankel[0]
     least = float(hankel[order - 1])
@@ -89,11 +89,12 @@ def balance(linear: StateSpace, order: int | None = None) -> StateSpace:
     )
 
 
-def _roots(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
-    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T =
-    W` of both Gramians, by eigenvalues, so that a singular one is no error."""
+def _gramian_factors(linear: StateSpace) -> list[Float[np.ndarray, "n n"]]:
+    """Square-root factors of the controllability and observability Gramians. `R` with `R R^T = W`
+    of both Gramians, by eigenvalues, so that a singular one is no error."""
     both = (
-        np.linalg.eigh(gramian(*pair)) for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
+        np.linalg.eigh(controllability_gramian(*pair))
+        for pair in ((linear.a, linear.b), (linear.a.T, linear.c.T))
     )
     return [vectors * np.sqrt(np.maximum(values, 0.0)) for values, vectors in both]
 
@@ -115,16 +116,17 @@ class LocalProperty:
     upper: float
 
 
-def local_property(
+def bound_local_controllability(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], ball: JacobianBall
 ) -> LocalProperty:
-    """Bounds on local controllability of the model along any input. Along any input the states can
-    be steered both ways, if `(A, B)` is controllable and `mu_u > 0`.
+    """Bound from both sides how strongly inputs reach the states of a nonlinear model along any
+    trajectory. Along any input the states can be steered both ways, if `(A, B)` is controllable and
+    `mu_u > 0`.
 
     Of `(A^T, C^T)`: along any trajectory nearby states can be told apart, if `(A, C)` is observable
     and `mu_y > 0`.
     """
-    values = np.linalg.eigvalsh(gramian(a, b, len(a)))
+    values = np.linalg.eigvalsh(controllability_gramian(a, b, len(a)))
     mu = abs(ball.alpha) - ball.beta
     nu = abs(ball.alpha) + ball.beta  # least and largest gain of a Jacobian
     # Popov-Belevitch-Hautus: a mode lambda is out of reach iff [A - lambda I, B] loses rank.

@@ -27,20 +27,20 @@ def is_proved_nonexpansive(network: Network, multipliers: Sequence[Float[np.ndar
     """
     if not all((t > 0).all() for t in multipliers):
         return False
-    selections = _selections(network)
+    selections = _selection_matrices(network)
     form = selections[0].T @ selections[0]
-    for layer, (weight, _, negative, positive) in enumerate(network.hidden()):
+    for layer, (weight, _, negative, positive) in enumerate(network.hidden_layers()):
         drive = Exact.from_floats(weight) @ selections[layer]
         output = selections[layer + 1]
-        above = output - _diagonal(np.minimum(negative, positive)) @ drive
-        below = _diagonal(np.maximum(negative, positive)) @ drive - output
-        sector = above.T @ (_diagonal(multipliers[layer]) @ below)
+        above = output - _exact_diagonal_matrix(np.minimum(negative, positive)) @ drive
+        below = _exact_diagonal_matrix(np.maximum(negative, positive)) @ drive - output
+        sector = above.T @ (_exact_diagonal_matrix(multipliers[layer]) @ below)
         form = form - sector - sector.T
     response = Exact.from_floats(network.weights[-1]) @ selections[-1]
     return is_positive_definite(form - response.T @ response)
 
 
-def _selections(network: Network) -> list[Exact]:
+def _selection_matrices(network: Network) -> list[Exact]:
     """Selection matrices that pick `v`, then each layer's `d_l`, from the stacked `(v, d_1, ...,
     d_L)`."""
     sizes = [network.inputs, *(len(bias) for bias in network.biases)]
@@ -51,5 +51,6 @@ def _selections(network: Network) -> list[Exact]:
     ]
 
 
-def _diagonal(entries: Float[np.ndarray, "_"]) -> Exact:
+def _exact_diagonal_matrix(entries: Float[np.ndarray, "_"]) -> Exact:
+    """Diagonal matrix in exact numbers."""
     return Exact.from_floats(entries).diagonal_matrix()

@@ -42,8 +42,12 @@ def lipsdp_ball(
     shape = (network.outputs, network.inputs)
     centre = cp.Variable() * np.eye(network.inputs) if scalar_centre else cp.Variable(shape)
     square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
-    form = _sectors(network, multipliers) + square * _select(network, 0).T @ _select(network, 0)
-    output = network.weights[-1] @ _select(network, len(hidden)) - centre @ _select(network, 0)
+    form = _slope_constraint(network, multipliers) + square * _selection_matrix(
+        network, 0
+    ).T @ _selection_matrix(network, 0)
+    output = network.weights[-1] @ _selection_matrix(
+        network, len(hidden)
+    ) - centre @ _selection_matrix(network, 0)
     matrix = cp.bmat(
         [[form, output.T], [output, np.eye(network.outputs)]]
     )  # Schur complement of |W d - C v|^2
@@ -65,7 +69,9 @@ def lipsdp_ball(
     )
     found = np.asarray(centre.value, dtype=float).reshape(shape)
     values = [np.asarray(t.value, dtype=float) for t in multipliers]
-    radius = min(_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED)
+    radius = min(
+        _proved_radius(network, [(1 + share) * t for t in values], found) for share in ENLARGED
+    )
     require(
         np.isfinite(radius),
         "bound_method",
@@ -76,19 +82,21 @@ def lipsdp_ball(
     return found, radius
 
 
-def _radius(
+def _proved_radius(
     network: Network, multipliers: list[Float[np.ndarray, "_"]], centre: Float[np.ndarray, "k m"]
 ) -> float:
-    """Smallest radius that given multipliers prove for a ball around a given centre. The least L
-    for these multipliers and this centre: the Schur complement onto v of all else. Infinite if
-    none."""
+    """Smallest radius that given multipliers prove for a ball of Jacobians around a given centre.
+    The least L for these multipliers and this centre: the Schur complement onto v of all else.
+    Infinite if none."""
     m = network.inputs
     largest = max(float(t.max(initial=0.0)) for t in multipliers)
     kept = [
         np.maximum(t, 0) + 1e-9 * largest for t in multipliers
     ]  # strictly positive, so the block is invertible
-    form = _sectors(network, kept)
-    output = network.weights[-1] @ _select(network, len(kept)) - centre @ _select(network, 0)
+    form = _slope_constraint(network, kept)
+    output = network.weights[-1] @ _selection_matrix(
+        network, len(kept)
+    ) - centre @ _selection_matrix(network, 0)
     form = form - output.T @ output
     inner = (form[m:, m:] + form[m:, m:].T) / 2
     try:
@@ -101,23 +109,24 @@ def _radius(
     )
 
 
-def _select(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
-    """The matrix that picks `v` (layer 0) or `d_l` from the stacked `(v, d_1, ..., d_L)`."""
+def _selection_matrix(network: Network, layer: int) -> Float[np.ndarray, "h w"]:
+    """Matrix that picks `v` (layer 0) or the output `d_l` of layer l from the stacked `(v, d_1,
+    ..., d_L)`."""
     sizes = [network.inputs, *(len(b) for b in network.biases)]
     start = sum(sizes[:layer])
     return np.eye(sum(sizes))[start : start + sizes[layer]]
 
 
-def _sectors(network: Network, multipliers: Sequence[Any]) -> Any:
-    """Quadratic constraint of the slopes of all neurons of a network. `-2 sum_l (d - lo q)^T T
-    (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
+def _slope_constraint(network: Network, multipliers: Sequence[Any]) -> Any:
+    """Quadratic constraint that bounds the slopes of all neurons of a network. `-2 sum_l (d - lo
+    q)^T T (hi q - d)` as a symmetric matrix; T symbolic or numeric."""
     total: Any = 0
     for layer, t in enumerate(multipliers):
         low, high = np.sort(
             np.stack([network.negative_slopes[layer], network.positive_slopes[layer]]), axis=0
         )
-        d = _select(network, layer + 1)
-        q = network.weights[layer] @ _select(network, layer)
+        d = _selection_matrix(network, layer + 1)
+        q = network.weights[layer] @ _selection_matrix(network, layer)
         left = d - low[:, None] * q
         right = high[:, None] * q - d
         scaled = (cp.diag(t) if isinstance(t, cp.Expression) else np.diag(t)) @ right

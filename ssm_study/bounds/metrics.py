@@ -3,7 +3,7 @@ Gramians."""
 
 from typing import Any
 
-from ssm_study.bounds.gramians import hankel_singular_values, local_property
+from ssm_study.bounds.gramians import hankel_singular_values, bound_local_controllability
 from ssm_study.bounds.slopes import jacobian_ball, spectral_norm_bound
 from ssm_study.columns import ITERATED, Column
 from ssm_study.systems import StructuredSystem
@@ -69,9 +69,9 @@ COLUMNS = (
 )
 
 
-def bound_facts(model: Any) -> dict[str, Any]:
-    """Columns of what is proved of a model alone. Beside them stand the paper's slopes (unsound
-    below).
+def model_bound_columns(model: Any) -> dict[str, Any]:
+    """Columns of what is proved of the model alone: slopes, local Gramians and its linear part.
+    Beside them stand the paper's slopes (unsound below).
 
     Local controllability and observability, [Z26] Propositions 1 and 2, are of a recurrence without
     neurons. One that integrates has no Hankel values.
@@ -97,11 +97,13 @@ def bound_facts(model: Any) -> dict[str, Any]:
         for name, local in (
             (
                 "controllability",
-                local_property(model.linear.a, model.linear.b, bounds["input"].ball),
+                bound_local_controllability(model.linear.a, model.linear.b, bounds["input"].ball),
             ),
             (
                 "observability",
-                local_property(model.linear.a.T, model.linear.c.T, bounds["output"].ball),
+                bound_local_controllability(
+                    model.linear.a.T, model.linear.c.T, bounds["output"].ball
+                ),
             ),
         ):
             facts |= {f"local_{name}": local.holds, f"{name}_gramian_lower": local.lower}

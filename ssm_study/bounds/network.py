@@ -58,15 +58,17 @@ class Network:
 
     @property
     def inputs(self) -> int:
+        """Number of inputs."""
         return self.weights[0].shape[1]
 
     @property
     def outputs(self) -> int:
+        """Number of outputs."""
         return self.weights[-1].shape[0]
 
     def __call__(self, v: Float[np.ndarray, "*batch m"]) -> Float[np.ndarray, "*batch k"]:
         d = v
-        for w, b, low, high in self.hidden():
+        for w, b, low, high in self.hidden_layers():
             d = leaky_relu(d @ w.T + b, low, high) - leaky_relu(b, low, high)
         return d @ self.weights[-1].T
 
@@ -75,7 +77,7 @@ class Network:
         slopes active at `v`."""
         d = v
         product = np.eye(self.inputs)
-        for w, b, low, high in self.hidden():
+        for w, b, low, high in self.hidden_layers():
             z = w @ d + b
             product = np.where(z >= 0, high, low)[:, None] * (
                 w @ product
@@ -83,8 +85,8 @@ class Network:
             d = leaky_relu(z, low, high) - leaky_relu(b, low, high)
         return self.weights[-1] @ product
 
-    def hidden(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
-        """Iterate over the hidden layers: weight, bias, negative and positive slopes of each."""
+    def hidden_layers(self) -> list[tuple[Float[np.ndarray, "..."], ...]]:
+        """Weight, bias, negative and positive slopes of each hidden layer."""
         return list(
             zip(
                 self.weights[:-1],
@@ -96,6 +98,7 @@ class Network:
         )
 
     def to_json(self) -> dict[str, Any]:
+        """Weights, biases and slopes as nested lists for JSON."""
         return {name: [layer.tolist() for layer in layers] for name, layers in vars(self).items()}
 
 
@@ -112,7 +115,7 @@ class PortableMap:
         return straight if self.network is None else straight + self.network(v)
 
     def as_network(self) -> Network:
-        """The same map as one network: `linear v` passes through neurons of slope one."""
+        """The same map as a single network, its linear part written as neurons of slope one."""
         inputs = self.linear.shape[1]
         through = np.eye(self.linear.shape[1])
         zero = np.zeros(inputs)
@@ -137,6 +140,7 @@ class PortableMap:
         )
 
     def to_json(self) -> dict[str, Any]:
+        """Linear part and network as nested lists for JSON."""
         return {"linear": self.linear.tolist()} | (
             {} if self.network is None else self.network.to_json()
         )
@@ -168,10 +172,10 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
     power of two per layer, and only the break points are fractions. Nothing is rounded. It corrects
     the lower bound of [Z26] (docs/theory.md).
     """
-    last, bits = _integers(network.weights[-1])
+    last, bits = _as_scaled_integers(network.weights[-1])
     values = [
         Fraction((last @ piece.slope).item(), 1 << (bits + piece.bits))
-        for piece in _pieces(network)
+        for piece in _affine_pieces(network)
     ]
     return min(values), max(values)
 
@@ -179,10 +183,10 @@ def slope_interval(network: Network) -> tuple[Fraction, Fraction]:
 def break_points(network: Network) -> list[Fraction]:
     """Points at which the slope of a scalar network changes. Where the slope changes, in order;
     points between pieces of one slope may be among them. Refuses as above."""
-    return [piece.low for piece in _pieces(network) if isinstance(piece.low, Fraction)]
+    return [piece.low for piece in _affine_pieces(network) if isinstance(piece.low, Fraction)]
 
 
-def _pieces(network: Network) -> list[_Piece]:
+def _affine_pieces(network: Network) -> list[_Piece]:
     """Affine pieces of a scalar network, found layer by layer. Refuses a network with several
     inputs or outputs."""
     shape = (network.inputs, network.outputs)
@@ -195,13 +199,20 @@ def _pieces(network: Network) -> list[_Piece]:
     )
     one = np.array([1], dtype=object)
     pieces = [_Piece(-inf, inf, one, 0 * one, 0)]
-    for weights, biases, *slopes in network.hidden():
-        layer = _integers(weights), _integers(biases), _integers(np.stack(slopes))
-        pieces = [part for piece in pieces for part in _through(piece, *layer)]
+    for weights, biases, *slopes in network.hidden_layers():
+        layer = (
+            _as_scaled_integers(weights),
+            _as_scaled_integers(biases),
+            _as_scaled_integers(np.stack(slopes)),
+        )
+        pieces = [part for piece in pieces for part in _split_at_layer(piece, *layer)]
     return pieces
 
 
-def _integers(matrix: Float[np.ndarray, "..."]) -> Exact:  # matrix = integers / 2^bits, exactly
+def _as_scaled_integers(
+    matrix: Float[np.ndarray, "..."],
+) -> Exact:  # matrix = integers / 2^bits, exactly
+    """Integers and a number of bits with `matrix = integers / 2^bits`, exactly."""
     ratios = [float(value).as_integer_ratio() for value in matrix.ravel()]
     bits = max(denominator.bit_length() - 1 for _, denominator in ratios)
     scaled = [
@@ -210,9 +221,9 @@ def _integers(matrix: Float[np.ndarray, "..."]) -> Exact:  # matrix = integers /
     return np.array(scaled, dtype=object).reshape(matrix.shape), bits
 
 
-def _through(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
-    """Split one affine piece at the zeros of the layer's pre-activations, and apply the active
-    slopes on each part."""
+def _split_at_layer(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> list[_Piece]:
+    """Split an affine piece where a neuron of the next layer changes sign, and apply the active
+    slopes."""
     affine = weights[1] + piece.bits
     one = 1 << biases[1]
     bits = affine + biases[1]  # of the pre-activations, in which the biases are integers too
@@ -225,13 +236,13 @@ def _through(piece: _Piece, weights: Exact, biases: Exact, slopes: Exact) -> lis
     start = np.where(at_zero >= 0, positive, negative) * at_zero
     parts = []
     for low, high in pairwise(edges):
-        active = np.where(slope * _between(low, high) + offset >= 0, positive, negative)
+        active = np.where(slope * _number_between(low, high) + offset >= 0, positive, negative)
         parts.append(_Piece(low, high, active * slope, active * offset - start, bits + slopes[1]))
     return parts
 
 
-def _between(low: End, high: End) -> Fraction:
-    """A number between two ends of an interval, either of which may be infinite."""
+def _number_between(low: End, high: End) -> Fraction:
+    """Some number inside an interval whose ends may be infinite."""
     if isinstance(low, Fraction):
         return low + 1 if high == inf else (low + Fraction(high)) / 2
     return Fraction(high) - 1 if high != inf else Fraction(0)
@@ -258,9 +269,10 @@ class Inverse:
         return v
 
 
-def inverse_of(portable: PortableMap) -> Inverse | None:
-    """Invert a static map. The inverse, as exact as its slopes; None for a map that couples its
-    channels or is not strictly monotone.
+def invert_map(portable: PortableMap) -> Inverse | None:
+    """Invert a static map exactly; None for one that couples its channels or is not strictly
+    monotone. The inverse, as exact as its slopes; None for a map that couples its channels or is
+    not strictly monotone.
 
     A piecewise-linear map from `t_j` to `w_j` has the inverse from `w_j` to `t_j`, piece by piece.
     Source: docs/theory.md, "With neurons".
@@ -269,14 +281,14 @@ def inverse_of(portable: PortableMap) -> Inverse | None:
     if portable.network is None:
         regular = len(set(gain.shape)) == 1 and np.linalg.matrix_rank(gain) == len(gain)
         return Inverse(matrix=np.linalg.inv(gain)) if regular else None
-    found = [_scalar(channel) for channel in _channels(portable)]
+    found = [_invert_scalar_map(channel) for channel in _split_into_scalar_maps(portable)]
     channels = tuple(channel for channel in found if channel is not None)
     return Inverse(channels=channels) if found and len(channels) == len(found) else None
 
 
-def _channels(portable: PortableMap) -> list[PortableMap]:
-    """Split a map into scalar maps, one per channel. One scalar map per channel; none if a
-    neuron sees or moves two of them."""
+def _split_into_scalar_maps(portable: PortableMap) -> list[PortableMap]:
+    """Split a static map into scalar maps, one per channel; none if a neuron couples two channels.
+    One scalar map per channel; none if a neuron sees or moves two of them."""
     net = portable.network
     gains = np.diagonal(portable.linear)
     if portable.linear.shape == (1, 1):
@@ -302,9 +314,9 @@ def _channels(portable: PortableMap) -> list[PortableMap]:
     return found
 
 
-def _scalar(portable: PortableMap) -> tuple[Row, Row, Row] | None:
-    """Break points, slopes and offsets of the inverse of a scalar map. None where the map is not
-    strictly monotone."""
+def _invert_scalar_map(portable: PortableMap) -> tuple[Row, Row, Row] | None:
+    """Break points, slopes and offsets of the inverse of a scalar piecewise-linear map. None where
+    the map is not strictly monotone."""
     knots = np.unique(
         [float(t) for t in break_points(portable.as_network())]
     )  # pieces of one slope share a point

@@ -4,7 +4,7 @@ Source: Moore 1981."""
 from dataclasses import dataclass
 from typing import Any
 
-from ssm_study.bounds.gramians import BALANCING_FLOOR, balance, hankel_singular_values
+from ssm_study.bounds.gramians import BALANCING_FLOOR, balanced_realization, hankel_singular_values
 from ssm_study.refusal import require, require_at_least
 
 
@@ -37,8 +37,7 @@ class Reduction:
         )
 
     def reduce(self, model: Any) -> Any:
-        """Truncate a model (`with_driven_system`, perhaps `absorb_map_centres`) to its largest
-        states in balanced coordinates.
+        """Reduce a model to fewer states by balanced truncation.
 
         A model with neurons stays as it is: no state of its linear part can be dropped by itself
         (`BadRequest`).
@@ -58,4 +57,4 @@ class Reduction:
         hankel = hankel_singular_values(system)
         kept = int((hankel > self.drop_below * hankel[0]).sum())
         order = min(kept, self.truncate_to or system.order)
-        return model.with_driven_system(balance(system, order))
+        return model.with_driven_system(balanced_realization(system, order))

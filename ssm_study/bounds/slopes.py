@@ -32,17 +32,17 @@ class SlopeBound:
 
 
 def bound_from_interval(lower: Fraction, upper: Fraction, method: str) -> SlopeBound:
-    """Bound from a lower and an upper slope. Both ends rounded outwards to floats; the ball
-    encloses the rational interval, not its rounded picture."""
-    least = _rounded_down(lower)
-    most = -_rounded_down(-upper)
+    """Slope bound from a smallest and a largest slope. Both ends rounded outwards to floats; the
+    ball encloses the rational interval, not its rounded picture."""
+    least = _round_down(lower)
+    most = -_round_down(-upper)
     ball = enclosing_ball(lower, upper)
     return SlopeBound(lower=least, upper=most, ball=ball, method=method)
 
 
 def bound_from_ball(ball: JacobianBall, method: str) -> SlopeBound:
-    """Bound from the centre and radius of a ball of Jacobians. `lower, upper = alpha -+ beta`,
-    with sign: `alpha < 0` is a decreasing map."""
+    """Slope bound from a ball of Jacobians. `lower, upper = alpha -+ beta`, with sign: `alpha < 0`
+    is a decreasing map."""
     return SlopeBound(lower=ball.lower, upper=ball.upper, ball=ball, method=method)
 
 
@@ -54,17 +54,18 @@ def enclosing_ball(lower: Fraction, upper: Fraction) -> JacobianBall:
     )
     alpha = float((lower + upper) / 2)  # rounded; the radius covers it
     radius = max(upper - Fraction(alpha), Fraction(alpha) - lower)
-    return JacobianBall(alpha=alpha, beta=-_rounded_down(-radius))
+    return JacobianBall(alpha=alpha, beta=-_round_down(-radius))
 
 
-def _rounded_down(value: Fraction) -> float:
+def _round_down(value: Fraction) -> float:
+    """Largest float that does not exceed a rational number."""
     nearest = float(value)
     return nearest if Fraction(nearest) <= value else float(np.nextafter(nearest, -np.inf))
 
 
 def ball_around_identity(centre: Float[np.ndarray, "m m"], radius: float) -> JacobianBall:
-    """Ball around `alpha I` that holds a given ball. Its radius grows by the distance between the
-    centres.
+    """Ball of Jacobians around a multiple of the identity that contains a given ball. Its radius
+    grows by the distance between the centres.
 
     `alpha = trace(centre)/m`; of a rotation far from the identity the ball contains zero, which
     synthesis refuses.
@@ -95,8 +96,8 @@ def network_bound(network: Network) -> SlopeBound:
 
 
 def lipsdp_bound(network: Network) -> SlopeBound:
-    """The ball of Jacobians around `alpha I` with the least radius LipSDP can prove. Raises
-    `BadRequest` if the solver fails."""
+    """Smallest ball of Jacobians around a multiple of the identity that LipSDP proves for a
+    network. Raises `BadRequest` if the solver fails."""
     from ssm_study.bounds.lipsdp import lipsdp_ball  # CVXPY takes a second to import
 
     centre, radius = lipsdp_ball(network, scalar_centre=True)
@@ -104,8 +105,8 @@ def lipsdp_bound(network: Network) -> SlopeBound:
 
 
 def interval_bound(network: Network) -> SlopeBound:
-    """Ball of Jacobians of a network by interval arithmetic. `|J(v) - centre| <= radius` entrywise
-    for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
+    """Ball of Jacobians of a network, proved by interval arithmetic. `|J(v) - centre| <= radius`
+    entrywise for every v, by interval products `W_{L+1} Phi_L W_L ... Phi_1 W_1`.
 
     So `||J - centre||_2 <= || radius ||_2`: sound on both sides, cheap, loose where neurons cancel.
     Refuses a network that is not square. Source: Moore 1966 (interval arithmetic).
@@ -116,7 +117,7 @@ def interval_bound(network: Network) -> SlopeBound:
     centre = np.eye(network.inputs)
     size = np.eye(network.inputs)  # size: what rounding errors are a share of
     radius = np.zeros_like(centre)
-    for weight, _, negative, positive in network.hidden():
+    for weight, _, negative, positive in network.hidden_layers():
         centre = weight @ centre
         radius = np.abs(weight) @ radius
         size = np.abs(weight) @ size
@@ -148,7 +149,7 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
         values = np.linalg.svd(weight, compute_uv=False)
         lower = lower * float(values[-1])
         upper = upper * float(values[0])
-    for _, _, *both in network.hidden():
+    for _, _, *both in network.hidden_layers():
         slopes = np.abs(np.concatenate(both))
         lower = lower * float(slopes.min())
         upper = upper * float(slopes.max())
@@ -156,8 +157,8 @@ def spectral_norm_bound(network: Network) -> tuple[float, float]:
 
 
 def jacobian_ball(scaffold: Any) -> SlopeBound:
-    """Ball `alpha I + beta Delta` that holds every Jacobian of a static map. Alpha carries the sign
-    of the slopes.
+    """Ball of matrices, centred on a multiple of the identity, that holds every Jacobian of a
+    static map. Alpha carries the sign of the slopes.
 
     Each kind knows its own: exact (scalar networks, monotone, linear), by construction (residual),
     or the narrower of LipSDP and interval arithmetic. Raises `BadRequest` for a scaffolding that is
@@ -175,7 +176,7 @@ def jacobian_ball(scaffold: Any) -> SlopeBound:
 
 
 def certified_balls(model: Any) -> Balls:
-    """Balls of Jacobians of S_u and S_y for the theorems, sound for both. Refuses as above."""
+    """Proved balls of Jacobians of a model's input map and output map. Refuses as above."""
     return Balls(
         input=jacobian_ball(model.scaffold_in).ball, output=jacobian_ball(model.scaffold_out).ball
     )

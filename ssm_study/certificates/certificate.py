@@ -17,14 +17,14 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual
+from ssm_study.certificates.problem import DUAL, Neurons, Problem, Solution, dual_system
 from ssm_study.certificates.theorem import (
     AGAIN,
     Blocks,
     Theorem,
     VerificationContext,
-    theorem_named,
-    value_of,
+    find_theorem,
+    convert_field,
 )
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall
@@ -46,8 +46,8 @@ LETTERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Side(Theorem, abstract=True):
-    """Certificate of one gain, of controller or observer. Differences shrink by `r = sqrt(1 -
-    rate)` a step, whatever the Jacobians in the ball.
+    """Certificate of one gain, that of the controller or that of the observer. Differences shrink
+    by `r = sqrt(1 - rate)` a step, whatever the Jacobians in the ball.
 
     `rate_limit` is the exact frontier of all gains at this ball; `observes` tells an observer from
     a state feedback.
@@ -61,8 +61,8 @@ class Side(Theorem, abstract=True):
 
     @property
     def contraction(self) -> float:
-        """Contraction factor per step of the certificate. `r`: the factor by which distances
-        (the estimation error) shrink each step."""
+        """Factor by which distances shrink per sample according to the certificate. `r`: the factor
+        by which distances (the estimation error) shrink each step."""
         return float(np.sqrt(1 - self.rate))
 
     @property
@@ -83,8 +83,8 @@ class Side(Theorem, abstract=True):
 
     @classmethod
     def ball(cls, context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians for which this certificate holds. That of `S_u`, of an observer that of
-        `S_y`."""
+        """Ball of Jacobians that the certificate has to hold for. That of `S_u`, of an observer
+        that of `S_y`."""
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
@@ -95,8 +95,8 @@ class Side(Theorem, abstract=True):
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Collect the fields to store from a problem and its solution. Fields to store from a
-        method's answer `found` to `problem`: every number that `conditions` uses."""
+        """Fields of the certificate, from a synthesis problem and its solution. Fields to store
+        from a method's answer `found` to `problem`: every number that `conditions` uses."""
 
 
 class ProblemCertificate(Side, abstract=True):
@@ -107,11 +107,11 @@ class ProblemCertificate(Side, abstract=True):
     @staticmethod
     @abstractmethod
     def inequality(of: Any) -> Blocks:
-        """The matrix inequality of the theorem, as the upper triangle of its blocks."""
+        """Matrix inequality of the theorem, as the upper triangle of its blocks."""
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
-        """The inequality, at a rate in (0, 1)."""
+        """Conditions of the theorem: its matrix inequality, and a rate between zero and one."""
         return {
             "inequality": cls.inequality(of),
             "rate above 0": [[of.rate]],
@@ -120,27 +120,28 @@ class ProblemCertificate(Side, abstract=True):
 
     @classmethod
     def _system(cls, context: VerificationContext) -> Any:
+        """System that the certificate speaks of: the one with the internal model for a controller,
+        else the model's."""
         return context.system if cls.observes else context.controlled
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
-        """Every field that is a matrix of the system."""
+        """Fields of the certificate that are matrices of the system."""
         system = self._system(context)
         return {part.name: getattr(system, part.name) for part in fields(self) if part.name in DUAL}
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> float:
-        """The largest rate that any certificate of this theorem can have for this model. The
-        exact frontier; with neurons the worst over frozen slopes, beyond which no certificate
-        goes."""
+        """Largest rate that any certificate of this theorem can have for the model. The exact
+        frontier; with neurons the worst over frozen slopes, beyond which no certificate goes."""
         system = cls._system(context)
         return controller_frontier(
-            dual(system) if cls.observes else system, cls.ball(context)
+            dual_system(system) if cls.observes else system, cls.ball(context)
         ).rate_limit
 
     @classmethod
     def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Collect the fields of the certificate from a problem and its solution. Every field
-        that problem and solution have under its letter; an observer's turned back."""
+        """Fields of the certificate, from a synthesis problem and its solution. Every field that
+        problem and solution have under its letter; an observer's turned back."""
         of: dict[str, Any] = {
             **vars(problem),
             **vars(found),
@@ -160,8 +161,8 @@ class ProblemCertificate(Side, abstract=True):
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
     def as_problem(self) -> tuple[Problem, Solution]:
-        """Rebuild the synthesis problem from the numbers that the certificate stores. The stored
-        numbers as a method of design has them, an observer's transposed; no weights."""
+        """Synthesis problem and solution, rebuilt from the stored numbers of the certificate. The
+        stored numbers as a method of design has them, an observer's transposed; no weights."""
         of: dict[str, Any] = dict(vars(self))
         if self.observes:
             of |= {
@@ -263,21 +264,21 @@ class Design:
 
     @property
     def certified(self) -> bool:
-        """Whether controller and observer both have certificates that hold in exact arithmetic."""
+        """Whether controller and observer both have certificates confirmed in exact arithmetic."""
         return self.state_feedback.certified and self.observer.certified
 
     @property
     def feasible(self) -> bool:
-        """Whether controller and observer both have certificates, checked exactly or not."""
+        """Whether controller and observer both have certificates, confirmed exactly or not."""
         return not any(
             isinstance(part, Infeasible) for part in (self.state_feedback, self.observer)
         )
 
     def parts(self) -> tuple[StateFeedback, Observer]:
-        """Certificates of controller and observer by their names. Both sides; raises
-        `BadRequest` with the reason where one is infeasible."""
+        """Certificates of controller and observer by name; raises an error where one is missing.
+        Both sides; raises `BadRequest` with the reason where one is infeasible."""
         for name in SIDES:
-            part = self.content[name]
+            part = self.parts_by_name[name]
             if isinstance(part, Infeasible):
                 raise BadRequest(
                     f"design.{name}", "infeasible", part.reason.rstrip("."), "close no loop with it"
@@ -286,7 +287,7 @@ class Design:
 
     @property
     def pair(self) -> Gains:
-        """Gains of controller and observer together. Raises `BadRequest` as `parts` does."""
+        """Deployed gains of controller and observer. Raises `BadRequest` as `parts` does."""
         feedback, observer = self.parts()
         n = len(observer.l)
         l_z = getattr(observer, "l_z", None)
@@ -294,15 +295,15 @@ class Design:
         return Gains(k=feedback.k, l=observer.l, l_z=l_z, internal=internal)
 
     @property
-    def inverts(self) -> bool:
-        """Whether the control law applies the inverse of the input map: `u = S_u^{-1}(K xh)`."""
+    def inverts_input_map(self) -> bool:
+        """Whether the control law applies the inverse of the input map, `u = S_u^{-1}(K xh)`."""
         return "inverted_input" in str(
             getattr(self.state_feedback, "theorem", type(self.state_feedback))
         )
 
     @property
-    def content(self) -> dict[str, Theorem | Infeasible]:
-        """Parts of the design by the names that they have in the file."""
+    def parts_by_name(self) -> dict[str, Theorem | Infeasible]:
+        """All certificates of the design, by the names that they have in `certificate.json`."""
         return {
             "state_feedback": self.state_feedback,
             "observer": self.observer,
@@ -317,16 +318,15 @@ class Design:
 
     def certified_rate(self, side: str) -> float | None:
         """Largest rate that is proved for the gain of controller or observer. None without any."""
-        parts = self.content[side], self.extra_certificates.get(f"{side}_deployed")
+        parts = self.parts_by_name[side], self.extra_certificates.get(f"{side}_deployed")
         return max(
             (part.rate for part in parts if isinstance(part, Side) and part.certified), default=None
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The public file `certificate.json`: nested lists whose numbers read back to the same
-        floats."""
+        """Content of `certificate.json`, whose numbers read back to the same floats."""
         content = {}
-        for label, part in self.content.items():
+        for label, part in self.parts_by_name.items():
             plain: dict[str, Any] = (
                 {"certified_rate": self.certified_rate(label)} if label in SIDES else {}
             )
@@ -334,7 +334,7 @@ class Design:
             for name, value in vars(part).items():
                 plain[name.rstrip("_")] = value.tolist() if isinstance(value, np.ndarray) else value
             plain |= {"certified": part.certified, "feasible": isinstance(part, Theorem)}
-            content[label] = plain | {"digest": digest(plain)}
+            content[label] = plain | {"digest": certificate_digest(plain)}
         return content | dict(self.withdrawn)
 
     @classmethod
@@ -345,7 +345,9 @@ class Design:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
         withdrawn = {name: content[name] for name in WITHDRAWN_PARTS if name in content}
         claimed = content.keys() - withdrawn.keys()
-        parts = {name: _read(name, content[name]) for name in content if name in claimed}
+        parts = {
+            name: _read_certificate(name, content[name]) for name in content if name in claimed
+        }
         sides = {name: parts.pop(name) for name in SIDES}
         return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
@@ -361,22 +363,22 @@ class Design:
         return cls.from_json(json.loads(path.read_text(encoding="utf-8")))
 
 
-def digest(content: dict[str, Any]) -> str:
-    """Hash of a stored certificate that shows whether it was altered. SHA-256 of a part's other
+def certificate_digest(content: dict[str, Any]) -> str:
+    """Hash of a stored certificate, by which an alteration is noticed. SHA-256 of a part's other
     fields as canonical JSON: whether the file still says what was written."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def _read(label: str, content: dict[str, Any]) -> Any:
-    """Construct a certificate from its stored fields by the theorem that it names. A part by its
+def _read_certificate(label: str, content: dict[str, Any]) -> Any:
+    """Construct a certificate from its stored fields, by the theorem that they name. A part by its
     own theorem; one that names none is of the theorem that bears the part's name."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
     values = {
         name: value for name, value in content.items() if name not in ("digest", "certified_rate")
     }
     part = BESIDE.get(label, label)
-    theorem = theorem_named(str(values.setdefault("theorem", part)))
+    theorem = find_theorem(str(values.setdefault("theorem", part)))
     fits = theorem.part == part and OF_LIMITS.get(label, theorem.name()) == theorem.name()
     require(fits, f"certificate.{label}.theorem", theorem.name(), "is of another part", AGAIN)
     feasible = values.pop("feasible", True)
@@ -386,7 +388,7 @@ def _read(label: str, content: dict[str, Any]) -> Any:
     for name in types.keys() ^ values.keys():
         problem = "is missing" if name in types else "is not part of a certificate"
         require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
-    read = {n: value_of(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
+    read = {n: convert_field(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
     sizes: dict[
         str, tuple[int, str]
     ] = {}  # of each letter of a shape, and the field that has it first

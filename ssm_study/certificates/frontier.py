@@ -45,7 +45,7 @@ class Frontier:
 
     @property
     def rate_limit(self) -> float:
-        """`1 - contraction_limit^2`."""
+        """Largest contraction rate, `1 - contraction_limit^2`."""
         return 1 - self.contraction_limit**2
 
 
@@ -105,8 +105,8 @@ def frontier(
 
 
 def unreached_modulus(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"]) -> float:
-    """The largest `|lambda|` of a mode the input does not reach (Popov-Belevitch-Hautus, left
-    eigenvectors); 0 if none.
+    """Largest `|lambda|` of a mode that the input does not reach (Popov-Belevitch-Hautus test); 0
+    if it reaches all.
 
     A repeated eigenvalue has no single eigenvector to test: there the rank of `[A - lambda I, B]`
     decides.
@@ -154,8 +154,9 @@ def energy_root(
 def largest_energy(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> float:
-    """Largest eigenvalue of the least control energy at a contraction factor. `lambda_max(Bh^T S
-    Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of reach.
+    """Largest eigenvalue of the least control energy at a given contraction factor.
+    `lambda_max(Bh^T S Bh)`: 0 when no mode is faster than `r` asks for, infinite for one out of
+    reach.
 
     Those with `|lambda| > r` are a left invariant subspace: the ordered real Schur form of `A^T`
     has orthogonal coordinates of it, so no eigenvector basis is ever inverted.

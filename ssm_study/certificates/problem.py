@@ -18,9 +18,9 @@ from ssm_study.systems import JacobianBall, System
 DUAL = {"a": "a", "b": "c", "c": "b", "d": "d", "e": "f", "f": "e", "g": "h", "h": "g"}
 
 
-def dual(system: System) -> System:
-    """Dual (transposed) system, by which an observer is designed as a state feedback. `(A^T,
-    C^T, B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer,
+def dual_system(system: System) -> System:
+    """Dual (transposed) system, by which an observer is designed as a state feedback. `(A^T, C^T,
+    B^T, D^T)`, and of neurons `(F^T, E^T, H^T, G^T)`: its state feedback is the observer,
     transposed."""
     turned = {name: np.ascontiguousarray(getattr(system, DUAL[name]).T) for name in vars(system)}
     return type(system)(**turned)
@@ -37,23 +37,22 @@ class Neurons:
     observes: bool
 
     @property
-    def injects(self) -> bool:
-        """Whether the output may be injected into the neurons: of an observer whose output they do
-        not enter."""
+    def allows_injection(self) -> bool:
+        """Whether an observer may inject the output error into the neurons."""
         return self.observes and not self.g.any()
 
     @property
-    def units(self) -> Float[np.ndarray, "q"]:
-        """Scaling of each neuron that balances its input and output weights. Powers of two `d`
-        that make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
+    def neuron_scales(self) -> Float[np.ndarray, "q"]:
+        """Scale of each neuron that balances its input and output weights. Powers of two `d` that
+        make `|e_i| / d_i` and `d_i |f_i|` alike: trained neurons differ by many decades."""
         into = np.linalg.norm(self.e, axis=0)
         seen = np.linalg.norm(self.f, axis=1)
         ratio = np.divide(into, seen, out=np.ones_like(into), where=(into > 0) & (seen > 0))
         return np.exp2(np.round(np.log2(ratio) / 2))
 
     def scaled(self) -> "Neurons":
-        """The same neurons in balanced units, `d w` for w and `d z` for z."""
-        d = self.units
+        """The same neurons in balanced units."""
+        d = self.neuron_scales
         return Neurons(
             e=self.e / d, f=self.f * d[:, None], g=self.g * d[:, None], observes=self.observes
         )
@@ -104,28 +103,29 @@ class Problem:
 
     @property
     def contraction(self) -> float:
-        """`sqrt(1 - rate)`, the factor per step."""
+        """Contraction factor per sample, `sqrt(1 - rate)`."""
         return float(np.sqrt(1 - self.rate))
 
     @property
     def a_hat(self) -> Float[np.ndarray, "n n"]:
-        """`A` over the contraction factor."""
+        """State matrix divided by the contraction factor."""
         return self.a / self.contraction
 
     @property
     def b_hat(self) -> Float[np.ndarray, "n m"]:
+        """Input matrix divided by the contraction factor."""
         return self.b / self.contraction
 
     @property
     def required_neurons(self) -> Neurons:
-        """Neurons of the model in the problem's coordinates. The neurons; raises `ValueError`
-        for a problem without any."""
+        """Neurons of the problem; raises an error where there are none. The neurons; raises
+        `ValueError` for a problem without any."""
         if self.neurons is None:
             raise ValueError("this problem has no neurons")
         return self.neurons
 
-    def at(self, rate: float) -> "Problem":
-        """The same problem at another rate."""
+    def at_rate(self, rate: float) -> "Problem":
+        """The same synthesis problem at another contraction rate."""
         return replace(self, rate=rate)
 
 
@@ -147,17 +147,17 @@ class Solution:
     k_w: Float[np.ndarray, "m q"] | None = None
     logs: Float[np.ndarray, "s"] | None = None
 
-    def of_neurons(self, neurons: Neurons) -> "Solution":
-        """Undo the scaling of the neurons in a solution."""
+    def undo_neuron_scaling(self, neurons: Neurons) -> "Solution":
+        """Solution with its multipliers in the units of the unscaled neurons."""
         assert self.multipliers is not None
         assert self.k_w is not None
-        d = neurons.units
+        d = neurons.neuron_scales
         weights = self.multipliers * (d**-2 if neurons.observes else d**2)
         return replace(self, multipliers=weights, k_w=self.k_w * d)
 
 
-def symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Symmetric part of a matrix, free of rounding errors."""
+def symmetric_part(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
+    """Symmetric part of a matrix, by which rounding errors are removed."""
     return (matrix + matrix.T) / 2
 
 

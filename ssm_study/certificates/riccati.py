@@ -8,7 +8,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import MOST_STEPS
-from ssm_study.certificates.problem import NoSolution, Problem, symmetric
+from ssm_study.certificates.problem import NoSolution, Problem, symmetric_part
 
 # quadratically: after a step that changes H by less than this share the next would change nothing
 CONVERGED = 1e-10
@@ -40,7 +40,7 @@ def solve_riccati(a: Square, b: Float[np.ndarray, "n m"], q: Square, kappa: floa
         s = scipy.linalg.solve_discrete_are(a, b, q, np.eye(b.shape[1]) / kappa)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise NoSolution(f"no stabilising Riccati solution: {error}") from error
-    return symmetric(s)
+    return symmetric_part(s)
 
 
 def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
@@ -61,14 +61,14 @@ def solve_riccati_by_doubling(a: Square, g: Square, q: Square) -> Square | None:
             except np.linalg.LinAlgError:
                 return None
             step = a.T @ h @ solved[:, :n]
-            h = h + symmetric(step)
+            h = h + symmetric_part(step)
             if not np.isfinite(h).all():  # diverged: no stabilising solution in floats
                 return None
             if np.abs(step).max() <= CONVERGED * np.abs(h).max():
                 return h
             g = g + a @ solved[:, n:] @ a.T
             a = a @ solved[:, :n]
-        g = symmetric(g)
+        g = symmetric_part(g)
     return None
 
 
@@ -95,4 +95,4 @@ def least_metric(
     )
     if p is None:
         raise NoSolution("the bounded-real equation has no solution in floats")
-    return symmetric(right @ p @ right.T)
+    return symmetric_part(right @ p @ right.T)

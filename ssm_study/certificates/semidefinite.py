@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.problem import NoSolution, symmetric
+from ssm_study.certificates.problem import NoSolution, symmetric_part
 
 # SCS is a first-order method: at these limits it stops within seconds, accurate or not; the exact
 # verdict decides. Clarabel's supernodal factorisation is ten times faster than its default from
@@ -60,7 +60,7 @@ def largest_mismatch(
     m = len(into_u)
     enter = seen.shape[1]  # (xi, p, e) enter, neurons stand beside
     at_half_slopes = loop[:, :enter] + loop[:, enter:] @ seen / 2
-    right, moved, w, z = _unit_sizes(at_half_slopes, into_u, seen, into_w, beta)
+    right, moved, w, z = _signal_scales(at_half_slopes, into_u, seen, into_w, beta)
     sizes_of_signals = [*np.full(m, moved), *np.ones(enter - order - m), *z]
     scale = scipy.linalg.block_diag(right, np.diag(sizes_of_signals))
     one = np.eye(width)
@@ -80,6 +80,7 @@ def largest_mismatch(
     given = cp.Parameter()
 
     def room(mu: Any) -> cp.Expression:
+        """Identity matrix times a variable slack, by which an inequality is strict."""
         sectors = neurons.T @ cp.diag(weights) @ (neurons - neuron_inputs)
         ball = lambda_p * (uncertainty.T @ uncertainty - input_rows.T @ input_rows)
         gain = mu * (weighted_rows.T @ weighted_rows)
@@ -94,7 +95,7 @@ def largest_mismatch(
     for share in INSIDE_LARGEST:
         given.value = np.asarray(mu.value) * (1 - share) ** 2
         solve_program(deepest, "CLARABEL")
-        numbers = {"p": symmetric(left.T @ p.value @ left), "lambda_": weights.value / z**2}
+        numbers = {"p": symmetric_part(left.T @ p.value @ left), "lambda_": weights.value / z**2}
         sizes = {
             "s": float(np.sqrt(given.value)) / w,
             "lambda_p": float(np.asarray(lambda_p.value)) / moved**2,
@@ -102,11 +103,11 @@ def largest_mismatch(
         yield numbers | sizes
 
 
-def _unit_sizes(
+def _signal_scales(
     middle: Rows, into_u: Rows, seen: Rows, into_w: Rows, beta: float
 ) -> tuple[Rows, float, float, Float[np.ndarray, "_"]]:
-    """Sizes of the loop's signals, by which the program is scaled. A root of the Gramian of the
-    loop `[A B_p B_e]`, and the sizes of p, `W u` and what the neurons see in it."""
+    """Sizes of the loop's signals, by which the semidefinite program is scaled. A root of the
+    Gramian of the loop `[A B_p B_e]`, and the sizes of p, `W u` and what the neurons see in it."""
     order, width = middle.shape
     m = len(into_u)
     moved = 0.0  # of p: none at first, then what e alone makes of u
@@ -114,7 +115,7 @@ def _unit_sizes(
         into = middle[:, order:] * np.repeat([moved, 1.0], [m, width - order - m])
         gramian = scipy.linalg.solve_discrete_lyapunov(middle[:, :order], into @ into.T)
         least = FLOOR * np.trace(gramian) / order * np.eye(order)
-        right = np.linalg.cholesky(symmetric(gramian) + least)
+        right = np.linalg.cholesky(symmetric_part(gramian) + least)
         u = np.linalg.norm(into_u[:, :order] @ right, axis=1)
         w = np.linalg.norm(into_w[:, :order] @ right, axis=1)
         z = np.linalg.norm(seen[:, :order] @ right, axis=1)

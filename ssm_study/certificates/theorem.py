@@ -43,12 +43,14 @@ INFORMATION = (
 Blocks = list[list[Any]]
 
 
-def full(upper: Blocks) -> Blocks:
-    """Fill the lower triangle of a symmetric block matrix. All blocks of the symmetric matrix,
-    zeros as arrays of their size."""
+def symmetric_from_upper(upper: Blocks) -> Blocks:
+    """Full symmetric block matrix from its upper triangle of blocks. All blocks of the symmetric
+    matrix, zeros as arrays of their size."""
     sizes = [row[0].shape[0] for row in upper]
 
     def block(i: int, j: int) -> Any:
+        """Block of the full matrix at one place, transposed from the upper triangle where
+        necessary."""
         held = upper[min(i, j)][abs(i - j)]
         if isinstance(held, int):
             return np.zeros((sizes[i], sizes[j]))
@@ -57,9 +59,9 @@ def full(upper: Blocks) -> Blocks:
     return [[block(i, j) for j in range(len(sizes))] for i in range(len(sizes))]
 
 
-def stacked(rows: Blocks) -> Any:
-    """Assemble a block matrix from rows of blocks. Blocks side by side as they are: `np.block`,
-    exactly where one of them is exact."""
+def assemble_blocks(rows: Blocks) -> Any:
+    """Assemble a block matrix, in exact numbers if one of its blocks is exact. Blocks side by side
+    as they are: `np.block`, exactly where one of them is exact."""
     return (
         Exact.block(rows)
         if any(isinstance(block, Exact) for row in rows for block in row)
@@ -67,15 +69,15 @@ def stacked(rows: Blocks) -> Any:
     )
 
 
-def diagonal(entries: Any) -> Any:
-    """Build a diagonal matrix from a stored vector. The diagonal matrix of a stored vector,
-    whose zeros nobody can alter: a multiplier `Lambda`."""
+def multiplier_matrix(entries: Any) -> Any:
+    """Diagonal matrix with a stored vector of multipliers on its diagonal. The diagonal matrix of a
+    stored vector, whose zeros nobody can alter: a multiplier `Lambda`."""
     return entries.diagonal_matrix() if isinstance(entries, Exact) else np.diagflat(entries)
 
 
-def unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
-    """Scale a symmetric matrix to a unit diagonal. `D M D` with `D = diag(|M_ii|)^(-1/2)`: what
-    definiteness and conditioning mean whatever the units."""
+def scale_to_unit_diagonal(matrix: Float[np.ndarray, "s s"]) -> Float[np.ndarray, "s s"]:
+    """Scale a symmetric matrix so that its diagonal is one. `D M D` with `D = diag(|M_ii|)^(-1/2)`:
+    what definiteness and conditioning mean whatever the units."""
     scale = 1 / np.sqrt(np.maximum(np.abs(np.diagonal(matrix)), np.finfo(float).tiny))
     scaled = scale[:, None] * matrix * scale
     return (scaled + scaled.T) / 2
@@ -87,9 +89,9 @@ def smallest_eigenvalue(matrix: Float[np.ndarray, "s s"]) -> float:
     return float(np.linalg.eigvalsh(matrix)[0])
 
 
-def condition(matrix: Float[np.ndarray, "n n"]) -> float:
-    """Condition number after scaling to a unit diagonal: what rounding sees."""
-    return float(np.linalg.cond(unit_diagonal(matrix)))
+def scaled_condition_number(matrix: Float[np.ndarray, "n n"]) -> float:
+    """Condition number of a symmetric matrix after it is scaled to a unit diagonal."""
+    return float(np.linalg.cond(scale_to_unit_diagonal(matrix)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +115,7 @@ class Theorem(ABC):
     certificate: the numbers of a theorem, whether they prove it, and information beside them.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
-    eigenvalue of the first condition scaled to a unit diagonal, `condition` that of the metric's
+    eigenvalue of the first condition scaled to a unit diagonal, `scaled_condition_number` that of the metric's
     matrix scaled likewise. A class that is not declared `abstract=True` and leaves a question open
     is refused with a `TypeError` that names it, when it is defined.
     """
@@ -150,8 +152,9 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def conditions(of: Any) -> dict[str, Blocks]:
-        """The matrix inequalities of the theorem. Named block matrices (upper triangles) that
-        must be positive definite; `of` has every field and product."""
+        """Matrices that must be positive definite for the theorem to hold, by label. Named block
+        matrices (upper triangles) that must be positive definite; `of` has every field and
+        product."""
 
     @abstractmethod
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
@@ -160,13 +163,13 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def ball(context: VerificationContext) -> JacobianBall:
-        """The ball of Jacobians that the certificate's `alpha, beta` must contain."""
+        """Ball of Jacobians that the ball in the certificate must contain."""
 
     @classmethod
     @abstractmethod
     def rate_limit_of(cls, context: VerificationContext) -> float | None:
-        """The exact limit of the rate that this theorem can prove. The exact limit of the rate,
-        if one is known; None where nothing can be said."""
+        """Largest rate that this theorem can prove for the model; None without a formula. The exact
+        limit of the rate, if one is known; None where nothing can be said."""
 
     @classmethod
     def name(cls) -> str:
@@ -181,18 +184,20 @@ class Theorem(ABC):
         of = {label: read(value) for label, value in numbers.items()}
         of |= {label: of[left] @ of[right] for label, (left, right) in cls.products.items()}
         return {
-            label: full(upper) for label, upper in cls.conditions(SimpleNamespace(**of)).items()
+            label: symmetric_from_upper(upper)
+            for label, upper in cls.conditions(SimpleNamespace(**of)).items()
         }
 
     @classmethod
     def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
-        """The conditions in floats, each scaled to a unit diagonal."""
+        """Matrices of the conditions in floats, each scaled to a unit diagonal."""
         found = cls._evaluated(np.atleast_2d, numbers)
-        return {label: unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
+        return {label: scale_to_unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
 
     @classmethod
-    def exactly(cls, **numbers: Any) -> dict[str, Exact]:
-        """The conditions in exact arithmetic. Raises `ValueError` where the shapes do not fit."""
+    def exact_conditions(cls, **numbers: Any) -> dict[str, Exact]:
+        """Matrices of the conditions in exact arithmetic. Raises `ValueError` where the shapes do
+        not fit."""
         return {
             label: Exact.block(blocks)
             for label, blocks in cls._evaluated(Exact.from_floats, numbers).items()
@@ -200,20 +205,23 @@ class Theorem(ABC):
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """Decide the certificate in exact arithmetic. Whether every condition is positive
-        definite: decided, not estimated."""
-        return all(is_positive_definite(matrix) for matrix in cls.exactly(**numbers).values())
+        """Whether the certificate's conditions hold, decided in exact arithmetic. Whether every
+        condition is positive definite: decided, not estimated."""
+        return all(
+            is_positive_definite(matrix) for matrix in cls.exact_conditions(**numbers).values()
+        )
 
     @classmethod
     def proved(
         cls, numbers: Mapping[str, Any], *, started: float, status: str, **information: Any
     ) -> Any:
-        """Construct the certificate from its numbers and decide it exactly. The certificate of
-        these numbers: products rounded, verdict exact; `started` by `time.perf_counter`."""
+        """Construct the certificate from its numbers and decide it in exact arithmetic. The
+        certificate of these numbers: products rounded, verdict exact; `started` by
+        `time.perf_counter`."""
         information |= {
             "certified": cls.holds(**numbers),
             "margin": smallest_eigenvalue(next(iter(cls.as_floats(**numbers).values()))),
-            "condition": condition(numbers[cls.metric_matrix]),
+            "condition": scaled_condition_number(numbers[cls.metric_matrix]),
             "solver_status": status,
             "seconds": time.perf_counter() - started,
         }
@@ -221,7 +229,7 @@ class Theorem(ABC):
 
     @classmethod
     def _rounded_products(cls, of: Mapping[str, Any]) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Exact values of derived fields, each entry rounded once to the nearest float."""
+        """Fields that are products of others, computed exactly and rounded to floats."""
         return {
             name: (Exact.from_floats(of[left]) @ of[right]).to_floats()
             for name, (left, right) in cls.products.items()
@@ -229,7 +237,7 @@ class Theorem(ABC):
 
     @property
     def variables(self) -> dict[str, Any]:
-        """Stored fields that the theorem introduces itself, in contrast to those of the model."""
+        """Stored numbers that the theorem introduces itself, in contrast to those of the model."""
         return {
             name: value
             for name, value in vars(self).items()
@@ -237,7 +245,7 @@ class Theorem(ABC):
         }
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
-        """Sentences on the claims of this certificate that do not hold for the model.
+        """One sentence for each claim of this certificate that does not hold for the model.
 
         A theorem that knows no neurons (a matrix `e`) proves nothing of a model with them, nor the
         reverse.
@@ -247,7 +255,7 @@ class Theorem(ABC):
         given = self.model_data(context)
         stored = vars(self)
         try:
-            conditions = self.exactly(**self.variables)
+            conditions = self.exact_conditions(**self.variables)
             fits = all(np.shape(stored[name]) == np.shape(value) for name, value in given.items())
         except ValueError:
             fits = False
@@ -267,8 +275,8 @@ class Theorem(ABC):
         return broken
 
 
-def theorem_named(name: str) -> type[Theorem]:
-    """Find the class of a theorem by the name of its file, plug-ins included."""
+def find_theorem(name: str) -> type[Theorem]:
+    """Class of a theorem by the name of its file, extension packages included."""
     if (
         name.isidentifier()
         and not name.startswith("_")
@@ -285,9 +293,9 @@ def theorem_named(name: str) -> type[Theorem]:
     return found[-1]
 
 
-def value_of(where: str, kind: Any, value: Any) -> Any:
-    """Convert a stored field to the type that the certificate declares. A field of a certificate
-    as its type has it; raises `BadRequest` for what is no such thing."""
+def convert_field(where: str, kind: Any, value: Any) -> Any:
+    """Convert a stored field to the type that the certificate declares for it. A field of a
+    certificate as its type has it; raises `BadRequest` for what is no such thing."""
     if kind in (bool, str):
         require(isinstance(value, kind), where, value, f"is not a {kind.__name__}", AGAIN)
         return value

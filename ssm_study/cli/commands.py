@@ -25,7 +25,11 @@ def act_on_folder(action: Command, subject: str, options: argparse.Namespace) ->
     """Find the study or run folder that is meant, and call the command with it."""
     from ssm_study.table import folders
 
-    find_folder = folders.study_folder if subject == "study" else folders.run_folder
+    find_folder = {
+        "study": folders.study_folder,
+        "run": folders.run_folder,
+        "study_or_run": folders.study_or_run_folder,
+    }[subject]
     setattr(options, subject, find_folder(getattr(options, subject)))
     return action(options)
 
@@ -47,6 +51,7 @@ def look_at_log(options: argparse.Namespace) -> None:
         output=options.output,
         time=options.time,
         step_s=options.step_s,
+        disturbance=options.disturbance,
         settings=TextSettings(separator=options.separator, decimal=options.decimal, header=header),
     )
     print(log)
@@ -93,17 +98,34 @@ def gather_study(options: argparse.Namespace) -> None:
     print(f"{count} runs in {options.study / 'runs.parquet'}")
 
 
-def show_study(options: argparse.Namespace) -> None:
-    """Print the table of a study."""
+def show_study_or_run(options: argparse.Namespace) -> None:
+    """Print the table of a study, or the whole record of a run."""
+    from ssm_study.engine.records import RECORD
     from ssm_study.table.show import show
 
+    if (options.study_or_run / RECORD).is_file():
+        show_run(options)
+        return
     show(
-        options.study,
+        options.study_or_run,
         by=options.by,
         where=options.where,
         cost=options.cost,
         columns=options.columns,
     )
+
+
+def show_run(options: argparse.Namespace) -> None:
+    """Print the outcome and the whole record of a run. Options of a table are refused."""
+    from rich.console import Console
+
+    from ssm_study.report.run_record import print_run
+
+    for name in ("by", "where", "columns", "cost"):
+        value = getattr(options, name)
+        remedy = "leave it out, or name the study"
+        require(not value, f"--{name}", value, "one run is no table", remedy)
+    print_run(options.study_or_run, Console(highlight=False))
 
 
 def verify_run(options: argparse.Namespace) -> int:

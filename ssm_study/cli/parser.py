@@ -26,6 +26,7 @@ SUBJECTS = {
     "study": "the study folder, e.g. results/paper",
     "run": "the run folder, or the study with the begin or the end of one name: "
     "results/paper/1a2b3c4d5e",
+    "study_or_run": "the study folder, e.g. results/paper, or one run of it: results/paper/1a2b",
 }
 
 
@@ -91,6 +92,8 @@ def add_look(subparsers: Subparsers) -> None:
     command.add_argument("file", type=Path, metavar="FILE", help="the log")
     for name in ("input", "output", "time"):
         command.add_argument(f"--{name}", metavar="COLUMN", help=f"the column of the {name}")
+    disturbance_help = "a column that moves the output and is not commanded, as a load or weather"
+    command.add_argument("--disturbance", metavar="COLUMN", help=disturbance_help)
     command.add_argument("--step-s", type=float, metavar="S", help="sampling time, seconds")
     separator_help = "of a text: tabs, semicolons, commas, bars, spaces"
     command.add_argument("--separator", metavar="NAME", help=separator_help)
@@ -115,7 +118,8 @@ def add_action(subparsers: Subparsers, name: str, action: Action) -> None:
     """Add a command on a folder, which is looked up before the command's function is called."""
     command = add_command(subparsers, name, action.summary)
     subject = action.subject
-    command.add_argument(subject, type=Path, metavar=subject.upper(), help=SUBJECTS[subject])
+    metavar = subject.upper().replace("_OR_", "|")
+    command.add_argument(subject, type=Path, metavar=metavar, help=SUBJECTS[subject])
     function = partial(commands.act_on_folder, action.function, subject)
     command.set_defaults(command=function)
     if action.add_options is not None:
@@ -190,9 +194,9 @@ ACTIONS = {
         commands.gather_study, "study", "(re)build runs.parquet and runs.csv of a study folder"
     ),
     "show": Action(
-        commands.show_study,
-        "study",
-        "print the study's table, best first; failures with reasons",
+        commands.show_study_or_run,
+        "study_or_run",
+        "print the study's table, best first, failures with reasons; or the whole record of a run",
         add_show_options,
     ),
     "verify": Action(

@@ -11,7 +11,7 @@ from hydra.core.override_parser.types import Override, OverrideType
 from omegaconf import OmegaConf
 
 from ssm_study.engine.compose import Command, Composer, Loader, grid_combinations
-from ssm_study.engine.jobs import jobs_of
+from ssm_study.engine.jobs import create_jobs
 from ssm_study.engine.progress import Watch
 from ssm_study.engine.settings import refuse_unbounded
 from ssm_study.refusal import require
@@ -126,10 +126,13 @@ def checking_request(request: Command) -> Iterator[None]:
     if not request.is_sweep or launcher.endswith("ProcessesLauncher"):
         yield
         return
-    jobs = jobs_of(Composer(request.config_loader, config, STUDY.refuse), grid_combinations(config))
+    jobs = create_jobs(
+        Composer(request.config_loader, config, STUDY.refuse_configuration),
+        grid_combinations(config),
+    )
     # On Slurm our launcher checks them, too.
     for job in jobs if "ssm_study" not in launcher else ():
         if STUDY.outcome_without_running(job.settings) is None:
-            job.check(STUDY)
+            job.check_settings(STUDY)
     with Watch([job.folder for job in jobs]) if jobs else nullcontext():
         yield

@@ -20,8 +20,8 @@ def folders() -> list[Path]:
 
 
 def choices(group: str) -> list[str]:
-    """Every yaml of the group that is complete: one that asks for a file (`???`) is its owner's to
-    test."""
+    """Names of all complete yaml files of a configuration group, those with missing values (`???`)
+    left out."""
     names = set()
     for folder in folders():
         for path in (folder / group).glob("*.yaml"):
@@ -32,7 +32,7 @@ def choices(group: str) -> list[str]:
 
 @cache
 def part(group: str, choice: str) -> Any:
-    """Object that a study would build for `group=choice`."""
+    """Object that a study would construct for one choice of a configuration group."""
     from ssm_study.cli.from_python import composed
     from ssm_study.construction import construct_part
     from ssm_study.engine.settings import plain_settings

@@ -28,7 +28,8 @@ OPTIONS = {"plant": "plant", "scaffold": "scaffold@model.scaffold_in", "reductio
 
 
 def every_choice() -> list[tuple[str, ...]]:
-    """The words of a run for every yaml of these groups, and for the experiments of others."""
+    """Command-line words of one run for every choice of these configuration groups and every
+    extension experiment."""
     words: list[tuple[str, ...]] = []
     for group, option in OPTIONS.items():
         words += [(*QUICK, f"{option}={name}") for name in choices(group)]
@@ -40,7 +41,7 @@ def every_choice() -> list[tuple[str, ...]]:
 
 @pytest.fixture(autouse=True)
 def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Switch off jaxtyping's check of every call and the figures, since here whole runs are tested.
+    """Switch off array-shape checks and figures, since here whole runs are tested.
 
     No generator: of a module that jaxtyping checks, pytest would take its fixture for one that
     returns.
@@ -52,7 +53,7 @@ def _no_more_than_the_line(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One store for all cases and workers: what two of them share is computed once."""
+    """Results folder that all tests share, so that equal stages are computed once."""
     base = tmp_path_factory.getbasetemp()
     is_worker = "PYTEST_XDIST_WORKER" in os.environ
     return (base.parent if is_worker else base) / "every"
@@ -60,6 +61,7 @@ def shared_results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("choice", every_choice(), ids=lambda choice: choice[-1])
 def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
+    """Every choice of a configuration group runs from data to a finished record."""
     study = "".join(letter if letter.isalnum() else "_" for letter in choice[-1])
     tiny = TINY[choice[-1].startswith("experiment=") :]
     place = [f"results_dir={shared_results}", f"study={study}"]
@@ -77,7 +79,7 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
 
 
 def test_no_choice_of_another_package_hides_behind_ours() -> None:
-    """Ours are found first: a yaml or figure of the same name would never be used."""
+    """No extension package has a yaml file or figure of the same name as one of this package."""
     ours, *others = folders()
     our_files = yaml_files(ours)
     for theirs in others:
@@ -87,5 +89,5 @@ def test_no_choice_of_another_package_hides_behind_ours() -> None:
 
 
 def yaml_files(folder: Path) -> set[Path]:
-    """Every choice in a folder of configuration, by its group and name."""
+    """Group and name of every yaml file in a configuration folder."""
     return {path.relative_to(folder) for path in folder.glob("*/*.yaml")}

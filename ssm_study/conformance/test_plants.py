@@ -12,7 +12,7 @@ HALF = 15
 
 @pytest.fixture(params=choices("plant"))
 def plant(request: pytest.FixtureRequest) -> Plant:
-    """The plant of one choice of the group."""
+    """Plant of one choice of the configuration group `plant`."""
     made: Plant = part("plant", request.param)
     return made
 
@@ -25,6 +25,7 @@ def inputs(plant: Plant, cases: int) -> np.ndarray:
 
 
 def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
+    """A plant that starts at its equilibrium with the equilibrium input stays there."""
     rest = plant.equilibrium()
     held = np.tile(rest.u, (1, SAMPLES, 1))
     x, y = plant.simulate(held)
@@ -35,6 +36,7 @@ def test_the_equilibrium_is_a_fixed_point(plant: Plant) -> None:
 
 
 def test_shapes_and_names_agree(plant: Plant) -> None:
+    """Inputs, outputs and states have as many entries as the plant names."""
     x, y = plant.simulate(inputs(plant, 3))
     assert x.shape == (3, SAMPLES, len(plant.states))
     assert y.shape == (3, SAMPLES, len(plant.outputs))
@@ -46,6 +48,7 @@ def test_shapes_and_names_agree(plant: Plant) -> None:
 
 
 def test_a_batch_equals_its_rows(plant: Plant) -> None:
+    """Simulating a batch gives the same as simulating its cases one by one."""
     u = inputs(plant, 3)
     _, together = plant.simulate(u)
     alone = [plant.simulate(u[i : i + 1])[1] for i in range(3)]
@@ -53,6 +56,7 @@ def test_a_batch_equals_its_rows(plant: Plant) -> None:
 
 
 def test_two_halves_equal_the_whole(plant: Plant) -> None:
+    """Simulating in two halves gives the same as simulating in one piece."""
     u = inputs(plant, 2)
     x, _ = plant.simulate(u)
     again, _ = plant.simulate(u[:, HALF:], x0=x[:, HALF])
@@ -60,6 +64,7 @@ def test_two_halves_equal_the_whole(plant: Plant) -> None:
 
 
 def test_states_at_reads_back(plant: Plant) -> None:
+    """The states that a plant gives for an output produce that output."""
     offsets = np.linspace(*plant.initial_range, 5)
     of_each_output = offsets[:, None] * np.ones(len(plant.outputs))
     wanted = plant.equilibrium().y + of_each_output
@@ -68,6 +73,7 @@ def test_states_at_reads_back(plant: Plant) -> None:
 
 
 def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> None:
+    """An output sample does not depend on the input that is applied after it."""
     u = inputs(plant, 1)
     changed = u.copy()
     changed[:, HALF] = plant.equilibrium().u + np.array(plant.input_amplitude)
@@ -79,6 +85,7 @@ def test_the_output_never_sees_the_input_that_acts_after_it(plant: Plant) -> Non
 
 
 def test_disturbances_act(plant: Plant) -> None:
+    """Every declared disturbance changes the output."""
     u = inputs(plant, 1)
     undisturbed, _ = plant.simulate(u)
     for push in 1e-3 * np.eye(len(plant.disturbances)):

@@ -12,9 +12,11 @@ import pandas as pd
 from jaxtyping import Float
 
 from ssm_study.data.clock import AGREEMENT, HOLE
+from ssm_study.data.clock_column import is_clock_name
 from ssm_study.data.plain_names import plain_name
 from ssm_study.refusal import BadRequest, require
 
+ARRAYS = "logs"  # folder of the files that arrays become
 INTERPOLATE_OR_CUT = "interpolate it, or give the stretches around it as a list of experiments"
 # From so many on, a table that is wider than long lies on its side.
 FEWEST_SAMPLES = 20
@@ -46,13 +48,13 @@ def write_log_files(
     remedy = "give one y for each u"
     names = ", ".join(signals)
     require(len(set(counts)) == 1, names, counts, "not as many experiments", remedy)
-    (folder / "logs").mkdir(parents=True, exist_ok=True)
+    (folder / ARRAYS).mkdir(parents=True, exist_ok=True)
     paths = []
     for parts in zip(*experiments.values(), strict=True):
         columns, table = combine_signal_columns(dict(zip(experiments, parts, strict=True)), step_s)
         content = repr(list(table)).encode() + table.to_numpy().tobytes()
         digest = hashlib.sha256(content).hexdigest()
-        path = folder / "logs" / f"{digest[:16]}.parquet"
+        path = folder / ARRAYS / f"{digest[:16]}.parquet"
         table.to_parquet(path)
         paths.append(str(path))
     return LoggedArrays(paths, columns["u"], columns["y"], columns.get("disturbance", []))
@@ -77,7 +79,20 @@ def combine_signal_columns(
     titles = [title for own in columns.values() for title in own]
     problem = "two signals have one name"
     require(len(set(titles)) == len(titles), names, titles, problem, "rename the columns")
+    refuse_clocks_and_copies(titles, np.hstack(values))
     return columns, pd.DataFrame(np.hstack(values), columns=titles)
+
+
+def refuse_clocks_and_copies(titles: Sequence[str], values: Float[np.ndarray, "T c"]) -> None:
+    """Refuse a column that is a clock, and one that holds the numbers of another."""
+    for k, (title, column) in enumerate(zip(titles, values.T, strict=True)):
+        is_clock = is_clock_name(title) and bool((np.diff(column) > 0).all())
+        problem = "is the clock: it increases from row to row"
+        require(not is_clock, "u, y (column)", title, problem, "name a signal")
+        for j in range(k):
+            is_copy = np.ptp(column) > 0 and np.array_equal(column, values[:, j])
+            problem = f"holds the numbers of {titles[j]}"
+            require(not is_copy, "u, y (column)", title, problem, "give another signal")
 
 
 def signal_columns(

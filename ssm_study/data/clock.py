@@ -18,6 +18,7 @@ from ssm_study.refusal import BadRequest, require, require_at_least
 AGREEMENT = 1e-3
 HOLE = 1.5  # periods from one row to the next from which on a row is missing
 WANDERS = 0.5  # spread of the periods, of the median, beyond which rows are no samples of a clock
+FEW_REPEATS = 0.01  # share of rows with the time of the one before, up to which each is named
 HELD = 0.5  # share of samples at which a held input does not change
 
 
@@ -81,6 +82,19 @@ def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
         raise BadRequest(f"{where} (time)", time_s[k], problem, remedy)
 
 
+def refuse_repeated_row(
+    time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], where: str
+) -> None:
+    """Refuse a row that repeats the one before, time and all, where hardly any other does."""
+    is_still = np.diff(time_s) == 0
+    if not is_still.any() or is_still.mean() > FEW_REPEATS:
+        return
+    row = int(np.argmax(is_still)) + 1
+    if np.array_equal(values[row], values[row - 1], equal_nan=True):
+        problem = f"row {row} of the file repeats the one before, time and all"
+        raise BadRequest(f"{where} (time)", time_s[row], problem, "take out what was written twice")
+
+
 def typical_period_s(time_s: Float[np.ndarray, "T"]) -> float:
     """Median of the first hundred positive time differences."""
     steps = np.diff(time_s)
@@ -114,6 +128,7 @@ def resample_to_even_clock(
     )
     if rounded is not None:
         return rounded
+    refuse_repeated_row(time_s, values, where)
     refuse_decreasing_times(time_s, where)
     mean_s, late = period_and_jitter(time_s)
     if late.max() <= tolerance and not resample:

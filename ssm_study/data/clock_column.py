@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ssm_study.data.calendar_numbers import calendar_seconds, counts_since_1970
 from ssm_study.data.clock_restarts import find_clock_restarts
+from ssm_study.data.clock_wraps import continued_clock
 from ssm_study.data.readers.reader import Table, fold_title, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
@@ -47,12 +49,13 @@ SECONDS = {
 WORDS = ("time", "t", "timestamp", "timestamps", "times", "date", "datetime", "dateandtime", "zeit",
          "zeitstempel", "datum", "clock", "elapsed", "elapsedtime", "runtime", "timesec", "temps",
          "tiempo", "tempo", "epoch", "unixtime", "utc", "timeofday", "simtime",
-         "stamp", "localtime", "uptime", "recordtime", "logtime")  # fmt: skip
-# Seconds since 1970 in smaller units have so many digits: what a unit is without a name.
-EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+         "stamp", "localtime", "uptime", "recordtime", "logtime", "ts", "unix", "unixtimestamp",
+         "zeitpunkt", "uhrzeit", "heure", "horodatage", "hora", "fecha", "tijd", "tijdstip",
+         "czas", "время", "时间", "時刻", "datenum")  # fmt: skip
 # Of whole numbers without a unit; the evidence then has a doubt.
 MAYBE_SMALLER = "no unit: taken for seconds, though whole numbers may count milliseconds"
 FEWEST_UNITS = 2.0  # from one row to the next: a clock in seconds often counts one by one
+UNREAD = "not read, column"  # of a clock whose cells are neither numbers nor dates
 MOSTLY = 0.9  # share of steps in one direction, from which on a column is a clock out of order
 
 
@@ -110,12 +113,17 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     is none: nobody knows how long a row lasts.
     """
     free = [title for title in table.columns if title not in signals]
+    named = [title for title in free if is_clock_name(title)]
+    clocks = [title for title in named if is_clock(table, title)]
+    strict = [title for title in clocks if is_increasing(run_on_times(table, title), strictly=True)]
+    if clocks:
+        return (strict or clocks)[0]
     for title in free:
-        times = table.columns[title]
-        if is_clock_name(title) and (is_increasing(times) or find_clock_restarts(times)):
+        if has_clock_word(title) and is_increasing(run_on_times(table, title), strictly=True):
             return title
     for title in free:
-        if has_clock_word(title) and is_increasing(table.columns[title], strictly=True):
+        times = table.columns[title]
+        if counts_since_1970(times) and is_increasing(times, strictly=True):
             return title
     for title in free:
         times = table.columns[title]
@@ -131,6 +139,17 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     known = times[np.isfinite(times)]
     mostly = bool((np.diff(known) > 0).mean() > 0.5)
     return first if mostly or rounded_period_s(known) is not None else None
+
+
+def run_on_times(table: Table, title: str) -> Float[np.ndarray, "T"]:
+    """Times of a column, which run on where a counter is full or summer time ends."""
+    return continued_clock(table.columns[title], is_dated=title in table.dated)[0]
+
+
+def is_clock(table: Table, title: str) -> bool:
+    """Whether the numbers of a column are those of a clock, or of several experiments' clocks."""
+    times = table.columns[title]
+    return is_increasing(run_on_times(table, title)) or bool(find_clock_restarts(times))
 
 
 def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
@@ -167,21 +186,20 @@ def clock_column_seconds(
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.
     """
-    times = table.columns[title]
-    name = title or "the nameless first column"
+    times, undone = continued_clock(table.columns[title], is_dated=title in table.dated)
+    words = f"clock {title or 'the nameless first column'}"
+    after = f", {undone}" if undone else ""
     if title in table.dated:
-        return times, f"clock {name} (dates)"
+        return times, f"{words} (dates){after}"
     factor = clock_unit_s(title, table.units.get(title, ""))
     if factor is not None:
-        return factor * times, f"clock {name}"
-    known = np.abs(times[np.isfinite(times)])
-    largest = float(known.max(initial=0.0))
-    for digits, seconds in EPOCHS:
-        if largest >= digits and np.ptp(known) < 0.1 * largest:
-            return seconds * (times - times[0]), f"clock {name} (units of {seconds:g} s since 1970)"
+        return factor * times, f"{words}{after}"
+    read = calendar_seconds(title, times)
+    if read is not None:
+        return read[0], f"{words} ({read[1]}){after}"
     if not is_stated and is_in_small_units(times):
-        return times, f"clock {name} ({MAYBE_SMALLER})"
-    return times, f"clock {name} (no unit: seconds)"
+        return times, f"{words} ({MAYBE_SMALLER}){after}"
+    return times, f"{words} (no unit: seconds){after}"
 
 
 def is_in_small_units(times: Float[np.ndarray, "T"]) -> bool:
@@ -241,3 +259,15 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
         is_clock = (forwards and is_clock_name(title)) or (nameless and even)
         problem = "is the clock: it increases from row to row"
         require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")
+
+
+def unread_clocks(contents: Table) -> list[str]:
+    """Remarks on columns that are named like a clock and hold what is not read."""
+    named = [title for title in contents.skipped if is_clock_name(title)]
+    return [f"{UNREAD} {title}: {contents.skipped[title]}" for title in named]
+
+
+def unread_clock(remarks: list[str]) -> str:
+    """Words for a refusal on the column that is named like a clock and was not read."""
+    unread = [remark for remark in remarks if remark.startswith(UNREAD)]
+    return f" ({unread[0]})" if unread else ""

@@ -5,13 +5,19 @@ import re
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from pandas.tseries.api import guess_datetime_format
 
 DATE = (
     r"(?P<a>\d{1,4})[-/.](?P<b>\d{1,2})[-/.](?P<c>\d{1,4})"
     r"(?:[T ]+(?P<hour>\d{1,2}):(?P<minute>\d\d)(?::(?P<second>\d\d(?:[.,]\d+)?))?)?"
-    r"\s*(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|UTC|[-+]\d\d:?\d\d)?"
+    r"\s*(?P<half>[AaPp]\.?\s?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[-+]\d\d(?::?\d\d)?)?"
 )
-TIME_OF_DAY = r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,]\d+)?)"
+TIME_OF_DAY = (
+    r"(?P<hour>\d{1,2}):(?P<minute>\d\d):(?P<second>\d\d(?:[.,]\d+)?)"
+    r"\s*(?P<half>[AaPp]\.?\s?[Mm]\.?)?"
+)
+MINUTES = r"(?P<minute>\d{1,4}):(?P<second>\d\d[.,]\d+)"  # of a stop watch: `03:12.5`
+LONGEST = 40  # letters of a date with the name of a month
 DAY_S = 86400.0
 ORDERS = {"year first": "abc", "day first": "cba", "month first": "cab"}
 
@@ -23,7 +29,22 @@ class AmbiguousDates(ValueError):
 
 def is_date(cell: str) -> bool:
     """Whether a cell of a table is a date, with or without a time, or a time of day."""
-    return bool(re.fullmatch(DATE, cell) or re.fullmatch(TIME_OF_DAY, cell))
+    if any(re.fullmatch(form, cell) for form in (DATE, TIME_OF_DAY, MINUTES)):
+        return True
+    return form_of_named_month(cell) is not None
+
+
+def form_of_named_month(cell: str) -> str | None:
+    """Form of a date with the name of its month, or of digits and a letter T, as pandas guesses it;
+    None for anything else."""
+    has_letter = any(letter.isalpha() for letter in cell)
+    if not has_letter or not any(letter.isdigit() for letter in cell) or len(cell) > LONGEST:
+        return None
+    form = guess_datetime_format(cell)
+    if form is None or not all(part in form for part in ("%Y", "%d", "%H")):
+        return None
+    is_clear = "%b" in form or "%B" in form or form.startswith("%Y")
+    return form if is_clear else None
 
 
 def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
@@ -35,8 +56,15 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     """
     series = pd.Series(cells, dtype=str)
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")
+    of_watch = series.str.extract(f"^{MINUTES}$")
+    first = next((cell for cell in cells if is_date(cell)), "")
+    form = None if re.fullmatch(DATE, first) else form_of_named_month(first)
     if of_day["hour"].notna().sum() > len(cells) / 2:
         seconds = unwrap_midnight(seconds_since_midnight(of_day))
+    elif of_watch["minute"].notna().sum() > len(cells) / 2:
+        seconds = seconds_since_midnight(of_watch)
+    elif form is not None:
+        seconds = named_month_seconds(series, form)
     else:
         dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
         seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
@@ -44,16 +72,25 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     return seconds - known[0] if len(known) else seconds
 
 
+def named_month_seconds(series: pd.Series, form: str) -> Float[np.ndarray, "T"]:
+    """Seconds since 1970 of dates of one form that names the month."""
+    dates = pd.to_datetime(series, format=form, errors="coerce", utc=True)
+    since = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
+    return since.to_numpy(dtype=float)
+
+
 def seconds_since_midnight(parts: pd.DataFrame) -> Float[np.ndarray, "T"]:
     """Convert times of day to seconds since midnight."""
-    hours = parts["hour"].fillna("0").astype(float)
+    has_hours = "hour" in parts
+    hours = parts["hour"].fillna("0").astype(float) if has_hours else pd.Series(0.0, parts.index)
     minutes = parts["minute"].fillna("0").astype(float)
     seconds = parts["second"].fillna("0").str.replace(",", ".").astype(float)
     if "half" in parts:
-        half = parts["half"].str.lower()
+        half = parts["half"].str.lower().str.replace(r"[.\s]", "", regex=True)
         hours = hours.where(half.isna(), hours % 12) + 12.0 * (half == "pm")
     total = 3600.0 * hours + 60.0 * minutes + seconds
-    missing = parts["hour"].isna() if "a" not in parts else parts["a"].isna()
+    decisive = next(name for name in ("a", "hour", "minute") if name in parts)
+    missing = parts[decisive].isna()
     return total.where(~missing).to_numpy(dtype=np.float64)
 
 
@@ -90,9 +127,9 @@ def date_seconds(parts: pd.DataFrame, dotted: bool) -> Float[np.ndarray, "T"]:
 
 def zone_seconds(zone: str) -> float:
     """Offset from UTC, in seconds, of a time zone written as `+02:00`, `Z` or `UTC`."""
-    if zone in ("Z", "UTC"):
+    if zone in ("Z", "UTC", "GMT"):
         return 0.0
-    digits = zone[1:].replace(":", "")
+    digits = zone[1:].replace(":", "").ljust(4, "0")
     offset = 3600.0 * int(digits[:2]) + 60.0 * int(digits[2:])
     return -offset if zone[0] == "-" else offset
 

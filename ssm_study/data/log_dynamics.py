@@ -6,7 +6,7 @@ Lags come from least squares on increments: `dy[k]` on `du[k] ... du[k - LAGS]` 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -26,10 +26,12 @@ FED_BACK = 0.1  # share of the input's changes that earlier outputs explain in a
 MAYBE_FED_BACK = 0.015  # the same from which on a controller may answer within the sample
 WINDOWS = (5, 10, 20, 50, 100)  # samples over which an integrator may sum what moves it
 MOVED = 0.6  # share of the output's changes that the input of an integrator explains, at least
+LONGER = 4  # times the window of an integrator's change, up to which losses are looked for
 FORGETS = 1.0  # times over that an output without an integrator loses its level in a log, at least
 DRIFTS = 0.3  # share of its level by which one with an integrator may seem to grow
 INTEGRATES = 0.15  # by so much more the input explains the output's change than its level
 COARSE = 0.1  # distinct outputs, of all samples, below which a sensor is called coarse
+ENOUGH_RESTS = 2  # returns of the input that show whether the output comes back
 FEEDTHROUGH = "model.feedthrough=true"
 INTEGRATOR = "model.integrating_output=true"
 
@@ -91,10 +93,14 @@ def same_sample_sentence() -> str:
 
 
 def input_return_sentence(rests: int) -> str:
-    """Sentence on how often the input of a log returns to its last value."""
-    if not rests:
-        return "no rest at the input at which the log ends"
-    return f"{rests} {'rest' if rests == 1 else 'rests'} at the input at which the log ends"
+    """Sentence on how often the input returns to its last value and stays there."""
+    if rests >= ENOUGH_RESTS:
+        return (
+            f"the input rests {rests} times at its last value: long rests show where the output "
+            "settles"
+        )
+    often = "rests once" if rests == 1 else "never rests"
+    return f"the input {often} at its last value: two long rests show where the output settles"
 
 
 def response_delay_sentence(u: Signal, y: Signal, shares: InputShares) -> str:
@@ -213,7 +219,9 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
 
     The window is the shortest over which the input explains most of the output's changes: over a
     long one a plant with an integrator is turned round (a position must come back), a plant without
-    one has settled. Where there is none, it is the window whose changes are explained best.
+    one has settled. Where there is none, it is the window whose changes are explained best. What is
+    lost over the log is the most that this window and somewhat longer ones show: within a dead time
+    nothing is lost yet.
     """
     best = InputShares(level=0.0, change=0.0, lost=1.0, lost_in_log=np.inf, window=0)
     for window in WINDOWS:
@@ -223,8 +231,15 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
         if shares.change > best.change:
             best = shares
         if shares.change > MOVED:
-            return best
+            return with_later_loss(u, y, shares)
     return best
+
+
+def with_later_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
+    """Shares with the largest loss of level that windows up to four times as long show."""
+    longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
+    losses = [input_shares_over_window(u, y, w).lost_in_log for w in longer if len(u) >= 8 * w]
+    return replace(shares, lost_in_log=max([shares.lost_in_log, *losses]))
 
 
 def largest_explained_level(u: Signal, y: Signal) -> float:
@@ -257,7 +272,9 @@ def input_shares_over_window(u: Signal, y: Signal, window: int) -> InputShares:
 
 
 def explained_variance_share(x: Float[np.ndarray, "K d"], target: Float[np.ndarray, "K"]) -> float:
-    """Share of a signal's variance that a least-squares fit explains."""
+    """Share of the target's variance that a least-squares fit explains; 0 of a constant."""
+    if np.ptp(target) == 0:
+        return 0.0
     residual = target - x @ np.linalg.lstsq(x, target, rcond=1e-9)[0]
     return 1.0 - float(residual.var() / max(float(target.var()), 1e-300))
 

@@ -17,61 +17,18 @@ from ssm_study.data.clock_column import (
     first_column_counts_rows,
     is_evenly_spaced,
 )
+from ssm_study.data.column_facts import ColumnFacts, column_facts
 from ssm_study.data.log_dynamics import FEEDTHROUGH, INTEGRATOR, describe_log_dynamics
 from ssm_study.data.readers.reader import Table, choose_reader, fold_title, title_without_unit
 from ssm_study.data.recorded import RecordedData
+from ssm_study.data.signal_guess import guess_signals, is_set_point_title
 from ssm_study.data.text_layout import TextSettings
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Trajectory
 
 MOST_SKIPPED = 6  # entries that are listed one by one
-HELD = 0.5  # share of samples at which a column that holds levels does not change
-HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
-FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
-STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
-STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
 MOST_NAMED = 4  # columns that move besides input and output, by name in the sentence on them
-INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
-               "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
-               "current", "us", "setting", "inputdata", "throttle", "pump", "ph", "q")  # fmt: skip
-OUTPUT_WORDS = ("y", "t", "out", "output", "speed", "temperature", "temp", "position", "level",
-                "angle", "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured",
-                "ti", "pressure", "height", "outputdata")  # fmt: skip
-SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desired", "wanted", "r",
-                   "tsp", "soll", "sollwert", "goal", "demand")  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class ColumnFacts:
-    """Range, number of levels and missing values of one column of a log. One column: its unit,
-    range, how many values it takes, how many are missing."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    levels: int
-    missing: int
-    held: float
-    rows: int
-
-    def table_line(self) -> str:
-        """One line of text with the title, range and levels of a column."""
-        name = (self.name or "(no name)")[:28]
-        unit = f"[{self.unit}]" if self.unit else ""
-        return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
-
-    def range_words(self) -> str:
-        """Range, levels and missing values of a column in words."""
-        if not self.levels:
-            return "empty"
-        if self.levels == 1:
-            missing = f", {self.missing} missing" if self.missing else ""
-            return f"{self.low:>11.5g} throughout{missing}"
-        holds = f", holds {self.held:.0%} of the time" if self.held > HELD else ""
-        missing = f", {self.missing} missing" if self.missing else ""
-        numbers = f"{self.low:>11.5g} ... {self.high:<11.5g} {self.levels:>6} values"
-        return f"{numbers}{holds}{missing}"
+NO_COMMAND = "no command yet: change what the line `not read yet` names, and look again"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +39,7 @@ class LogSettings:
     output: str | None = None
     time: str | None = None
     step_s: float | None = None
+    disturbance: str | None = None
     text: TextSettings = field(default_factory=TextSettings)
 
     def as_data_source(self, path: Path, u: str, y: str) -> RecordedData:
@@ -92,6 +50,7 @@ class LogSettings:
             output=y,
             time=self.time,
             step_s=self.step_s,
+            disturbance=self.disturbance,
             separator=self.text.separator,
             decimal=self.text.decimal,
             header=self.text.header,
@@ -101,6 +60,8 @@ class LogSettings:
         """Command-line words for the settings of a log that the user states."""
         words = [f"data.time={quote_for_command(self.time)}"] if self.time is not None else []
         words += [f"data.step_s={self.step_s:g}"] if self.step_s is not None else []
+        if self.disturbance is not None:
+            words.append(f"data.disturbance={quote_for_command(self.disturbance)}")
         for name, value in vars(self.text).items():
             words += (
                 [f"data.{name}={quote_for_command(str(value).lower())}"]
@@ -123,6 +84,7 @@ class LogLook:
     records: list[Trajectory]
     input: str | None
     output: str | None
+    disturbance: str | None = None
     step_is_known: bool = True
 
     def __str__(self) -> str:
@@ -151,6 +113,7 @@ def look(
     output: str | int | None = None,
     time: str | int | None = None,
     step_s: float | None = None,
+    disturbance: str | int | None = None,
     settings: TextSettings | None = None,
 ) -> LogLook:
     """Examine a log file and propose the command that fits a model to it.
@@ -160,43 +123,70 @@ def look(
     """
     path = Path(path)
     stated = LogSettings(
-        input=None if input is None else str(input),
-        output=None if output is None else str(output),
-        time=None if time is None else str(time),
+        input=as_name(input),
+        output=as_name(output),
+        time=as_name(time),
         step_s=step_s,
+        disturbance=as_name(disturbance),
         text=settings or TextSettings(),
     )
     table = choose_reader(path, stated.text).contents(path)
     require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
     facts = [column_facts(name, table) for name in table.columns]
-    signals = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
     clock = stated.time if stated.time is not None else clock_column_name(table)
-    guessed_u, guessed_y = guess_signals(signals, clock)
-    u = guessed_u if stated.input is None else stated.input
-    y = guessed_y if stated.output is None else stated.output
+    u, y = signals_of(table, facts, clock, stated)
     sentences = [f"read: {table.remark}"] if table.remark else []
-    records: list[Trajectory] = []
-    step_is_known = True
+    reading = Reading(records=[], step_is_known=True, sentences=[])
     if u is None or y is None:
         sentences.append("one column alone: name a file for input and output each")
     else:
         if None in (stated.input, stated.output):
             sentences.append(f"guessed: input {u}, output {y} (--input and --output say otherwise)")
         sentences += set_point_sentences(facts, (u, y), stated)
-        records, step_is_known, found = examine_signals(
-            path, table, clock, stated.as_data_source(path, u, y)
-        )
-        sentences += [*found, *other_signal_sentences(facts, clock, (u, y))]
+        reading = examine_signals(path, table, clock, stated.as_data_source(path, u, y))
+        sentences += reading.sentences
+        sentences += other_signal_sentences(facts, clock, (u, y, stated.disturbance))
+    is_refused = u is not None and not reading.records
+    command = study_command(path, u, y, stated, reading.step_is_known, sentences)
     return LogLook(
         path=path,
         columns=facts,
         skipped=table.skipped,
         sentences=sentences,
-        command=study_command(path, u, y, stated, step_is_known, sentences),
-        records=records,
+        command=NO_COMMAND if is_refused else command,
+        records=reading.records,
         input=u,
         output=y,
-        step_is_known=step_is_known,
+        disturbance=stated.disturbance,
+        step_is_known=reading.step_is_known,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reading:
+    """Records of a log as a run reads them, whether their sampling time is known, and sentences on
+    both."""
+
+    records: list[Trajectory]
+    step_is_known: bool
+    sentences: list[str]
+
+
+def as_name(column: str | int | None) -> str | None:
+    """Name of a column that is given by name or number."""
+    return None if column is None else str(column)
+
+
+def signals_of(
+    table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
+) -> tuple[str | None, str | None]:
+    """Names of input and output: those stated, else those guessed."""
+    uneven = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
+    free = [column for column in uneven if column.name != stated.disturbance]
+    u, y = guess_signals(free, clock)
+    return (
+        u if stated.input is None else stated.input,
+        y if stated.output is None else stated.output,
     )
 
 
@@ -219,11 +209,9 @@ def clock_column_name(table: Table) -> str | None:
     return find_clock_column(table, ())
 
 
-def examine_signals(
-    path: Path, table: Table, clock: str | None, source: RecordedData
-) -> tuple[list[Trajectory], bool, list[str]]:
+def examine_signals(path: Path, table: Table, clock: str | None, source: RecordedData) -> Reading:
     """Read the input and output of a log as a run does, and describe their dynamics or the obstacle
-    to reading them. Also returns whether the sampling time is known.
+    to reading them.
 
     Where the sampling time alone is missing, lags, rests and noise are those of the samples.
     """
@@ -234,55 +222,21 @@ def examine_signals(
         refusal = f"not read yet: {error.field} = {error.value}: {error.problem}; {remedy}"
         sentences = [refusal, *clock_sentences(table, clock)]
         if error.field != "data.step_s" or error.value is not None:
-            return [], clock is not None, sentences
+            known = clock is not None
+            return Reading(records=[], step_is_known=known, sentences=sentences)
         try:
             records, _ = replace(source, step_s=1.0).read_pieces(path)
         except BadRequest:
-            return [], False, sentences
-        return records, False, [*sentences, *describe_log_dynamics(records)]
+            return Reading(records=[], step_is_known=False, sentences=sentences)
+        sentences += describe_log_dynamics(records)
+        return Reading(records=records, step_is_known=False, sentences=sentences)
     prefix = f"{path.name}: {table.remark}; "
-    return records, True, [remark.removeprefix(prefix), *describe_log_dynamics(records)]
-
-
-def column_facts(name: str, table: Table) -> ColumnFacts:
-    """Compute range, levels and missing values of one column of a log."""
-    values = table.columns[name]
-    finite = values[np.isfinite(values)]
-    held = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
-    return ColumnFacts(
-        name=name,
-        unit=table.units.get(name, ""),
-        low=float(finite.min(initial=np.inf)) + 0.0,  # no minus before a zero
-        high=float(finite.max(initial=-np.inf)) + 0.0,
-        levels=len(np.unique(finite)),
-        missing=len(values) - len(finite),
-        held=held,
-        rows=len(values),
-    )
-
-
-def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:
-    """Guess which columns of a log are input and output, by words in their titles, then by their
-    levels."""
-    moving = [column for column in facts if column.name != clock and column.levels > 1]
-    if len(moving) < 2:
-        return None, None
-    free = [column for column in moving if not is_set_point_title(column.name)]
-    moving = free if len(free) > 1 else moving
-    u = max(moving, key=input_score)
-    others = [column for column in moving if column is not u]
-    y = max(others, key=lambda column: title_word_score(column.name, OUTPUT_WORDS))
-    return u.name, y.name
-
-
-def is_set_point_title(name: str) -> bool:
-    """Whether a column's title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
-    `speed_target` are."""
-    return title_word_score(name, SET_POINT_WORDS) == 1.0
+    sentences = [remark.removeprefix(prefix), *describe_log_dynamics(records)]
+    return Reading(records=records, step_is_known=True, sentences=sentences)
 
 
 def other_signal_sentences(
-    facts: Sequence[ColumnFacts], clock: str | None, signals: tuple[str, str]
+    facts: Sequence[ColumnFacts], clock: str | None, signals: Sequence[str | None]
 ) -> list[str]:
     """Sentence that lists the varying columns besides input and output, for they may be
     disturbances."""
@@ -312,27 +266,6 @@ def column_index(titles: Sequence[str], name: str | None) -> int | None:
     if fold_title(name) in plain:
         return plain.index(fold_title(name))
     return int(name) if name.isdigit() and int(name) < len(titles) else None
-
-
-def input_score(column: ColumnFacts) -> float:
-    """Score of how likely a column of a log is the input of the plant. How much a column looks like
-    an input: by its name, by how it holds few levels, and by how far it moves. Columns that are
-    alike in this are taken in their order."""
-    few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
-    by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
-    magnitude = max(abs(column.low), abs(column.high))
-    is_steady = column.high - column.low < STEADY * magnitude
-    return title_word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
-
-
-def title_word_score(name: str, words: tuple[str, ...]) -> float:
-    """Score of how well a column's title matches a list of words. One if a word of the name is
-    among the words, a half if one begins with them."""
-    parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
-    if any(part in words for part in parts):
-        return 1.0
-    long_words = [word for word in words if len(word) > 3]
-    return 0.5 if any(part.startswith(word) for part in parts for word in long_words) else 0.0
 
 
 def clock_sentences(table: Table, clock: str | None) -> list[str]:

@@ -13,11 +13,14 @@ from ssm_study.data.clock_column import (
     first_column_counts_rows,
     refuse_backward_clock,
     refuse_clock_as_signal,
+    unread_clock,
+    unread_clocks,
 )
 from ssm_study.data.clock_restarts import resample_experiments
+from ssm_study.data.log_refusals import refusal_with_look_command
+from ssm_study.data.missing_codes import code_remarks
 from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import (
-    FOREIGN,
     Reader,
     Table,
     choose_reader,
@@ -31,7 +34,6 @@ from ssm_study.signals import Channel, Trajectory
 Names = str | int | list[str] | list[int] | tuple[str, ...]
 # Of a file without names whose first column counts the rows; the evidence then has a doubt.
 ASSUMED_SECOND = "and a row is taken to last one second"
-LOOK = "`ssm-study look {}` shows what is in the file"
 
 
 def as_name_list(names: Names) -> tuple[str, ...]:
@@ -197,7 +199,7 @@ class Columns:
         if time_s is None:
             period_s = stated_s if self.step_s is None else self.step_s
             if period_s is None:
-                problem = "the sampling time is unknown"
+                problem = "the sampling time is unknown" + unread_clock(remarks)
                 remedy = "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
             if stated_s is not None:
@@ -271,6 +273,7 @@ class Columns:
             wanted[str(self.time)] = ""
         table = read_table(file, wanted, missing=True, reader=reader)
         remarks = [f"{file.name}: {table.remark}"] if table.remark else []
+        remarks += code_remarks(table, list(units))
         refuse_equal_columns(table, list(units), file)
         time_s = table.time_s
         if self.time is not None:
@@ -299,7 +302,8 @@ class Columns:
         title = find_clock_column(contents, taken)
         if title is None or len(contents.columns[title]) != length:
             refuse_backward_clock(contents, taken, file, is_stated=self.step_s is not None)
-            return self._row_number_times(contents, length)
+            time_s, remarks = self._row_number_times(contents, length)
+            return time_s, [*remarks, *unread_clocks(contents)]
         time_s, words = clock_column_seconds(title, contents, is_stated=self.step_s is not None)
         return time_s, [words]
 
@@ -328,15 +332,6 @@ class _LogFile:
     table: Table
     time_s: Float[np.ndarray, "T"] | None
     remarks: list[str]
-
-
-def refusal_with_look_command(error: BadRequest, path: Path) -> BadRequest:
-    """Add to an error on a log file the command that shows its contents."""
-    remedy = error.remedy.rstrip(".")
-    is_foreign = path.suffix.lower() in FOREIGN  # look does not read it either
-    if "look" in remedy or is_foreign or not path.is_file():
-        return error
-    return BadRequest(error.field, error.value, error.problem, f"{remedy}; {LOOK.format(path)}")
 
 
 @dataclass(frozen=True, kw_only=True)

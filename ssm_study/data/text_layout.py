@@ -23,8 +23,10 @@ BY_WORD = {word: mark for mark, word in WORDS.items()} | {r"\t": "\t"}
 COMMENTS = ("#", "%", "//", '"#')
 MISSING_WORDS = "nan na n/a #n/a n.a. #nv null none - -- --- ---- ? nat -nan 1.#qnan missing"
 MISSING = frozenset(["", *MISSING_WORDS.split()])
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
-COMMA_NUMBER = re.compile(r"[-+]?(\d+(,\d+)?|,\d+)([eE][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE)
+COMMA_NUMBER = re.compile(
+    r"[-+]?(\d+(,\d+)?|,\d+)([eEdD][-+]?\d+)?|[-+]?inf(inity)?", re.IGNORECASE
+)
 DATE = re.compile(
     r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ]+\d{1,2}:\d\d(:\d\d([.,]\d+)?)?\s*([AaPp][Mm])?\s*"
     r"(Z|UTC|[-+]\d\d:?\d\d)?)?|\d{1,2}:\d\d:\d\d([.,]\d+)?"
@@ -35,6 +37,13 @@ BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+FIRST_LINES = 5  # lines among which the names of the columns are looked for again further down
+# Titles of clocks that are no units: of two rows of words, that with such a title holds names.
+CLOCK_WORDS = ("time", "timestamp", "date", "datetime", "zeit", "datum", "temps", "times",
+               "zeitstempel", "tiempo", "clock", "elapsed", "timems")  # fmt: skip
+PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip", b"BZh": "bzip2", b"\xfd7zXZ": "xz",
+          b"7z\xbc\xaf": "7z", b"Rar!": "rar", b"(\xb5/\xfd": "zstd"}  # fmt: skip
+MOSTLY_ZERO = 0.4  # share of every second byte, from which on a text is one of two bytes a letter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +112,13 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
                 problem = "has no readable text"
                 remedy = "export it as UTF-8 CSV"
                 raise BadRequest("data.path", path, problem, remedy) from error
+    packed = next((word for mark, word in PACKED.items() if content.startswith(mark)), "")
+    require(not packed, "data.path", path, f"is packed ({packed})", "unpack it first")
+    content = content.rstrip(b"\0\x1a")  # a logger's unwritten end, and that of old DOS
+    encoding = wide_encoding(content)
+    if encoding:
+        whole = content + b"\0" * (len(content) % 2)
+        return whole.decode(encoding, errors="replace"), encoding
     is_text = b"\0" not in content
     problem = "contains NUL bytes, so it is no text"
     require(is_text, "data.path", path, problem, "export it as CSV")
@@ -111,6 +127,15 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
     except UnicodeDecodeError:
         # Numbers are ASCII; the code page only spells the names.
         return content.decode("cp1252", errors="replace"), "cp1252"
+
+
+def wide_encoding(content: bytes) -> str:
+    """Encoding of a text of two bytes a letter without a byte order mark; empty for another."""
+    halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
+    zeros = {name: half.count(0) / max(len(half), 1) for name, half in halves.items()}
+    wide = [name for name, share in zeros.items() if share > MOSTLY_ZERO]
+    has_rows = content.count(b"\n") > 1
+    return wide[0] if len(wide) == 1 and min(zeros.values()) == 0 and has_rows else ""
 
 
 def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLayout:
@@ -125,6 +150,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     remedy = "export it as CSV with a line of names and rows of numbers"
     require(body, "data.path", path, "has no header and no rows", remedy)
     separator, decimal = find_separators([line for _, line in body], settings)
+    body, repeats = without_repeated_names(body)
     cells = [split_cells(line, separator) for _, line in body[:SAMPLED_ROWS]]
     sample = [split_cells(line, separator) for line in sample_lines([line for _, line in body])]
     columns = Counter(map(len, sample)).most_common(1)[0][0]
@@ -139,6 +165,8 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     refuse_shifted_names(path, cells[:first], above, columns)
     remarks = [number_with_noun(len(comments), "comment line")] if comments else []
     names, units = split_names_and_units(above)
+    if repeats:
+        remarks.append(f"the line of names {number_with_noun(repeats, 'time')} more")
     if len(above) < first and first:
         remarks.append(f"{number_with_noun(first - len(above), 'line')} of prose above")
     if names is None and comments and first == 0:
@@ -293,15 +321,44 @@ def refuse_shifted_names(
         raise BadRequest(path.name, names, problem, "correct the line of names")
 
 
+def without_repeated_names(body: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], int]:
+    """Numbered lines without those that repeat one of the first lines and hold no number, and how
+    many these are.
+
+    A logger that is switched on again writes its line of names again.
+    """
+    first = {line.strip() for _, line in body[:FIRST_LINES] if not re.search(r"\d", line)}
+    kept = body[:1]
+    for number, line in body[1:]:
+        if line.strip() not in first or number <= body[0][0] + FIRST_LINES:
+            kept.append((number, line))
+    return kept, len(body) - len(kept)
+
+
 def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:
     """Separate the header lines of a text file into column names and units."""
     if not above:
         return None, []
+    for k in reversed(range(len(above))):
+        if any(folded_word(cell) in CLOCK_WORDS for cell in above[k]):
+            below = above[k + 1 : k + 2]
+            units = below[0] if below and could_be_units(below[0], len(above[k])) else []
+            return above[k], [cell.strip("()[] ") for cell in units]
     *before, last = above
-    filled = [cell for cell in last if cell]
-    if before and len(before[-1]) == len(last) and all(map(UNIT.fullmatch, filled)):
+    if before and could_be_units(last, len(before[-1])):
         return before[-1], [cell.strip("()[] ") for cell in last]
     return last, []
+
+
+def could_be_units(cells: list[str], columns: int) -> bool:
+    """Whether the filled cells of a row below the names could all be units."""
+    filled = [cell for cell in cells if cell]
+    return len(cells) == columns and all(map(UNIT.fullmatch, filled))
+
+
+def folded_word(cell: str) -> str:
+    """Small letters of a title, without its unit in brackets."""
+    return re.sub(r"[\W_]+", "", re.sub(r"[\[(].*", "", cell)).lower()
 
 
 def parse_names_in_comment(

@@ -116,7 +116,7 @@ class Command(Hydra):
         run(self.name, task, self.asked.overrides)
 
     def compose_config(self, *asked: Any, **further: Any) -> DictConfig:
-        """Return the configuration that is composed already, where Hydra would compose it again."""
+        """Return the already composed configuration where Hydra would compose it a second time."""
         if self.asked.help:
             return super().compose_config(*asked, **further)
         if further.get("with_log_configuration"):
@@ -125,8 +125,8 @@ class Command(Hydra):
 
 
 def set_hydra_config(config: DictConfig) -> None:
-    """Make a configuration the one that `${hydra:...}` is read from. Hydra's own `set_config` would
-    copy its whole section first (5 ms)."""
+    """Set the configuration from which Hydra resolves `${hydra:...}`. Hydra's own `set_config`
+    would copy its whole section first (5 ms)."""
     HydraConfig.instance().cfg = config  # type: ignore[assignment]  # Hydra's type is that of the section alone
 
 
@@ -167,9 +167,10 @@ class ComposedChoices:
         )
 
     @cached_property
-    def names_in_run(self) -> tuple[str, ...] | None:
-        """Settings that appear in the name of the run. None where anything else is interpolated
-        (OmegaConf then has to resolve it, which is slow)."""
+    def settings_in_run_name(self) -> tuple[str, ...] | None:
+        """Settings that appear in the name of the run; None if the name uses others than plain
+        settings. None where anything else is interpolated (OmegaConf then has to resolve it, which
+        is slow)."""
         interpolation = NAME.fullmatch(str(self.tree.get("run", "")))
         others = [value for key, value in self.tree.items() if key != "run"]
         if interpolation is None or any("${" in str(value) for value in others):
@@ -188,9 +189,9 @@ class ComposedChoices:
         return self.held[path]
 
     def settings(self, values: dict[str, Any]) -> Settings:
-        """Settings of the job with these values by their dotted path. Unchanged sections are shared
-        between jobs."""
-        assert self.names_in_run is not None
+        """Settings of one job, made by putting values, given by dotted path, into the shared
+        composition. Unchanged sections are shared between jobs."""
+        assert self.settings_in_run_name is not None
         settings = Settings(self.tree)
         by_section: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
@@ -200,26 +201,27 @@ class ComposedChoices:
             settings[section] = self.section(section, inner_values)
         if "run" in values:
             return settings
-        return Settings(settings | {"run": run_name(settings, *self.names_in_run)})
+        return Settings(settings | {"run": run_name(settings, *self.settings_in_run_name)})
 
     def section(self, name: str, values: dict[str, Any]) -> Any:
-        """Section of the settings with these values put in; equal sections are the same object."""
+        """One section of the settings of a job with its own values put in; equal sections are the
+        same object."""
         typed = [(path, type(value), value) for path, value in values.items()]
         key = (name, *typed)
         if key not in self.sections:
             section = self.tree[name]
             for path, value in values.items():
-                section = with_value(section, path.split(".") if path else [], value)
+                section = replace_at_path(section, path.split(".") if path else [], value)
             self.sections[key] = as_settings(section)
         return self.sections[key]
 
 
-def with_value(tree: Any, path: list[str], value: Any) -> Any:
-    """Copy of a tree of dictionaries with one value replaced at a path."""
+def replace_at_path(tree: Any, path: list[str], value: Any) -> Any:
+    """Copy of a nested dictionary with the value at one dotted path replaced."""
     if not path:
         return value
     first, *rest = path
-    return {**tree, first: with_value(tree[first], rest, value)}
+    return {**tree, first: replace_at_path(tree[first], rest, value)}
 
 
 class Composer:
@@ -267,7 +269,7 @@ class Composer:
         """Settings of one job without Hydra's section. A value that OmegaConf has to resolve costs
         ten times as much."""
         chosen, values = self._split_overrides(overrides)
-        if chosen.names_in_run is not None:
+        if chosen.settings_in_run_name is not None:
             by_path = {str(override.key_or_group): override.value() for override in values}
             return chosen.settings(by_path)
         config = self.compose(overrides, number)

@@ -45,9 +45,9 @@ FORM = f"1 {sys.version}"  # syntax trees differ from one Python to the next
 
 
 class Part(NamedTuple):
-    """Statements that define one name, as their digest, the names that they read, and the symbols
-    that imports inside their functions bring in. Their digest, the names that they read, and the
-    symbols that imports inside their functions bring in."""
+    """Statements that define one name: their digest and the names and imports they depend on. Their
+    digest, the names that they read, and the symbols that imports inside their functions bring
+    in."""
 
     digest: str
     names: list[str]
@@ -59,36 +59,37 @@ NOTHING = Part("", [], [])
 
 @dataclass
 class Module:
-    """Content of one source file: the statements that bind each name, those that bind none
-    (`LOOSE`, they run at import), and the imported symbols."""
+    """Content of one scanned source file: the statements behind each name, and the imported
+    symbols."""
 
     parts: dict[str, Part] = field(default_factory=dict)
     imported: dict[str, list[Symbol]] = field(default_factory=dict)
 
     @property
-    def bound(self) -> set[str]:
+    def bound_names(self) -> set[str]:
         """Names that the statements of the module bind."""
         return set(self.parts) - {LOOSE}
 
 
 @dataclass(frozen=True)
 class Code:
-    """Reader of source code that finds all symbols on which given ones depend. Sources are read
-    where they are imported from, or in `folders` (name: folder)."""
+    """Reader of source code that finds everything on which given functions and classes depend.
+    Sources are read where they are imported from, or in `folders` (name: folder)."""
 
     folders: Mapping[str, Path] = field(default_factory=dict)
     modules: dict[str, Module | None] = field(default_factory=dict)
     followed: dict[str, bool] = field(default_factory=dict)
     steps: dict[Symbol, frozenset[Symbol]] = field(default_factory=dict)
 
-    def version(self, *roots: Symbol) -> str:
-        """SHA-256 of all code that the roots depend on; equal versions compute equal results."""
+    def code_digest(self, *roots: Symbol) -> str:
+        """SHA-256 of all source code on which the given symbols depend; equal digests mean equal
+        results."""
         for module, name in roots:
             symbol = f"{module}.{name}"
             is_defined = self._is_defined(module, name)
             require(is_defined, "code", symbol, "is defined nowhere", "correct the name")
         lines = []
-        for module, name in self.closure(roots):
+        for module, name in self.dependency_closure(roots):
             lines.append(f"{module}:{name} {self._digest(module, name)}")
         return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
@@ -100,10 +101,12 @@ class Code:
         read = self._read_module(module)
         if read is None:
             return False
-        return read == Module() or name == WHOLE or name in read.bound or name in read.imported
+        return (
+            read == Module() or name == WHOLE or name in read.bound_names or name in read.imported
+        )
 
-    def closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
-        """All symbols that the roots depend on, directly or through others; libraries are not
+    def dependency_closure(self, roots: Iterable[Symbol]) -> set[Symbol]:
+        """All symbols on which the given ones depend, directly or through others, libraries not
         followed."""
         seen = set[Symbol]()
         waiting = {self._followed_symbol(symbol) for symbol in roots}
@@ -117,9 +120,9 @@ class Code:
             waiting |= self.steps[symbol] - seen
         return seen
 
-    def remember(self) -> None:
-        """Read the source of every module of this package that the process has loaded, so that
-        later edits do not count."""
+    def read_loaded_modules(self) -> None:
+        """Read the source of every loaded module of this package, so that later edits of the files
+        do not count."""
         for module in sorted(sys.modules):
             if module.split(".")[0] == OURS:
                 self._read_module(module)
@@ -176,7 +179,7 @@ class Code:
     def _symbols_in_module(self, module: str, read: Module) -> Iterator[Symbol]:
         """All symbols of a module. For a package's `__init__.py` also those of its files, whose
         members are found by name."""
-        for bound in read.bound:
+        for bound in read.bound_names:
             yield module, bound
         for symbols in read.imported.values():
             yield from symbols
@@ -238,18 +241,18 @@ def _package_folder(top: str) -> Path | None:
 
 @cache
 def code_version(*roots: Callable[..., Any] | type | str) -> str:
-    """SHA-256 of all that the roots depend on: functions, classes, or dotted names (`_target_`)."""
-    return CODE.version(*sorted({symbol_of(root) for root in roots}))
+    """SHA-256 of all source code on which the given functions, classes or dotted names depend."""
+    return CODE.code_digest(*sorted({find_symbol(root) for root in roots}))
 
 
-def symbol_of(root: Callable[..., Any] | type | str) -> Symbol:
-    """Where a function or class is defined; a lambda or an inner function stands for its whole
+def find_symbol(root: Callable[..., Any] | type | str) -> Symbol:
+    """Module and name under which a function or class is defined; a lambda stands for its whole
     module."""
     if isinstance(root, str):
         module, _, name = root.rpartition(".")
         return module, name
     if isinstance(root, partial):
-        return symbol_of(root.func)
+        return find_symbol(root.func)
     name = root.__qualname__
     return root.__module__, name if name.isidentifier() else WHOLE
 
@@ -262,13 +265,13 @@ def library_version(library: str) -> str:
     with suppress(metadata.PackageNotFoundError):
         return metadata.version(library)
     pattern = re.compile(rf"^{re.escape(library)}[/.]", re.MULTILINE)
-    owners = [owner for owner, files in _files_of_distributions() if pattern.search(files)]
+    owners = [owner for owner, files in _distributions_with_files() if pattern.search(files)]
     return " ".join(sorted(f"{owner.metadata['Name']} {owner.version}" for owner in owners))
 
 
 @cache
-def _files_of_distributions() -> list[tuple[metadata.Distribution, str]]:
-    """Every installed distribution, each with the text that lists its files."""
+def _distributions_with_files() -> list[tuple[metadata.Distribution, str]]:
+    """Every installed distribution with the text that lists its files."""
     listed = []
     for owner in metadata.distributions():
         files = owner.read_text("RECORD") or owner.read_text("top_level.txt") or ""
@@ -277,7 +280,7 @@ def _files_of_distributions() -> list[tuple[metadata.Distribution, str]]:
 
 
 def _scan_module(path: Path, module: str) -> Module:
-    """Scan a source file, or take the result from the cache where its content is known."""
+    """Scan a source file for names and dependencies, or take the result from the cache."""
     content = path.read_bytes()
     digest = hashlib.sha256(FORM.encode() + content).hexdigest()
     file = CACHE / f"{hashlib.sha256(str(path).encode()).hexdigest()[:32]}.json"
@@ -298,13 +301,13 @@ def _module_from_json(cached: Mapping[str, Any]) -> Module:
     """Rebuild a scanned module from its entry in the cache."""
     parts = {}
     for name, (digest, names, imports) in cached["parts"].items():
-        parts[name] = Part(digest, names, _symbols(imports))
-    imported = {name: _symbols(symbols) for name, symbols in cached["imported"].items()}
+        parts[name] = Part(digest, names, _symbols_from_pairs(imports))
+    imported = {name: _symbols_from_pairs(symbols) for name, symbols in cached["imported"].items()}
     return Module(parts, imported)
 
 
-def _symbols(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
-    """Symbols from the pairs of module and name that JSON holds."""
+def _symbols_from_pairs(pairs: Iterable[Iterable[str]]) -> list[Symbol]:
+    """Symbols from pairs of module and name, as JSON stores them."""
     return [(module, name) for module, name in pairs]
 
 
@@ -322,7 +325,7 @@ def _scan_source(path: Path, module: str) -> Module:
             continue
         for name in _bound_names(statement) or {LOOSE}:
             bound[name].append(statement)
-    parts = {name: _part_of(statements, package) for name, statements in bound.items()}
+    parts = {name: _scan_statements(statements, package) for name, statements in bound.items()}
     return Module(parts, dict(imported))
 
 
@@ -334,7 +337,7 @@ def _drop_docstrings(tree: ast.Module) -> None:
             node.body = node.body[has_docstring:]
 
 
-def _part_of(statements: list[ast.stmt], package: str) -> Part:
+def _scan_statements(statements: list[ast.stmt], package: str) -> Part:
     """Digest and dependencies of the statements that bind one name."""
     text = "\n".join(map(ast.dump, statements))
     names: set[str] = set()

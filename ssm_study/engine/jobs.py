@@ -20,10 +20,10 @@ from omegaconf import open_dict, read_write
 from ssm_study.durable import PATIENCE_S, file_lock
 from ssm_study.engine.compose import Composer, set_hydra_config
 from ssm_study.engine.records import FAILED, FINAL, LOCK, LOST, read_record
-from ssm_study.engine.runs import Outcome, error_facts, outcome_of, write_failure
+from ssm_study.engine.runs import Outcome, error_columns, existing_outcome, write_failure
 from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, kill_with_children
 from ssm_study.engine.settings import Settings
-from ssm_study.engine.task import Task, folder_of
+from ssm_study.engine.task import Task, run_folder
 from ssm_study.refusal import BadRequest
 
 LOG = "run.log"
@@ -57,9 +57,9 @@ class Job:
         ended.return_value = outcome
         return ended
 
-    def check(self, task: Task[Any]) -> None:
-        """Check the settings of this job. Raises the task's `BadRequest` with the name of the run
-        added."""
+    def check_settings(self, task: Task[Any]) -> None:
+        """Check the settings of this job, naming the run in any `BadRequest`. Raises the task's
+        `BadRequest` with the name of the run added."""
         try:
             task.request(self.settings)
         except BadRequest as refusal:
@@ -67,8 +67,10 @@ class Job:
             raise BadRequest(where, refusal.value, refusal.problem, refusal.remedy) from refusal
 
 
-def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: int = 0) -> list[Job]:
-    """All jobs of a sweep, numbered as Hydra numbers them, each with its settings and its folder.
+def create_jobs(
+    composer: Composer, overrides: Sequence[list[str]], first_number: int = 0
+) -> list[Job]:
+    """Jobs of a sweep, numbered as Hydra numbers them, each with its settings and its folder.
 
     Raises `BadRequest` for a name that leaves the results folder.
     """
@@ -76,15 +78,13 @@ def jobs_of(composer: Composer, overrides: Sequence[list[str]], first_number: in
     settings = [composer.settings(words, number) for number, words in numbered]
     jobs = []
     for (number, words), of_job in zip(numbered, settings, strict=True):
-        folder = folder_of(of_job).absolute()
+        folder = run_folder(of_job).absolute()
         jobs.append(Job(overrides=words, settings=of_job, folder=folder, number=number))
     return jobs
 
 
-def run_in_this_process(
-    job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext
-) -> None:
-    """The main function of a job's process, with all output in `folder/run.log`.
+def run_job(job: Job, composer: Composer, task: Task[Any], hydra_context: HydraContext) -> None:
+    """Run a job in the present process, with all output written to `folder/run.log`.
 
     What Hydra's `run_job` does in a process that goes on to other jobs, without the copies it needs
     to undo it.
@@ -112,7 +112,7 @@ def run_in_this_process(
         ended.status = JobStatus.FAILED
         text = "".join(traceback.format_exception(error))
         print(text, file=sys.stderr)
-        note_death(job.folder, error_facts(error, job.folder), text, os.getpid())
+        record_death(job.folder, error_columns(error, job.folder), text, os.getpid())
     hydra_context.callbacks.on_job_end(config=config, job_return=ended)
     if ended.status is JobStatus.FAILED:
         sys.exit(1)
@@ -129,23 +129,24 @@ def _redirect_output(folder: Path) -> None:
     faulthandler.enable()  # a crash in native code leaves its Python traceback in the log
 
 
-def outcome_of_ended(job: Job) -> Outcome:
-    """Outcome of a job whose process has ended, from its record, or from how the process died."""
+def ended_job_outcome(job: Job) -> Outcome:
+    """Outcome of a job whose process has ended, from its record or from how the process died."""
     assert job.process is not None
     job.process.join()
-    kill_group(job)  # what the job started and left behind
+    kill_job(job)  # what the job started and left behind
     death = _cause_of_death(job)
     text = ""
     with contextlib.suppress(OSError):  # it died before it could open its log
         text = (job.folder / LOG).read_text(errors="replace")[-LOG_TAIL:]
-    return note_death(job.folder, death, text, job.process.pid)
+    return record_death(job.folder, death, text, job.process.pid)
 
 
-def note_death(
+def record_death(
     folder: Path, death: Mapping[str, Any], text: str, pid: int | None = None
 ) -> Outcome:
-    """Outcome in the run's record. Where that is not final and no process works on the run, a
-    failure with `text` as traceback is recorded first.
+    """Record that a run's process died, unless the run has a final record, and return the run's
+    outcome. Where that is not final and no process works on the run, a failure with `text` as
+    traceback is recorded first.
 
     Not where another process than `pid` began the run: a sweep that was killed meanwhile left it,
     and it is only lost.
@@ -160,37 +161,37 @@ def note_death(
         if mine and record and is_of_another:
             record |= {"status": LOST}
         if not mine or is_of_another:  # this death is no end of the run
-            return outcome_of(folder, record)
+            return existing_outcome(folder, record)
         facts = {"study": folder.parent.name, "run": folder.name} | (record or {})
         write_failure(folder, facts, death, text or death["error_message"])
     return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
 
 
 def _cause_of_death(job: Job) -> dict[str, Any]:
-    """Error facts of a process that ended by a signal or an exit without leaving a record."""
+    """Error columns of a process that ended by a signal or an exit without leaving a record."""
     code = job.process.exitcode if job.process else None
     if code is None or code == SERVER_DIED:
         message = "the process that jobs are forked from was killed"
-        return _death_facts("ServerKilled", message, transient=True)
+        return _death_columns("ServerKilled", message, transient=True)
     if code >= 0:  # it chose to end; a signal has a negative code
         message = f"the process ended with status {code} before the run was recorded"
-        return _death_facts("ProcessExit", message, transient=False)
+        return _death_columns("ProcessExit", message, transient=False)
     if job.outcome is not None:
-        return _death_facts("Timeout", job.outcome.message, transient=False)
+        return _death_columns("Timeout", job.outcome.message, transient=False)
     name = signal.Signals(-code).name if -code in set(signal.Signals) else f"signal {-code}"
     message = f"the process was stopped by {name}{HINTS.get(name, '')}"
-    return _death_facts(name, message, transient=name in FROM_OUTSIDE)
+    return _death_columns(name, message, transient=name in FROM_OUTSIDE)
 
 
-def _death_facts(kind: str, message: str, transient: bool) -> dict[str, Any]:
-    """Error facts of a job that ended without a record: type, message, and whether the same command
-    may succeed."""
+def _death_columns(kind: str, message: str, transient: bool) -> dict[str, Any]:
+    """Error columns of a job that ended without a record: type, message, and whether a retry may
+    succeed."""
     return {"error_type": kind, "error_message": message, "failure_transient": transient}
 
 
-def stop_hanging(job: Job) -> None:
-    """Stop a job that exceeds its time. Its traceback is requested (faulthandler answers SIGABRT
-    into the log), then its whole process group is killed."""
+def stop_overdue_job(job: Job) -> None:
+    """Stop a job that exceeds its time limit. Its traceback is requested (faulthandler answers
+    SIGABRT into the log), then its whole process group is killed."""
     assert job.process is not None
     seconds = time.monotonic() - job.started
     message = f"no result after {seconds:.0f} s, the limit of hydra.launcher.timeout_s"
@@ -198,11 +199,11 @@ def stop_hanging(job: Job) -> None:
     with contextlib.suppress(ProcessLookupError):  # it may end by itself at this very moment
         os.kill(job.process.pid, signal.SIGABRT)
     job.process.join(GRACE_S)
-    kill_group(job)
+    kill_job(job)
 
 
-def kill_group(job: Job) -> None:
-    """Send SIGKILL to a job and to all processes that it started. A job that was never started has
+def kill_job(job: Job) -> None:
+    """Kill the process of a job and all processes that it started. A job that was never started has
     no group (0 would be our own)."""
     if job.process is None or job.process.pid == UNBORN:
         return

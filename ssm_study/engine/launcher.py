@@ -20,17 +20,17 @@ from omegaconf import DictConfig
 from ssm_study.engine.compose import Composer
 from ssm_study.engine.jobs import (
     Job,
-    jobs_of,
-    kill_group,
-    outcome_of_ended,
-    run_in_this_process,
-    stop_hanging,
+    create_jobs,
+    kill_job,
+    ended_job_outcome,
+    run_job,
+    stop_overdue_job,
 )
 from ssm_study.engine.plan import KeyedStages, plan_lines
 from ssm_study.engine.progress import Progress
 from ssm_study.engine.records import FAILED
 from ssm_study.engine.server import Server
-from ssm_study.engine.task import Task, store_of, task_of
+from ssm_study.engine.task import Task, shared_store, find_task
 from ssm_study.refusal import require
 
 
@@ -46,34 +46,35 @@ class Sweep(Protocol):
 class Launcher(ABC):
     """Interface of launchers, which run the jobs of a sweep on this machine or on others."""
 
-    at_once: int
+    parallel_jobs: int
 
     @abstractmethod
     def run(self, sweep: Sweep, jobs: list[Job], composer: Composer) -> None:
-        """Run the jobs. Afterwards each one has its `outcome`, also where its process failed."""
+        """Run the unfinished jobs of a sweep and fill in their outcomes. Afterwards each one has
+        its `outcome`, also where its process failed."""
 
 
-def launch(
+def launch_sweep(
     launcher: Launcher, sweep: Sweep, overrides: Sequence[list[str]], first_number: int
 ) -> list[JobReturn]:
-    """Compose every configuration, check those that are not finished, then run or plan them.
-    Returns one `JobReturn` each."""
+    """Compose the configurations of all jobs, check those that are not finished, then run or plan
+    them. Returns one `JobReturn` each."""
     setup_globals()
-    task = task_of(sweep.task_function)
-    task.refuse(sweep.config)
-    composer = Composer(sweep.hydra_context.config_loader, sweep.config, task.refuse)
-    jobs = jobs_of(composer, overrides, first_number)
+    task = find_task(sweep.task_function)
+    task.refuse_configuration(sweep.config)
+    composer = Composer(sweep.hydra_context.config_loader, sweep.config, task.refuse_configuration)
+    jobs = create_jobs(composer, overrides, first_number)
     unique = list({job.folder: job for job in jobs}.values())  # equal configurations are one run
     for job in unique:
         job.outcome = task.outcome_without_running(job.settings)
     to_do = [job for job in unique if job.outcome is None]
     for job in to_do:  # all of them before the first is begun: a typo is not found after an hour
-        job.check(task)
+        job.check_settings(task)
     if sweep.config.get("dry_run"):
         walks = [partial(task.stages, task.request(job.settings)) for job in to_do]
         finished = len(unique) - len(to_do)
-        store = store_of(sweep.config)
-        print("\n".join(plan_lines(store, walks, len(unique), finished, launcher.at_once)))
+        store = shared_store(sweep.config)
+        print("\n".join(plan_lines(store, walks, len(unique), finished, launcher.parallel_jobs)))
     else:
         launcher.run(sweep, unique, composer)
     ends = {job.folder: job.outcome for job in unique}
@@ -99,19 +100,19 @@ class Processes(Launcher):
         remedy = "give 1 or more"
         has_thread = self.threads >= 1
         require(has_thread, "hydra.launcher.threads", self.threads, "a job needs a thread", remedy)
-        has_job = self.at_once >= 1
+        has_job = self.parallel_jobs >= 1
         require(has_job, "hydra.launcher.n_jobs", self.n_jobs, "no job could run", remedy)
         most = cores if self.n_jobs is not None else max(cores, self.threads)
         require(
-            self.at_once * self.threads <= most,
+            self.parallel_jobs * self.threads <= most,
             "hydra.launcher.n_jobs * threads",
-            f"{self.at_once} * {self.threads}",
+            f"{self.parallel_jobs} * {self.threads}",
             f"this machine gives {cores} cores and oversubscribed jobs run 20 times slower",
             f"keep the product at or below {cores}",
         )
 
     @property
-    def at_once(self) -> int:  # type: ignore[override]
+    def parallel_jobs(self) -> int:  # type: ignore[override]
         """Number of jobs that run at the same time."""
         if self.n_jobs is not None:
             return self.n_jobs
@@ -122,25 +123,25 @@ class Processes(Launcher):
         ended."""
         to_do = [job for job in jobs if job.outcome is None]
         running = list[Job]()
-        task = task_of(sweep.task_function)
+        task = find_task(sweep.task_function)
         waiting = deque(enumerate(to_do))
         context = sweep.hydra_context
-        works = [partial(run_in_this_process, job, composer, task, context) for job in to_do]
+        works = [partial(run_job, job, composer, task, context) for job in to_do]
         # Starts with the first job.
-        server = Server(works, preload=partial(preload, task, to_do), threads=self.threads)
-        with _end_on_signals(running, server), Progress(total=len(jobs)) as progress:
+        server = Server(works, preload=partial(preload_for_jobs, task, to_do), threads=self.threads)
+        with _sweep_ending_signals(running, server), Progress(total=len(jobs)) as progress:
             for job in jobs:
                 if job.outcome is not None:
                     progress.count_outcome(job.outcome.status, reused=True)
             while waiting or running:
-                while waiting and len(running) < self.at_once:
+                while waiting and len(running) < self.parallel_jobs:
                     number, ready = waiting.popleft()
                     running.append(ready)
-                    ready.process = server.fork(number)
+                    ready.process = server.fork_job(number)
                     ready.started = time.monotonic()
                 for job in self._wait_for_ended(server, running, progress):
                     running.remove(job)
-                    job.outcome = outcome_of_ended(job)
+                    job.outcome = ended_job_outcome(job)
                     progress.count_outcome(job.outcome.status)
                     if self.fail_fast and job.outcome.status == FAILED:
                         waiting.clear()
@@ -149,7 +150,7 @@ class Processes(Launcher):
     def _wait_for_ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
         """Wait a moment and return the jobs that have ended, by themselves or stopped at the time
         limit."""
-        server.listen(0.5)
+        server.wait_for_job_end(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
         progress.show_running(running=len(running))
         if self.timeout_s is None:
@@ -157,15 +158,15 @@ class Processes(Launcher):
         for job in running:
             is_too_long = time.monotonic() - job.started > self.timeout_s
             if job not in ended and is_too_long:
-                stop_hanging(job)
+                stop_overdue_job(job)
                 ended.append(job)
         return ended
 
 
-def preload(task: Task[Any], jobs: list[Job]) -> None:
-    """Import in advance what every job would import, and read the code that their keys depend on
-    (0.2 s)."""
-    planned = KeyedStages(store_of(jobs[0].settings))
+def preload_for_jobs(task: Task[Any], jobs: list[Job]) -> None:
+    """Import in advance what every job of a sweep would import, and read the code on which their
+    keys depend."""
+    planned = KeyedStages(shared_store(jobs[0].settings))
     for job in jobs:
         with contextlib.suppress(Exception):  # the job itself says what is wrong with it
             task.stages(task.request(job.settings), planned)
@@ -175,7 +176,7 @@ def preload(task: Task[Any], jobs: list[Job]) -> None:
 
 
 @contextlib.contextmanager
-def _end_on_signals(running: list[Job], server: Server) -> Iterator[None]:
+def _sweep_ending_signals(running: list[Job], server: Server) -> Iterator[None]:
     """Context in which Ctrl-C and SIGTERM end the sweep and kill its jobs at once. Their runs count
     as `lost` and run again next time."""
 
@@ -193,7 +194,7 @@ def _end_on_signals(running: list[Job], server: Server) -> Iterator[None]:
         try:
             # The groups first: what a job has started is no child of the server.
             for job in running:
-                kill_group(job)
+                kill_job(job)
             server.close()
         finally:
             for number, handler in previous.items():

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
-from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, columns_key
 from ssm_study.engine.store import MANIFEST, Store
 
 
@@ -21,12 +21,12 @@ class PlannedStages(Stages):
     store: Store
     noted: dict[str, StageResult] = field(default_factory=dict)
 
-    def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         """Note that a run needs the stage with this key, and whether the store has it, without
         computing it."""
         if key in self.noted:  # many runs share a stage: its folder is looked for once
             return self.noted[key]
-        folder = self.store.folder(name, key)
+        folder = self.store.stage_folder(name, key)
         # Sums are compared when it is used: a plan reads no gigabytes.
         is_there = (folder / MANIFEST).is_file()
         result = StageResult(path=folder, key=key, seconds=0.0, reused=is_there, name=name)
@@ -35,12 +35,12 @@ class PlannedStages(Stages):
 
 
 class KeyedStages(PlannedStages):
-    """Planned stages with the keys of their columns, too. This requires reading all code that the
-    columns depend on."""
+    """Planned stages that also know the keys of their columns. This requires reading all code that
+    the columns depend on."""
 
-    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+    def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """Key of a stage's columns, without computing them."""
-        measure_key(output, before)
+        columns_key(output, before)
         return {}
 
 

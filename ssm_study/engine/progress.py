@@ -77,7 +77,8 @@ class Progress:
         return (time.monotonic() - self.started) / fresh * remaining
 
     def _show(self) -> None:
-        """Update the line on a terminal; elsewhere print it if the last one is old enough."""
+        """Update the progress line on a terminal; elsewhere print it if the last one is old
+        enough."""
         if self.live:
             self.live.update(Text(self.line()), refresh=True)
         elif time.monotonic() - self.spoken > QUIET_S:
@@ -121,5 +122,5 @@ class Watch(Thread):
         progress.show_running(running=statuses.count(RUNNING))
 
     def _statuses(self) -> list[str]:
-        """Status in the record of each run, `None` as text where there is no record."""
+        """Status of each run of the sweep, read from the run folders."""
         return [str((read_record(folder) or {}).get("status")) for folder in self.folders]

@@ -12,11 +12,11 @@ from typing import Any
 
 @cache
 def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
-    """Provenance as flat columns of a record. `git_commit` and `git_dirty` are None where no
-    repository tracks the file `source`."""
+    """Columns of a record that say where a number comes from: commit, versions, machine and
+    threads. `git_commit` and `git_dirty` are None where no repository tracks the file `source`."""
     source = source.resolve()
-    commit = _ask_git(source, "rev-parse", "HEAD")
-    changes = _ask_git(source, "status", "--porcelain", "--untracked-files=no")
+    commit = _git_output(source, "rev-parse", "HEAD")
+    changes = _git_output(source, "status", "--porcelain", "--untracked-files=no")
     is_tracked = commit is not None and changes is not None
     facts: dict[str, Any] = {
         "git_commit": commit or None,
@@ -28,14 +28,15 @@ def provenance(libraries: tuple[str, ...], source: Path) -> dict[str, Any]:
             facts[f"version_{library.replace('-', '_')}"] = metadata.version(library)
     facts["machine"] = platform.node()
     facts["machine_system"] = platform.platform()
-    facts["machine_processor"] = _processor()
+    facts["machine_processor"] = _processor_name()
     facts["machine_cores"] = len(os.sched_getaffinity(0))
     facts["threads"] = int(os.environ.get("OMP_NUM_THREADS", 0)) or None
     return facts
 
 
-def _ask_git(here: Path, *question: str) -> str | None:
-    """Answer of git about the repository that tracks the file `here`. None if there is none."""
+def _git_output(here: Path, *question: str) -> str | None:
+    """Output of a git command in the repository that tracks a file; None without such a repository.
+    None if there is none."""
     with suppress(OSError, subprocess.SubprocessError):
         for arguments in (("ls-files", "--error-unmatch", here.name), question):
             command = ["git", "-C", str(here.parent), *arguments]
@@ -44,8 +45,8 @@ def _ask_git(here: Path, *question: str) -> str | None:
     return None
 
 
-def _processor() -> str:
-    """Name of the processor's model."""
+def _processor_name() -> str:
+    """Model name of this machine's processor."""
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         named = next(line for line in lines if line.startswith("model name"))

@@ -85,8 +85,8 @@ def _fit_in_64_bits(*values: Any) -> bool:
 
 
 def storable_value(key: str, value: Any) -> bool | int | float | str | None:
-    """Value as a record stores it. Raises `BadRequest` for anything but a single number, text or
-    truth value."""
+    """Convert a value to the form in which a record stores it. Raises `BadRequest` for anything but
+    a single number, text or truth value."""
     if isinstance(value, np.generic):  # a scalar of NumPy is written as Python's
         value = value.item()
     if isinstance(value, float) and math.isnan(value):

@@ -30,7 +30,7 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run after `execute`. `did` is one of `ran`, `found` (finished before), `left`
+    """Outcome of a run after `execute_run`. `did` is one of `ran`, `found` (finished before), `left`
     (failed before and not asked to retry), `elsewhere` (another process works on it)."""
 
     folder: Path
@@ -48,7 +48,7 @@ class Run:
     stage_folders: list[Path] = field(default_factory=list)  # that the work has taken so far
 
     def note(self, **facts: Any) -> None:
-        """Add numbers to the record; they stay there even if the work fails later."""
+        """Add columns to the run's record; they are stored even if the work fails later."""
         self.facts.update(facts)
 
     def note_stage(
@@ -64,12 +64,12 @@ class Run:
         if not stage.path.is_dir():  # then a file may be missing that it had
             raise FileNotFoundError(errno.ENOENT, "was removed", str(stage.path))
 
-    def has_lost_a_stage(self) -> bool:
-        """Whether somebody has removed a stage that the work has taken."""
+    def is_missing_a_stage(self) -> bool:
+        """Whether somebody has removed the folder of a stage that this run uses."""
         return not all(folder.is_dir() for folder in self.stage_folders)
 
 
-def execute(
+def execute_run(
     folder: Path,
     parameters: Mapping[str, Any],
     work: Callable[[Run], Mapping[str, Any] | None],
@@ -78,8 +78,8 @@ def execute(
     provenance: Mapping[str, Any] | None = None,
     retry_failed: bool = False,
 ) -> Outcome:
-    """Call `work(run)` in `folder` unless the run is finished, and record what it returns or how it
-    failed.
+    """Execute the work of one run in its folder, unless the run is finished, and record results or
+    the failure.
 
     `work` returns further facts; `status` among them may be `infeasible` (default `ok`).
     `parameters` are in the record from the start. `configuration` maps file names to text, written
@@ -94,25 +94,25 @@ def execute(
             return Outcome(folder=folder, status=RUNNING, did="elsewhere", message=message)
         # Under the lock: another process may have done the run in the meantime.
         before = run_status(folder, mine=True)
-        if not is_to_run(before, retry_failed):
-            return outcome_of(folder, before)
-        _move_attempt_aside(folder, before)
+        if not needs_run(before, retry_failed):
+            return existing_outcome(folder, before)
+        _archive_attempt(folder, before)
         for name, text in (configuration or {}).items():
             (folder / ".hydra").mkdir(exist_ok=True)
             write_atomically(folder / ".hydra" / name, text.encode(), durable=False)
-        opening = dict(parameters) | _opening_facts(folder, before) | dict(provenance or {})
+        opening = dict(parameters) | _starting_columns(folder, before) | dict(provenance or {})
         return _do_work(folder, opening, work)
 
 
-def _opening_facts(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Columns of a run that begins; the count of attempts continues over killed ones."""
+def _starting_columns(folder: Path, before: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Columns recorded when a run begins, among them the count of attempts."""
     attempts = int((before or {}).get("attempt") or 0)
     return {
         "study": folder.parent.name,
         "run": folder.name,
         "status": RUNNING,
         "attempt": attempts + 1,
-        "started_utc": _now(),
+        "started_utc": _utc_now(),
         "pid": os.getpid(),
         "host": socket.gethostname(),
     }
@@ -132,9 +132,9 @@ def run_status(folder: Path, mine: bool = False) -> dict[str, Any] | None:
     return record
 
 
-def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
-    """Whether a run has to be executed. Finished runs are not, failed ones only with
-    `retry_failed`, unless the machine was at fault (disk, signal)."""
+def needs_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
+    """Whether a run has to be executed, given the status in its folder. Finished runs are not,
+    failed ones only with `retry_failed`, unless the machine was at fault (disk, signal)."""
     if before is None:
         return not retry_failed
     status = before["status"]
@@ -143,8 +143,8 @@ def is_to_run(before: Mapping[str, Any] | None, retry_failed: bool) -> bool:
     return status in (LOST, CORRUPT)
 
 
-def outcome_of(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
-    """Outcome of a run that is not executed now, taken from the record in its folder."""
+def existing_outcome(folder: Path, before: Mapping[str, Any] | None) -> Outcome:
+    """Outcome of a run that needs no execution, taken from the record in its folder."""
     if before is None:
         message = "never ran; only failed runs are retried"
         return Outcome(folder=folder, status="absent", did="left", message=message)
@@ -167,25 +167,25 @@ def _do_work(
         problem = "not the status of finished work"
         require(status in FINISHED, "status", status, problem, "return ok or infeasible")
         seconds = time.perf_counter() - started
-        closing = {"status": status, "ended_utc": _now(), "seconds": seconds}
+        closing = {"status": status, "ended_utc": _utc_now(), "seconds": seconds}
         # Before the record: that one makes the run count, so its files must already be durable.
         seal_run(folder)
         records.write_record(folder, opening | run.facts | closing)
     except (Exception, SystemExit) as error:
-        if _stopped_by_scheduler(error):
+        if _is_scheduler_stop(error):
             raise
-        death = error_facts(error, folder)
-        if run.has_lost_a_stage():  # its reader may say so in any words
+        death = error_columns(error, folder)
+        if run.is_missing_a_stage():  # its reader may say so in any words
             death["failure_transient"] = True
         write_failure(folder, opening | run.facts, death, text=traceback.format_exc())
         return Outcome(folder=folder, status=FAILED, did="ran", message=death["error_message"])
     return Outcome(folder=folder, status=str(status), did="ran")
 
 
-def _stopped_by_scheduler(error: BaseException) -> bool:
-    """Whether an error comes from submitit's answer to the signal before a time limit. The job is
-    queued again, or its last attempt is over, and the run is `lost`, so that the next attempt or
-    the same command repeats it."""
+def _is_scheduler_stop(error: BaseException) -> bool:
+    """Whether an error was raised because the scheduler announced the end of the job's time. The
+    job is queued again, or its last attempt is over, and the run is `lost`, so that the next
+    attempt or the same command repeats it."""
     *_, (innermost, _) = traceback.walk_tb(error.__traceback__)
     return str(innermost.f_globals.get("__name__")).startswith("submitit.")
 
@@ -197,15 +197,15 @@ def seal_run(folder: Path) -> None:
     seal_folder(folder, {"run": folder.name}, leave_out=changing)
 
 
-def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
-    """Columns that describe a failure: type, message, and whether it is transient. The same command
-    tries again after a transient one (disk or memory of the machine)."""
+def error_columns(error: BaseException, folder: Path) -> dict[str, Any]:
+    """Columns that describe a failure: type, message, and whether a retry may succeed. The same
+    command tries again after a transient one (disk or memory of the machine)."""
     text = str(error) or type(error).__name__
     if isinstance(error, SystemExit):
         text = f"exited with status {error.code}"
     if isinstance(error, OSError) and error.filename is None:
         text = f"{text} (in {folder})"
-    is_transient = any(_is_fault_of_machine(cause, folder) for cause in _causes(error))
+    is_transient = any(_is_fault_of_machine(cause, folder) for cause in _exception_chain(error))
     return {
         "error_type": type(error).__name__,
         "error_message": " ".join(text.split())[:LONGEST_MESSAGE],
@@ -213,8 +213,8 @@ def error_facts(error: BaseException, folder: Path) -> dict[str, Any]:
     }
 
 
-def _causes(error: BaseException) -> Iterator[BaseException]:
-    """Chain of an exception: itself, what it was raised from or while handling, and so on."""
+def _exception_chain(error: BaseException) -> Iterator[BaseException]:
+    """Exception followed by those it was raised from or while handling."""
     cause: BaseException | None = error
     while cause is not None:
         yield cause
@@ -260,11 +260,11 @@ def write_failure(
         for name, value in facts.items():
             with suppress(BadRequest):  # what no record holds may be the very cause of the failure
                 storable_facts[name] = records.storable_value(name, value)
-        closing = {"status": FAILED, "ended_utc": _now()} | dict(error)
+        closing = {"status": FAILED, "ended_utc": _utc_now()} | dict(error)
         records.write_record(folder, storable_facts | closing)
 
 
-def _move_attempt_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
+def _archive_attempt(folder: Path, before: Mapping[str, Any] | None) -> None:
     """Move the files of an earlier attempt into `attempts/<n>/`, so that files of two attempts
     never mix."""
     if before is None and not (folder / RECORD).exists():
@@ -282,6 +282,6 @@ def _move_attempt_aside(folder: Path, before: Mapping[str, Any] | None) -> None:
             shutil.move(path, attempt / path.name)
 
 
-def _now() -> str:
+def _utc_now() -> str:
     """Present time in UTC, as text."""
     return datetime.now(UTC).isoformat(timespec="seconds")

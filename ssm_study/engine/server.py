@@ -39,20 +39,22 @@ class Child:
     signal killed it."""
 
     pid: int
-    listen: Callable[[float | None], object]
+    wait_for_job_end: Callable[[float | None], object]
     exitcode: int | None = None
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the process has ended, `timeout` seconds at most."""
         deadline = None if timeout is None else time.monotonic() + timeout
         while self.exitcode is None and (deadline is None or time.monotonic() < deadline):
-            self.listen(None if deadline is None else max(0.0, deadline - time.monotonic()))
+            self.wait_for_job_end(
+                None if deadline is None else max(0.0, deadline - time.monotonic())
+            )
 
 
 @dataclass
 class Server:
-    """Server that forks a process for each of `tasks`. `preload` imports for all of them, `threads`
-    is the number of threads of each."""
+    """Server process from which the jobs of a sweep are forked. `preload` imports for all of them,
+    `threads` is the number of threads of each."""
 
     tasks: Sequence[Callable[[], object]]
     preload: Callable[[], object]
@@ -61,24 +63,26 @@ class Server:
     line: Connection | None = None
     pid: int = 0
 
-    def fork(self, number: int) -> Child:
-        """Fork a new process that does one of the tasks. Raises `BadRequest` if `preload` fails."""
+    def fork_job(self, number: int) -> Child:
+        """Fork a new process that does the task with this number. Raises `BadRequest` if `preload`
+        fails."""
         if self.line is None:
-            self._start()
+            self._start_server()
         assert self.line is not None
         try:
             self.line.send(number)
         except ConnectionError:
-            self._note_death()
+            self._mark_jobs_dead()
         # The ends of other jobs may be told before the birth of this one.
         while self.line is None or not isinstance(born := self._read_message(), Child):
             if self.line is None:  # the server was killed before it could fork
-                return Child(pid=UNBORN, listen=self.listen, exitcode=SERVER_DIED)
+                return Child(
+                    pid=UNBORN, wait_for_job_end=self.wait_for_job_end, exitcode=SERVER_DIED
+                )
         return born
 
-    def listen(self, timeout: float | None) -> None:
-        """Wait for the next job to end, `timeout` seconds at most, and note its exit status in its
-        `Child`."""
+    def wait_for_job_end(self, timeout: float | None) -> None:
+        """Wait until a job ends, at most for a time limit, and note its exit status."""
         if self.line is not None and self.line.poll(timeout):
             self._read_message()
 
@@ -95,24 +99,24 @@ class Server:
         try:
             pid, exitcode = self.line.recv()  # a birth has no exit code, an end has
         except (EOFError, ConnectionError):
-            self._note_death()
+            self._mark_jobs_dead()
             return None
         if exitcode is None:
-            self.children[pid] = Child(pid=pid, listen=self.listen)
+            self.children[pid] = Child(pid=pid, wait_for_job_end=self.wait_for_job_end)
             return self.children[pid]
         self.children.pop(pid).exitcode = exitcode
         return None
 
-    def _note_death(self) -> None:
-        """Note that the server and all its jobs are dead; the next job starts a new server."""
+    def _mark_jobs_dead(self) -> None:
+        """Mark all jobs as ended because the server has died; the next job starts a new server."""
         self.close()
         for child in self.children.values():
             child.exitcode = SERVER_DIED
         self.children.clear()
 
-    def _start(self) -> None:
-        """Preload the libraries and fork the server."""
-        with _environment_variables(thread_limits(self.threads)):
+    def _start_server(self) -> None:
+        """Preload the libraries and fork the server process."""
+        with _temporary_environment(thread_limits(self.threads)):
             try:
                 self.preload()
             except Exception as error:  # whatever a module raises
@@ -126,18 +130,18 @@ class Server:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job
             self.line, theirs = Pipe()
-            self.pid = os.fork()
+            self.pid = os.fork_job()
             if self.pid == 0:
                 # The server must not hold the sweep's end, or it would never see it close.
                 self.line.close()
-                _serve(theirs, self.tasks, self.threads)
+                _run_server(theirs, self.tasks, self.threads)
             # Nor the sweep the server's: its death is then seen as the end of the line.
             theirs.close()
 
 
-def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
-    """Run the server: fork a process on request and report every end. When the sweep is gone, kill
-    all processes."""
+def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: int) -> NoReturn:
+    """Main loop of the server process: fork jobs on request and report their ends. When the sweep
+    is gone, kill all processes."""
     os.setsid()  # Ctrl-C on the terminal reaches the sweep alone, which then ends the rest in order
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
@@ -149,7 +153,7 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
         while True:
             for ready in wait([sweep, *living]):
                 if ready is sweep:
-                    pid = _fork(sweep, tasks[sweep.recv()])
+                    pid = _fork_job(sweep, tasks[sweep.recv()])
                     # Readable when the process ends: no polling, no SIGCHLD.
                     living[os.pidfd_open(pid)] = pid
                     sweep.send((pid, None))
@@ -162,10 +166,10 @@ def _serve(sweep: Connection, tasks: Sequence[Callable[[], object]], threads: in
     os._exit(0)  # without the sweep's own handlers at exit, which the fork has inherited
 
 
-def _fork(sweep: Connection, task: Callable[[], object]) -> int:
-    """Fork a process that does the task, and return its id."""
+def _fork_job(sweep: Connection, task: Callable[[], object]) -> int:
+    """Fork a process that does one task, and return its process id."""
     server = os.getpid()
-    pid = os.fork()
+    pid = os.fork_job()
     if pid:
         return pid
     status = 1
@@ -229,8 +233,8 @@ def _collapse_into_large_pages() -> None:
 
 
 @contextlib.contextmanager
-def _environment_variables(variables: dict[str, str]) -> Iterator[None]:
-    """Context in which environment variables have these values."""
+def _temporary_environment(variables: dict[str, str]) -> Iterator[None]:
+    """Context in which environment variables have the given values."""
     before = {name: os.environ[name] for name in variables if name in os.environ}
     os.environ.update(variables)
     try:

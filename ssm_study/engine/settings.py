@@ -42,7 +42,7 @@ def target_names(node: Any) -> frozenset[str]:
 
 
 def as_settings(value: Any) -> Any:
-    """Plain containers with every dictionary turned into `Settings`."""
+    """Copy of nested plain containers in which every dictionary is a `Settings`."""
     if isinstance(value, list):
         return [as_settings(item) for item in value]
     if isinstance(value, Settings) or not isinstance(value, dict):
@@ -117,14 +117,13 @@ def _normalise_numbers(value: Any) -> Any:
     return value
 
 
-def digest(value: Any) -> str:
-    """SHA-256 of the canonical JSON text of a value, 64 hexadecimal digits."""
+def digest_of_value(value: Any) -> str:
+    """SHA-256 of the canonical JSON text of a value, as 64 hexadecimal digits."""
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
 
 
 def run_name(config: DictConfig | Settings, *shown: str) -> str:
-    """Name of a run: the settings that are worth showing, then ten digits of a hash of all settings
-    (`order8-width32-seed0-1a2b3c4d5e`).
+    """Name of a run: selected settings, then ten digits of a hash of all settings.
 
     `shown` are pairs `word:key`, e.g. `width:model.hidden_width`; a key that is not there is left
     out, and so is a part of the settings that is null: it adds nothing to what a run is. Ten
@@ -138,7 +137,7 @@ def run_name(config: DictConfig | Settings, *shown: str) -> str:
         value = value_at(identity, path)
         if isinstance(value, int | float | str):
             words.append(re.sub(r"[^A-Za-z0-9.]+", "_", f"{word}{value}")[:LONGEST_WORD])
-    return "-".join([*words, digest(identity)[:NAME_DIGITS]])
+    return "-".join([*words, digest_of_value(identity)[:NAME_DIGITS]])
 
 
 def value_at(settings: Any, path: str) -> Any:
@@ -153,6 +152,7 @@ class _Dumper(yaml.CSafeDumper):
     (`1e5`, `nan`)."""
 
     def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002
+        """Tell PyYAML to write repeated objects in full, without aliases."""
         return True
 
 

@@ -12,9 +12,9 @@ from hydra.core.singleton import Singleton
 from submitit.core.utils import UncompletedJobError
 
 from ssm_study.engine.compose import Composer
-from ssm_study.engine.jobs import Job, note_death
+from ssm_study.engine.jobs import Job, record_death
 from ssm_study.engine.launcher import Launcher, Sweep
-from ssm_study.engine.runs import Outcome, error_facts
+from ssm_study.engine.runs import Outcome, error_columns
 
 # What submitit's executor knows for every scheduler; all else is Slurm's own.
 AUTO = frozenset(
@@ -32,7 +32,7 @@ class Slurm(Launcher):
     launcher: Any
 
     @property
-    def at_once(self) -> int:  # type: ignore[override]
+    def parallel_jobs(self) -> int:  # type: ignore[override]
         """Number of jobs that Slurm may run at the same time."""
         return int(self.launcher.params["array_parallelism"])
 
@@ -79,15 +79,15 @@ def wait_for_outcome(job: Job, submitted: submitit.Job, patience_s: float = FORG
     except UncompletedJobError as error:
         problem = str(error)
     except Exception as error:  # the job's own, from its node: the others are waited for
-        death = error_facts(error, job.folder)
-        return note_death(job.folder, death, "".join(format_exception(error)))
+        death = error_columns(error, job.folder)
+        return record_death(job.folder, death, "".join(format_exception(error)))
     message = f"Slurm ended job {submitted.job_id}: {state.lower().replace('_', ' ')}"
     death = {
         "error_type": state.title().replace("_", ""),
         "error_message": message,
         "failure_transient": True,
     }
-    return note_death(job.folder, death, problem)
+    return record_death(job.folder, death, problem)
 
 
 def wait_for_end(submitted: submitit.Job, patience_s: float) -> str:

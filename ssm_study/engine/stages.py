@@ -13,15 +13,15 @@ from typing import Any, Generic, TypeVar
 
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.fingerprint import code_version
-from ssm_study.engine.settings import digest, target_names
+from ssm_study.engine.settings import digest_of_value, target_names
 
 T = TypeVar("T")
 Facts = dict[str, Any]
 Compute = Callable[[Path], None]
 
 
-def empty_facts(*_: Any) -> Any:
-    """Empty columns, or an empty value, for a stage that only leaves files."""
+def empty_columns(*_: Any) -> Any:
+    """Return no columns, for a stage that only leaves files."""
     return {}
 
 
@@ -38,8 +38,8 @@ class Stage(Generic[T]):
 
     name: str
     compute: Callable[..., Any]
-    read: Callable[[Path], T] = empty_facts
-    measure: Callable[..., Mapping[str, Any]] = empty_facts
+    read: Callable[[Path], T] = empty_columns
+    measure: Callable[..., Mapping[str, Any]] = empty_columns
     files: tuple[str, ...] = ()
     # Later stages depend on what its files say, not on how they came about: an edit of its code
     # that
@@ -70,7 +70,7 @@ class StageOutput(Generic[T]):
 
     @cached_property
     def value(self) -> T:
-        """Value of the stage, read from its folder."""
+        """Value of the stage, read from its folder when first asked for."""
         return self.computed[0] if self.computed else self.stage.read(self.result.path)
 
     @cached_property
@@ -81,7 +81,7 @@ class StageOutput(Generic[T]):
         files = [self.result.path / name for name in self.stage.files]
         if self.stage.known_by_content and all(path.is_file() for path in files):
             made = [sha256_of_file(path) for path in files]
-        return digest([made, code_version(self.stage.read)])
+        return digest_of_value([made, code_version(self.stage.read)])
 
 
 class Stages(ABC):
@@ -118,24 +118,25 @@ class Stages(ABC):
             "before": [output.value_key for output in before],
             "code": code_version(stage.compute, *sorted(target_names(settings))),
         }
-        result = self.keyed(stage.name, digest(note), note, compute)
+        result = self.stage_with_key(stage.name, digest_of_value(note), note, compute)
         output = StageOutput(stage, result, tuple(computed))
-        return replace(output, facts=self.measured(output, before))
+        return replace(output, facts=self.stage_columns(output, before))
 
     @abstractmethod
-    def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
-        """Result of the stage with this key. `note` says what the key was made of."""
+    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:
+        """Result of the stage with this key, computed if it is not stored yet. `note` says what the
+        key was made of."""
 
-    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
-        """Columns of a finished stage. Empty in a plan."""
+    def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:  # noqa: ARG002
+        """Columns that describe a finished stage. Empty in a plan."""
         return {}
 
     def unrecorded(self) -> "Stages":
-        """Stages of the same store that do not appear in the run's record."""
+        """The same store of stages, used without noting the stages in the run's record."""
         return self
 
 
-def measure_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
+def columns_key(output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> str:
     """Key under which the columns of a stage are stored."""
     earlier_keys = [earlier.value_key for earlier in before]
-    return digest([output.value_key, earlier_keys, code_version(output.stage.measure)])
+    return digest_of_value([output.value_key, earlier_keys, code_version(output.stage.measure)])

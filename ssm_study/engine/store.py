@@ -25,8 +25,8 @@ from ssm_study.durable import (
     sha256_of_file,
 )
 from ssm_study.engine.records import storable_value
-from ssm_study.engine.settings import digest
-from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
+from ssm_study.engine.settings import digest_of_value
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, columns_key
 from ssm_study.refusal import require
 
 MANIFEST = "manifest.json"
@@ -47,13 +47,12 @@ class Store(Stages):
 
     root: Path
 
-    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        """Columns of a stage, read from their sealed file beside its folder, or measured and
-        written there.
+    def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        """Columns of a stage, read from their stored file or else measured and stored.
 
         A damaged file is measured again.
         """
-        key = measure_key(output, before)
+        key = columns_key(output, before)
         folder = output.result.path
         path = folder.with_name(f"{folder.name}.{key[:16]}.json")
         stored = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
@@ -68,29 +67,32 @@ class Store(Stages):
         durable.write_json_atomically(path, add_digest(body), durable=False)
         return facts
 
-    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+    def stage_with_key(
+        self, name: str, key: str, note: dict[str, Any], compute: Compute
+    ) -> StageResult:
         """Result of the stage with this key, computed by `compute(folder)` if it is missing or
         damaged.
 
         Whatever `compute` raises is raised; nothing half-written is ever seen under the final name.
         """
-        if intact := self.find(name, key):
+        if intact := self.find_stage(name, key):
             return intact
         with file_lock(self.root / ".locks" / f"{name}-{key}.lock"):
-            if intact := self.find(name, key):  # another process was faster
+            if intact := self.find_stage(name, key):  # another process was faster
                 return intact
-            folder = self.folder(name, key)
+            folder = self.stage_folder(name, key)
             if folder.exists():  # damaged, or placed since by a node beyond our lock
-                if intact := self.find(name, key):
+                if intact := self.find_stage(name, key):
                     return intact
                 corrupt = self.root / ".corrupt" / f"{name}-{folder.name}-{secrets.token_hex(4)}"
                 corrupt.parent.mkdir(parents=True, exist_ok=True)
                 folder.rename(corrupt)
             return self._compute_stage(name, key, note, compute)
 
-    def find(self, name: str, key: str) -> StageResult | None:
-        """Intact stage with this key. None if it is missing or damaged."""
-        folder = self.folder(name, key)
+    def find_stage(self, name: str, key: str) -> StageResult | None:
+        """Stored stage with this key if it is intact; else None. None if it is missing or
+        damaged."""
+        folder = self.stage_folder(name, key)
         manifest = intact_manifest(folder)
         # The name holds 32 of its 64 digits only.
         if manifest is None or manifest.get("key") != key:
@@ -98,8 +100,8 @@ class Store(Stages):
         seconds = manifest["seconds"]
         return StageResult(path=folder, key=key, seconds=seconds, reused=True, name=name)
 
-    def folder(self, name: str, key: str) -> Path:
-        """Folder of the stage with this key."""
+    def stage_folder(self, name: str, key: str) -> Path:
+        """Folder in which the stage with this key is stored."""
         is_plain = name.replace("_", "").replace("-", "").isalnum()
         require(is_plain, "stage", name, "not a plain name", "use letters and digits")
         return self.root / name / key[:32]
@@ -108,7 +110,7 @@ class Store(Stages):
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
         """Compute a stage in a temporary folder, seal it, and move it to its place."""
-        final = self.folder(name, key)
+        final = self.stage_folder(name, key)
         temporary = final.with_name(f".tmp-{final.name}-{machine_name()}-{secrets.token_hex(4)}")
         # Beside its final name: a rename cannot leave the file system.
         temporary.mkdir(parents=True)
@@ -147,7 +149,7 @@ def _move_into_place(temporary: Path, final: Path) -> None:
 def machine_name() -> str:
     """Name of this machine as it appears in file names. Its locks are reliable here, and may not be
     elsewhere."""
-    return digest(socket.gethostname())[:8]
+    return digest_of_value(socket.gethostname())[:8]
 
 
 def _clear_leftovers(temporary: Path, final: Path) -> None:
@@ -213,7 +215,7 @@ def damaged_files(folder: Path, manifest: dict[str, Any]) -> list[str]:
     """Names of files in the manifest that are missing, or differ from it in size or content."""
 
     def is_same(path: Path, facts: dict[str, Any]) -> bool:
-        """Whether a file has the size and checksum of the manifest."""
+        """Whether a file still has the size and checksum that the manifest lists."""
         with suppress(OSError):
             if path.stat().st_size != facts["bytes"]:  # the cheap one first
                 return False

@@ -15,8 +15,8 @@ from omegaconf import DictConfig
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.plan import plan_lines
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.runs import Outcome, Run, execute, is_to_run, outcome_of, run_status
-from ssm_study.engine.settings import Settings, digest, plain_settings, yaml_text
+from ssm_study.engine.runs import Outcome, Run, execute_run, needs_run, existing_outcome, run_status
+from ssm_study.engine.settings import Settings, digest_of_value, plain_settings, yaml_text
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages
 from ssm_study.engine.store import Store
 from ssm_study.refusal import require
@@ -31,8 +31,8 @@ _CHECKED: dict[Path, Any] = {}
 
 
 class Task(ABC, Generic[R]):
-    """Task of a program: it checks a configuration, takes its stages, and completes the record at
-    the end of the run.
+    """Base class of a program's task: checks a configuration, computes its stages, and completes
+    the record.
 
     Hydra calls `job`. The settings have the keys `study`, `results_dir`, `run` (`${run_name:...}`),
     `retry_failed` and `dry_run`; all others are the task's own. `libraries` are the distributions
@@ -43,13 +43,13 @@ class Task(ABC, Generic[R]):
 
     @abstractmethod
     def check(self, settings: Settings) -> R:
-        """Request that the settings describe. Raises `BadRequest` for every mistake that can be
-        seen before long work."""
+        """Build the request that the settings describe, refusing every mistake that can be seen
+        before long work. Raises `BadRequest` for every mistake that can be seen before long
+        work."""
 
     @abstractmethod
     def stages(self, request: R, stages: Stages) -> None:
-        """Take every stage of the request through `stages`; values are read inside stages only,
-        since a plan has none."""
+        """Run every stage of the request, or plan it, depending on the given `stages`."""
 
     def run(self, request: R, run: Run) -> Facts:  # noqa: ARG002
         """Compute the columns that need all stages. `run.facts` holds the stages' columns, `status`
@@ -60,23 +60,22 @@ class Task(ABC, Generic[R]):
         """Parameters of the request, which are columns of the record from the start."""
         return {}
 
-    def asked(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
-        """Further columns of the record that depend on the command line alone. A run made without
-        one lacks them."""
+    def command_line_columns(self, request: R, overrides: Sequence[str]) -> Facts:  # noqa: ARG002
+        """Columns of the record that depend on the command line alone. A run made without one lacks
+        them."""
         return {}
 
-    def refuse(self, config: DictConfig) -> None:
-        """Raise `BadRequest` for what no configuration may contain, before anything in it is
+    def refuse_configuration(self, config: DictConfig) -> None:
+        """Raise `BadRequest` for a configuration with forbidden content, before any of it is
         resolved or instantiated."""
 
-    def inputs(self, settings: Settings) -> list[Path]:  # noqa: ARG002
-        """Files that the request reads; a finished run is up to date only while their content is
-        the same."""
+    def input_files(self, settings: Settings) -> list[Path]:  # noqa: ARG002
+        """Files that the request reads; a finished run is out of date once their content
+        changes."""
         return []
 
     def preload(self, again: Set[str]) -> None:
-        """Import what every job of a sweep would import for itself; called once, before the first
-        job is forked.
+        """Import, once before the first job is forked, what all jobs of a sweep would import.
 
         `again` names the stages that several jobs will compute; what only other stages take is left
         to the job.
@@ -87,10 +86,10 @@ class Task(ABC, Generic[R]):
         return provenance(self.libraries, Path(inspect.getfile(type(self))))
 
     def settings(self, config: DictConfig | Settings) -> Settings:
-        """Settings of a configuration. Raises `BadRequest` for what no configuration may
-        contain."""
+        """Plain settings of a configuration, after checking it for forbidden content. Raises
+        `BadRequest` for what no configuration may contain."""
         if not isinstance(config, Settings):
-            self.refuse(config)
+            self.refuse_configuration(config)
         settings = plain_settings(config)
         for name in FLAGS & settings.keys():
             value = settings[name]
@@ -99,16 +98,16 @@ class Task(ABC, Generic[R]):
         return settings
 
     def request(self, config: DictConfig | Settings) -> R:
-        """Request of a configuration, checked once per run and process."""
+        """Checked request of a configuration, built once per run and process."""
         settings = self.settings(config)
-        folder = folder_of(settings).absolute()
+        folder = run_folder(settings).absolute()
         if folder not in _CHECKED:
             _CHECKED[folder] = self.check(settings)
         found: R = _CHECKED[folder]
         return found
 
     def job(self, config: DictConfig | Settings) -> Outcome:
-        """Execute the run of this configuration unless it is finished, and leave its record."""
+        """Execute the run of a configuration unless it is finished, and leave its record."""
         settings = self.settings(config)
         # Before anything is built: a finished run costs next to nothing.
         outcome = self.outcome_without_running(settings)
@@ -116,8 +115,12 @@ class Task(ABC, Generic[R]):
             walks = [lambda stages: self.stages(self.request(settings), stages)]
             if outcome is not None:
                 walks = []
-            print("\n".join(plan_lines(store_of(settings), walks, runs=1, finished=1 - len(walks))))
-            return outcome or Outcome(folder=folder_of(settings), status="absent", did="planned")
+            print(
+                "\n".join(
+                    plan_lines(shared_store(settings), walks, runs=1, finished=1 - len(walks))
+                )
+            )
+            return outcome or Outcome(folder=run_folder(settings), status="absent", did="planned")
         if outcome is not None:
             return outcome
         request = self.request(settings)
@@ -125,16 +128,16 @@ class Task(ABC, Generic[R]):
         def work(run: Run) -> Facts:
             """Run every stage and return the columns that complete the record."""
             announces = settings.get("progress") is True and sys.stderr.isatty()
-            self.stages(request, RunStages(store_of(settings).root, run, announces))
+            self.stages(request, RunStages(shared_store(settings).root, run, announces))
             return self.run(request, run)
 
         overrides = list(HydraConfig.get().overrides.task) if HydraConfig.initialized() else []
-        parameters = self.parameters(request) | self.asked(request, overrides)
-        inputs = self.inputs(settings)
+        parameters = self.parameters(request) | self.command_line_columns(request, overrides)
+        inputs = self.input_files(settings)
         if inputs:
-            parameters |= {INPUTS: content_of(inputs)}
-        return execute(
-            folder_of(settings),
+            parameters |= {INPUTS: files_checksum(inputs)}
+        return execute_run(
+            run_folder(settings),
             parameters,
             work,
             configuration={
@@ -146,23 +149,23 @@ class Task(ABC, Generic[R]):
         )
 
     def outcome_without_running(self, config: DictConfig | Settings) -> Outcome | None:
-        """Outcome of a run that is not executed now. None for a run that is.
+        """Outcome of a run that needs no execution; None for one that does. None for a run that is.
 
         Raises `BadRequest` for a finished run whose input files have changed since.
         """
         settings = self.settings(config)
-        folder = folder_of(settings)
+        folder = run_folder(settings)
         before = run_status(folder)
-        if is_to_run(before, bool(settings.get("retry_failed"))):
+        if needs_run(before, bool(settings.get("retry_failed"))):
             return None
-        outcome = outcome_of(folder, before)
-        files = self.inputs(settings) if outcome.did == "found" else []
+        outcome = existing_outcome(folder, before)
+        files = self.input_files(settings) if outcome.did == "found" else []
         if before is not None and files:
             digest_then = before.get(INPUTS)  # none where the run read no files
             names = ", ".join(str(path) for path in files)
             problem = f"{names} changed since this run was done"
             remedy = "give study a new name, or remove the folder"
-            require(digest_then in (None, content_of(files)), "run", folder, problem, remedy)
+            require(digest_then in (None, files_checksum(files)), "run", folder, problem, remedy)
         return outcome
 
 
@@ -174,7 +177,9 @@ class RunStages(Store):
     run: Run
     announces: bool = False
 
-    def keyed(self, name: str, key: str, note: dict[str, Any], compute: Compute) -> StageResult:
+    def stage_with_key(
+        self, name: str, key: str, note: dict[str, Any], compute: Compute
+    ) -> StageResult:
         """Stage from the store, computed or reused; its name is printed before it is computed."""
 
         def announced(folder: Path) -> None:
@@ -183,20 +188,20 @@ class RunStages(Store):
                 print(f"ssm-study: {name} ...", file=sys.stderr, flush=True)
             compute(folder)
 
-        result = super().keyed(name, key, note, announced)
+        result = super().stage_with_key(name, key, note, announced)
         self.run.stage_folders.append(result.path)
         return result
 
-    def measured(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+    def stage_columns(self, output: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
         """Columns of a stage from the store, noted in the record of the run."""
-        facts = super().measured(output, before)
+        facts = super().stage_columns(output, before)
         self.run.note_stage(
             output.result, output.stage.files, facts
         )  # at once: a later one may fail
         return facts
 
     def unrecorded(self) -> Store:
-        """Stages of the store that do not appear in the record."""
+        """The store itself, whose stages are not noted in the run's record."""
         return Store(self.root)
 
 
@@ -204,7 +209,7 @@ PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._=,+-]{0,199}")
 CHARACTERS_OF_A_NAME = "use letters, digits, '.', '_' and '-', at most 200 of them"
 
 
-def folder_of(settings: Mapping[str, Any]) -> Path:
+def run_folder(settings: Mapping[str, Any]) -> Path:
     """Folder of a run, `results_dir/study/run`. Raises `BadRequest` for names that lead out of the
     results folder."""
     names = {key: settings[key] for key in ("results_dir", "study", "run")}
@@ -216,18 +221,18 @@ def folder_of(settings: Mapping[str, Any]) -> Path:
     return Path(*names.values())
 
 
-def content_of(files: list[Path]) -> str:
+def files_checksum(files: list[Path]) -> str:
     """Checksum of the content of several files, in this order."""
-    return digest([sha256_of_file(path) if path.is_file() else None for path in files])
+    return digest_of_value([sha256_of_file(path) if path.is_file() else None for path in files])
 
 
-def store_of(config: DictConfig | Settings) -> Store:
-    """Store at `results_dir/.store`, shared by all studies there."""
+def shared_store(config: DictConfig | Settings) -> Store:
+    """Store of stages at `results_dir/.store`, shared by all studies in the results folder."""
     return Store(Path(str(config["results_dir"])) / ".store")
 
 
-def task_of(task_function: Any) -> Task[Any]:
-    """Task whose `job` method Hydra was given."""
+def find_task(task_function: Any) -> Task[Any]:
+    """Task object behind the function that Hydra was given."""
     task = getattr(task_function, "__self__", None)
     assert isinstance(task, Task), "Hydra calls the method `job` of a Task"
     return task

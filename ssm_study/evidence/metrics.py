@@ -6,7 +6,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, get_args
 
 from ssm_study.columns import Column
+from ssm_study.data.calendar_numbers import MAYBE_DAYS
 from ssm_study.data.clock_column import MAYBE_SMALLER
+from ssm_study.data.missing_codes import CODES
 from ssm_study.data.recording import ASSUMED_SECOND
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback, fit, records, response
@@ -81,14 +83,15 @@ def collect_findings(
         )
     if "split" in data.metadata:
         found.append(note(f"The log was cut {data.metadata['split']}."))
-    found += judge_clock(data.metadata.get("reading", ""))
+    found += judge_reading(data.metadata.get("reading", ""))
     if data.metadata.get("reading"):
         found.append(note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(found))
 
 
-def judge_clock(reading: str) -> list[Finding]:
-    """Doubts about a sampling time that rests on a clock of unknown unit."""
+def judge_reading(reading: str) -> list[Finding]:
+    """Doubts where the sampling time rests on a clock whose unit nobody stated, and where a value
+    may stand for a missing one."""
     doubts = []
     if ASSUMED_SECOND in reading:
         doubts.append(
@@ -97,13 +100,16 @@ def judge_clock(reading: str) -> list[Finding]:
                 f"{ASSUMED_SECOND}. Give data.step_s."
             )
         )
-    if MAYBE_SMALLER in reading:
-        doubts.append(
-            doubt(
-                f"The unit of the clock is unknown ({MAYBE_SMALLER}). Give data.step_s, or write "
-                "the unit into the column's name."
+    codes = [remark for remark in reading.split("; ") if remark.endswith(CODES)]
+    doubts += [doubt(f"{remark}. If so, leave those cells empty.") for remark in codes]
+    for unit in (MAYBE_SMALLER, MAYBE_DAYS):
+        if unit in reading:
+            doubts.append(
+                doubt(
+                    f"The unit of the clock is unknown ({unit}). Give data.step_s, or write the "
+                    "unit into the column's name."
+                )
             )
-        )
     return doubts
 
 

@@ -7,19 +7,22 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from ssm_study.data.log_dynamics import FOLLOWS, input_shares, largest_explained_level
+from ssm_study.evidence.feedback import ROUNDING, integrator_share
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.models.structured import StructuredSSM
+from ssm_study.models.warm_start import log_stretches
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
     RESPONSES,
-    after_motion,
-    is_return,
+    output_after_motion,
+    is_return_to_rest,
     remaining_offset,
-    spread_of_rest_points,
+    equilibrium_spread,
 )
 from ssm_study.signals import DataSet, Trajectory
 
@@ -67,9 +70,14 @@ def _join_scaled(case: Case, records: tuple[Trajectory, ...]) -> ScaledRecord:
 
 
 def _judge_range(case: Case) -> Iterator[str]:
-    """Sentences on test records that leave the range of the training records."""
+    """Sentences on test records that leave the range of the training records.
+
+    Where a model integrates its input, the level of its output is no condition that it was trained
+    at: its next change is the same at every level.
+    """
     trained = _join_scaled(case, case.data.training)
-    for name, index in (("input", 0), ("output", 1)):
+    sides = [("input", 0)] if integrates(case) else [("input", 0), ("output", 1)]
+    for name, index in sides:
         low = trained[index].min(axis=0)
         high = trained[index].max(axis=0)
         tested = _join_scaled(case, case.data.test)[index]
@@ -194,22 +202,54 @@ def _judge_length(case: Case) -> Iterator[str]:
     response = case.model.linear.impulse_response_length()
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
-    elif (kept := slowest_mode_remainder(case)) > INTEGRATES:
-        told = (
-            f"The output integrates its input: the slowest mode keeps {100 * kept:.1f} % over "
-            "the longest record"
-        )
-        yield f"{told}, so no log shows where it rests: try the loop, and refine with that log."
+    elif slowest_mode_remainder(case) > INTEGRATES:
+        yield _integrating(case)
     elif max(samples) < RESPONSES * response:
-        remedy = "lengthen it"
-        if isinstance(
-            case.model, StructuredSSM
-        ):  # it contracts, so an integrator looks like a slow mode
+        remedy = "record longer without a break"
+        # It contracts, so an integrator looks like a slow mode.
+        if isinstance(case.model, StructuredSSM) and not follows_level(case.data):
             remedy += "; if the output integrates its input, use model.integrating_output=true"
         yield (
-            f"The model's response lasts {response} samples or more, the longest record "
-            f"{max(samples)}: {remedy}."
+            f"The model's response lasts {response} samples or more, the longest piece that "
+            f"trains {max(samples)}: {remedy}."
         )
+
+
+def _integrating(case: Case) -> str:
+    """Sentence on a model whose slowest mode hardly decays within a record.
+
+    It speaks of the output where the log shows that it integrates, else of the model alone.
+    """
+    kept = 100 * slowest_mode_remainder(case)
+    if integrator_share(case.data) is not None or not integrates(case):
+        return (
+            f"The output integrates its input: the slowest mode keeps {kept:.1f} % over the "
+            "longest record, so no log shows where it rests: try the loop, and refine with that "
+            "log."
+        )
+    return (
+        "The chosen model integrates its input, and the log does not show that the output does: "
+        "over records this short a slow return looks alike. Record longer, or compare with "
+        "model.integrating_output=false."
+    )
+
+
+def integrates(case: Case) -> bool:
+    """Whether the model holds what its input has done for ever."""
+    return case.model.linear.spectral_radius >= 1 - ROUNDING
+
+
+def follows_level(data: DataSet) -> bool:
+    """Whether the output follows the level of its one input, in the longest stretch of a log, as no
+    integrator does."""
+    stretches = log_stretches(data)
+    if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
+        return False
+    longest = max(stretches, key=len)
+    u = longest.u[:, 0]
+    y = longest.y[:, 0]
+    level = largest_explained_level(u, y)
+    return level > FOLLOWS and level >= input_shares(u, y).change
 
 
 def _judge_drift(case: Case) -> Iterator[str]:
@@ -299,11 +339,12 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     A plant that does not rest is judged, and refused; a record that cannot say so is a note."""
     response = case.model.linear.impulse_response_length()
     rests = [
-        after_motion(*case.scale_with_disturbances(record), response) for record in case.data.test
+        output_after_motion(*case.scale_with_disturbances(record), response)
+        for record in case.data.test
     ]
     offsets = [remaining_offset(y) for y in rests if len(y)]
     off = max((*mismatch.stuck, *offsets), default=0.0)
-    if not mismatch.rests:
+    if not mismatch.comes_to_rest:
         left = mismatch.left_at_rest
         told = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield doubt(
@@ -318,8 +359,8 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
             "Record more returns to rest."
         )
     elif mismatch.left_at_rest is None:
-        apart = spread_of_rest_points(
-            case.model.scale, [one for one in case.data.mismatch_records if is_return(one)]
+        apart = equilibrium_spread(
+            case.model.scale, [one for one in case.data.mismatch_records if is_return_to_rest(one)]
         )
         problem = "No two returns to rest input outlast the model's response"
         if (

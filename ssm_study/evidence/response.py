@@ -13,7 +13,7 @@ import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
-from ssm_study.bounds.frequency import gains
+from ssm_study.bounds.frequency import largest_gains
 from ssm_study.evidence.finding import Case, Finding, doubt, note
 from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
@@ -64,7 +64,7 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
     if not parts or segment < RESPONSES * linear.impulse_response_length():
         return  # what outlasts a piece would count as noise
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
-    sizes = gains(linear, angles)
+    sizes = largest_gains(linear, angles)
     used = sizes >= USED * sizes.max()
     shown = multiple_coherence(parts, segment)[1:][used]
     share = float((shown < COHERENT).mean())

@@ -328,7 +328,7 @@ def _render_map(name: str, portable: PortableMap, prefix: str, real: str) -> str
     tables = {"linear": portable.linear}
     body = _render_product(prefix, "linear", portable.linear, "v", "out")
     source = "v"
-    layers = portable.network.hidden() if portable.network else ()
+    layers = portable.network.hidden_layers() if portable.network else ()
     for i, (w, b, low, high) in enumerate(layers):
         width = len(b)
         tables[f"w{i}"] = w

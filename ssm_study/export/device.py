@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import Inverse, PortableMap, inverse_of
+from ssm_study.bounds.network import Inverse, PortableMap, invert_map
 from ssm_study.export.portable import PortableController, Vector, convert_floats, multiply_in_order
 from ssm_study.export.rest_points import (
     EquilibriumCurve,
@@ -106,8 +106,8 @@ class Device:
         None where a device cannot compute them.
         """
         controller = convert_floats(self.controller, np.float64)
-        inward = inverse_of(controller.s_in)
-        outward = inverse_of(controller.s_out)
+        inward = invert_map(controller.s_in)
+        outward = invert_map(controller.s_out)
         if inward is None or outward is None:
             return None
         model = controller.recurrence()
@@ -333,7 +333,7 @@ def _evaluate_map(portable: PortableMap, v: Vector) -> Vector:
     if portable.network is None:
         return out
     d = v
-    for w, b, low, high in portable.network.hidden():
+    for w, b, low, high in portable.network.hidden_layers():
         z = multiply_in_order(w, d, b)
         at_zero = np.where(b >= 0, high, low) * b
         d = np.where(z >= 0, high * z, low * z) - at_zero

@@ -57,7 +57,7 @@ class _GraphBuilder:
         if s.network is None:
             return self.append_operator("Sum", *terms)
         d = v
-        for w, b, low, high in s.network.hidden():
+        for w, b, low, high in s.network.hidden_layers():
             z = self.append_operator("Add", self.append_product(d, w), b)
             above = self.append_operator("Max", z, np.zeros(1))
             below = self.append_operator("Min", z, np.zeros(1))

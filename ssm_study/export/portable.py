@@ -134,7 +134,13 @@ def _refuse_what_no_target_computes(design: Design) -> None:
             reason = part.reason.rstrip(".")
             raise BadRequest(f"certificate.{name}", "infeasible", reason, "export another run")
     problem = "the law undoes the input map, which no target computes"
-    require(not design.inverts, "synthesis.invert_input", True, problem, "export a run without it")
+    require(
+        not design.inverts_input_map,
+        "synthesis.invert_input",
+        True,
+        problem,
+        "export a run without it",
+    )
 
 
 def convert_controller(model: Model, design: Design) -> PortableController:

@@ -18,7 +18,7 @@ from ssm_study.bounds.network import PortableMap
 from ssm_study.bounds.slopes import certified_balls, network_bound
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorem import Theorem, VerificationContext
-from ssm_study.certificates.theorems.integral_action import augmented, controlled_system
+from ssm_study.certificates.theorems.integral_action import augmented_system, controlled_system
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
 from ssm_study.export.c import render_c_files
@@ -32,7 +32,7 @@ from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
 from ssm_study.signals import Channel, input_limits
 from ssm_study.stored_yaml import read_stored_yaml
-from ssm_study.synthesis.deployed import within_limits
+from ssm_study.synthesis.deployed import limits_proof
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall
 
@@ -175,7 +175,7 @@ def _describe_limits(run: Path, design: Design, device: Device) -> tuple[str, ..
         unproved = "Within the limits nothing is proved: the theorems on them know no neurons."
         return (unproved, *_describe_set_point_error(device))
     try:
-        proved = within_limits(model, design, lower, upper)
+        proved = limits_proof(model, design, lower, upper)
     except BadRequest as refusal:
         return (str(refusal),)
     beyond = "From everywhere nothing is proved within the limits."
@@ -320,7 +320,7 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
     if len(controller.a) > system.order:
         modes = controller.a[system.order :, system.order :]
         linear = controller.s_out.linear
-        controlled = augmented(system, linear, modes)
+        controlled = augmented_system(system, linear, modes)
     state_feedback = {"k": controller.k}
     observer = {"l": controller.l[: system.order]}
     gains = {"state_feedback": state_feedback, "observer": observer}
@@ -335,7 +335,7 @@ def prove_deployed_rates(device: Device, design: Design) -> dict[str, float | No
     proved: dict[str, float | None] = {}
     for side, gain in gains.items():
         # The certificate at the requested rate and that at the gain's largest rate.
-        parts = [design.content[side], design.extra_certificates.get(f"{side}_deployed")]
+        parts = [design.parts_by_name[side], design.extra_certificates.get(f"{side}_deployed")]
         rates = [_provable_rate(part, context, gain) for part in parts if isinstance(part, Theorem)]
         proved[side] = max(rates, default=0.0) or None
     return proved

@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ssm_study.bounds.network import Inverse, inverse_of
+from ssm_study.bounds.network import Inverse, invert_map
 from ssm_study.certificates.certificate import Design
 from ssm_study.loop.trajectory import (
     Plan,
@@ -191,8 +191,8 @@ class ObserverFeedback(EstimateFeedback):
         """Controller with the gains of a certified design. Raises `BadRequest` if one of its parts
         is infeasible."""
         inverse = None
-        if design.inverts:
-            inverse = inverse_of(model.scaffold_in.as_portable())
+        if design.inverts_input_map:
+            inverse = invert_map(model.scaffold_in.as_portable())
         return cls(model=model, gains=design.pair, inverse=inverse)
 
     def unlimited_input(self, u: ScaledInputs, feedback: ScaledInputs) -> np.ndarray:

@@ -11,18 +11,24 @@ if TYPE_CHECKING:
 
 
 def draw_log(seen: "LogLook") -> "Figure":
-    """Draw the output above and the input below, over the time of the log. A hole is left white."""
+    """Draw the output above and the input below it, over the time of the log, and a measured
+    disturbance below both. A hole is left white."""
     from matplotlib.figure import Figure
 
     with style.paper_style():
         figure = Figure(figsize=(style.PAGE_IN, 3.6), layout="constrained")
-        upper, lower = figure.subplots(2, 1, sharex=True)
+        panels = figure.subplots(2 if seen.disturbance is None else 3, 1, sharex=True)
+        upper = panels[0]
+        lower = panels[1]
         for record in seen.records:
             time_s = record.first * record.step_s + record.time_s
             upper.plot(time_s, record.y[:, 0], color=style.BLUE, linewidth=0.8)
             lower.step(time_s, record.u[:, 0], where="post", color=style.VERMILLION, linewidth=0.8)
+            if record.d is not None:
+                panels[2].plot(time_s, record.d[:, 0], color=style.GREEN, linewidth=0.8)
+                panels[2].set_ylabel(seen.disturbance)
         upper.set_ylabel(seen.output or "output")
         lower.set_ylabel(seen.input or "input")
-        lower.set_xlabel("time (s)" if seen.step_is_known else "sample")
+        panels[-1].set_xlabel("time (s)" if seen.step_is_known else "sample")
         upper.set_title(seen.path.name, fontsize="medium")
     return figure

@@ -264,8 +264,10 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     open_loop_s = record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / open_loop_s:.2f})" if time_s is not None and open_loop_s else ""
     mean = printed(record, "settling_time_mean_s", ".3f", " s")
-    times = f"{mean}, uncontrolled {open_loop_s or 0:.3f} s{ratio}"
-    yield "settling_time_open_loop_s", "Mean settling time", times
+    comes_to_rest = open_loop_s is not None
+    uncontrolled = f"{open_loop_s:.3f} s{ratio}" if comes_to_rest else "none settles"
+    column = "settling_time_open_loop_s" if comes_to_rest else "settling_time_mean_s"
+    yield column, "Mean settling time", f"{mean}, uncontrolled {uncontrolled}"
     yield "stable_count_pi", "A PI from the same model", pi_words(record)
     yield "noise_gain_model", "Sensor noise", noise_words(record)
 

@@ -10,7 +10,7 @@ SEGMENT = 64
 ANGLES = np.linspace(0, np.pi, SEGMENT // 2 + 1)  # bands of power, rad/sample
 
 
-def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
+def total_power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
     """Power of each spectral line, summed over the channels."""
     return (np.abs(spectrum) ** 2).sum(axis=1)
 
@@ -18,26 +18,25 @@ def power(spectrum: Complex[np.ndarray, "K c"]) -> Float[np.ndarray, "K"]:
 def safe_ratio(
     values: Inexact[np.ndarray, "F"], by: Float[np.ndarray, "F"]
 ) -> Inexact[np.ndarray, "F"]:
-    """Ratio of values to a power that may vanish."""
+    """Divide values by a power that may vanish."""
     return values / np.maximum(by, np.finfo(float).tiny)
 
 
-def bands_of(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
-    """Sort the lines of a spectrum into the bands of `ANGLES`, the mean left out, and count the
-    lines of each."""
+def sort_lines_into_bands(lines: int) -> tuple[Int[np.ndarray, "K"], Float[np.ndarray, "F"]]:
+    """Band of each spectral line, and the number of lines in each band, the mean left out."""
     bands = np.rint(np.linspace(0, len(ANGLES) - 1, lines)).astype(int)[1:]
     return bands, np.maximum(np.bincount(bands, minlength=len(ANGLES)), 1).astype(float)
 
 
 def band_means(lines: Float[np.ndarray, "K"]) -> Float[np.ndarray, "F"]:
-    """Mean of a spectrum over each band of `ANGLES`."""
-    bands, counts = bands_of(len(lines))
+    """Mean of a spectrum over each frequency band."""
+    bands, counts = sort_lines_into_bands(len(lines))
     return np.bincount(bands, weights=lines[1:], minlength=len(ANGLES)) / counts
 
 
-def welch(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
-    """Welch's power density (1967), over channels and records (each by its length), at equal steps
-    from 0 to pi."""
+def welch_power_density(signals: list[Float[np.ndarray, "_ c"]]) -> Float[np.ndarray, "F"]:
+    """Power density of signals by Welch's method (1967), summed over channels and averaged over
+    records."""
     segment = min(SEGMENT, *(len(signal) for signal in signals))
     even = max(segment - segment % 2, 2)  # so that the last band is at pi
     powers = []

@@ -33,7 +33,7 @@ from ssm_study.robustness.coverage_spectra import (
     line_spectrum,
 )
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import moving_loop_errors, noise_of, open_loop_errors
+from ssm_study.robustness.record_errors import moving_loop_errors, estimate_noise, open_loop_errors
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 
@@ -60,33 +60,33 @@ class Weights:
     output: Float[np.ndarray, "v v"]
     input: Float[np.ndarray, "v2 v2"]
 
-    def on_output(self, angles: Powers) -> Powers:
-        """Squared weight of the model's output at each angle, `floor^2 + |W|^2`."""
+    def output_weight(self, angles: Powers) -> Powers:
+        """Squared weight of the model's output at each frequency."""
         return self.floor**2 + squared_gain(self.output, angles)
 
-    def on_input(self, angles: Powers) -> Powers:
-        """Squared weight of the input at each angle, `|V|^2`."""
+    def input_weight(self, angles: Powers) -> Powers:
+        """Squared weight of the input at each frequency."""
         return squared_gain(self.input, angles)
 
     def need(self, items: Sequence[Item]) -> tuple[float, str]:
-        """Smallest radius of the disc at which every requirement of the records is met. The
-        least kappa at which every item holds, and where it is needed; infinite where a reference
-        vanishes."""
+        """Smallest disc radius at which every requirement of the records is met, and the
+        requirement that decides it. The least kappa at which every item holds, and where it is
+        needed; infinite where a reference vanishes."""
         needs = [(self.required_radius(item), item.where) for item in items]
         return max(needs, default=(0.0, ""))
 
     def required_radius(self, item: Item) -> float:
-        """Smallest radius `kappa` of the disc at which one requirement of the records is met."""
+        """Smallest disc radius at which one requirement of the records is met."""
         if item.seen <= 0:
             return 0.0
         reference = self.reference_power(item)
         return float(np.sqrt(item.seen / reference)) if reference > 0 else float("inf")
 
     def reference_power(self, item: Item) -> float:
-        """Power that a requirement's error is compared with. `sum over the item's lines of (X
-        model + Y input)`."""
-        of_output = self.on_output(item.angles) @ item.model_power
-        return float(of_output + self.on_input(item.angles) @ item.input_power)
+        """Weighted power of output and input, to which the power of the error is compared. `sum
+        over the item's lines of (X model + Y input)`."""
+        of_output = self.output_weight(item.angles) @ item.model_power
+        return float(of_output + self.input_weight(item.angles) @ item.input_power)
 
 
 def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
@@ -103,8 +103,9 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Measured premise of a proof about the plant. Mismatch spectra of all records; `reason` is
-    the sentence that says why nothing can be covered, None where it can."""
+    """Measured premise of a proof about the plant: how far the records lie from the model. Mismatch
+    spectra of all records; `reason` is the sentence that says why nothing can be covered, None
+    where it can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
@@ -122,8 +123,8 @@ class Premise:
         return items
 
     def missing(self, centre: float) -> str | None:
-        """Reason why these records cannot serve as premise around this centre. None where they
-        can."""
+        """Reason why the records cannot serve as a premise around a disc centre; None if they can.
+        None where they can."""
         if self.reason is not None:
             return self.reason
         items = self.items(centre)
@@ -139,17 +140,17 @@ def measure_premise(
     start_up_samples: int = 0,
     trials: Trajectories = (),
 ) -> Premise:
-    """Premise from the records by which `mismatch` was measured, or the reason why there is
+    """Requirements that the records put on a proof about the plant, or the reason why there are
     none."""
     reason = None
-    if not mismatch.rests:
+    if not mismatch.comes_to_rest:
         reason = NOT_AT_REST
     elif model.linear.spectral_radius >= 1:
         reason = INTEGRATES
     in_open_loop = open_loop_errors(model, validation, trials, start_up_samples)
     driven = [run for run in in_open_loop if run.u.any()]
     periodic = [run for run in driven if run.period is not None]
-    noise = noise_of(periodic) if periodic else None
+    noise = estimate_noise(periodic) if periodic else None
     repeating = list[MismatchSpectrum]()
     averaged = list[AveragedSpectrum]()
     if noise is None:
@@ -161,7 +162,7 @@ def measure_premise(
     return Premise(repeating=tuple(repeating), averaged=tuple(averaged), reason=reason)
 
 
-def running_sum(
+def running_constraint_sum(
     weights: Weights,
     centre: float,
     kappa: float,
@@ -169,19 +170,19 @@ def running_sum(
     m: Float[np.ndarray, "T p"],
     e: Float[np.ndarray, "T p"],
 ) -> Float[np.ndarray, "T"]:
-    """Running sum of the quadratic constraint along a record. `sum to T of |e - c m|^2 - kappa^2
-    (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
+    """Running sum of the disc's quadratic constraint along a record. `sum to T of |e - c m|^2 -
+    kappa^2 (floor^2 |m|^2 + |W m|^2 + |V u|^2)`, filters at zero before the record."""
     deviation = ((e - centre * m) ** 2).sum(axis=1)
     reference = weights.floor**2 * (m**2).sum(axis=1)
-    reference += (filtered(weights.output, m) ** 2).sum(axis=1)
-    reference += (filtered(weights.input, u) ** 2).sum(axis=1)
+    reference += (apply_channel_filter(weights.output, m) ** 2).sum(axis=1)
+    reference += (apply_channel_filter(weights.input, u) ** 2).sum(axis=1)
     return np.asarray(np.cumsum(deviation - kappa**2 * reference))
 
 
-def filtered(
+def apply_channel_filter(
     weight: Float[np.ndarray, "v v"], signal: Float[np.ndarray, "T c"]
 ) -> Float[np.ndarray, "T c"]:
-    """Apply a single-channel filter to each channel of a signal, from zero initial state."""
+    """Filter each channel of a signal with the same single-channel filter."""
     order = len(weight) - 1
     system = StateSpace(
         a=weight[:order, :order],

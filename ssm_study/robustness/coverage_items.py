@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int
 
-from ssm_study.robustness.bands import ANGLES, bands_of
+from ssm_study.robustness.bands import ANGLES, sort_lines_into_bands
 from ssm_study.robustness.coverage_spectra import (
     AveragedSpectrum,
     MismatchSpectrum,
     Powers,
-    power_of,
+    line_powers,
 )
 from ssm_study.robustness.record_errors import EXCITED
 from ssm_study.robustness.return_to_rest import SURE
@@ -26,8 +26,8 @@ TOTAL = "in total"
 
 @dataclass(frozen=True, kw_only=True)
 class Item:
-    """Requirement that one part of a record's spectrum puts on the weights. It is `seen <= sum over
-    lines of (X model + Y input)` at its angles.
+    """Requirement on the disc's weights from one part of a record's spectrum. It is `seen <= sum
+    over lines of (X model + Y input)` at its angles.
 
     X is `floor^2 + |W|^2` and Y `|V|^2`. `dark`: its input has next to no power here, so noise is
     part of what is seen. `is_band`: one band of the record, no group of bands, mean or total.
@@ -44,7 +44,7 @@ class Item:
 
     @property
     def where(self) -> str:
-        """Words for the record and the place in its spectrum."""
+        """Text that names the record and the part of its spectrum."""
         return f"{self.record}, {self.place}"
 
 
@@ -68,40 +68,40 @@ class RepeatingPower:
     has_lines: Bool[np.ndarray, "F"]
 
     @classmethod
-    def of(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
-        """Powers of every line but the mean. It belongs to no band: friction leaves an offset that
-        no disc bounds, since it stays where model and input have come to rest. Source:
-        docs/trust.md, "Covered"."""
+    def from_record(cls, record: MismatchSpectrum, centre: float) -> "RepeatingPower":
+        """Power of mismatch and noise in each spectral line of a record with two periods. It
+        belongs to no band: friction leaves an offset that no disc bounds, since it stays where
+        model and input have come to rest. Source: docs/trust.md, "Covered"."""
         first, second = record.deviation(centre)
         sides = record.sides
         repeats = sides * (first * second.conj()).real.sum(axis=1)
         noise = sides * record.noise
         of_noise = noise * record.noise / 2
         variance = sides * (of_noise + record.noise * np.maximum(repeats, 0.0))
-        bands = np.concatenate([[-1], bands_of(len(record.angles))[0]])
+        bands = np.concatenate([[-1], sort_lines_into_bands(len(record.angles))[0]])
         powers = [record.input_power[bands == band] for band in range(len(ANGLES))]
         has_lines = np.array([len(power) > 0 for power in powers])
         drive = np.array([power.mean() if len(power) else 0.0 for power in powers])
         return cls(
             record=record,
             repeats=repeats,
-            measured=sides * (power_of(first) + power_of(second)) / 2,
+            measured=sides * (line_powers(first) + line_powers(second)) / 2,
             variance=variance,
             bands=bands,
             dark=drive < EXCITED * drive[has_lines].mean(),
             has_lines=has_lines,
         )
 
-    def seen(
+    def mismatch_power(
         self, lines: Bool[np.ndarray, "L"], *, is_doubtful: bool, is_dark: bool = False
     ) -> float:
-        """Power of the lines that counts as mismatch, beyond the noise."""
+        """Power of the given lines that counts as mismatch, after the noise is subtracted."""
         if is_dark:
             return float(self.measured[lines].sum())
         error = SURE * np.sqrt(self.variance[lines].sum()) if is_doubtful else 0.0
         return max(float(self.repeats[lines].sum() - error), 0.0)
 
-    def item(
+    def combine_lines(
         self,
         lines: Bool[np.ndarray, "L"],
         place: str,
@@ -110,7 +110,7 @@ class RepeatingPower:
         is_dark: bool = False,
         is_band: bool = False,
     ) -> Item:
-        """Combine the given lines into one requirement on the weights."""
+        """Combine spectral lines into one requirement on the weights."""
         record = self.record
         return Item(
             record=record.name,
@@ -119,7 +119,7 @@ class RepeatingPower:
             angles=record.angles[lines],
             model_power=(record.sides * record.model_power)[lines],
             input_power=(record.sides * record.input_power)[lines],
-            seen=self.seen(lines, is_doubtful=is_doubtful, is_dark=is_dark),
+            seen=self.mismatch_power(lines, is_doubtful=is_doubtful, is_dark=is_dark),
             dark=is_dark,
         )
 
@@ -127,17 +127,19 @@ class RepeatingPower:
 def requirements_from_periods(record: MismatchSpectrum, centre: float, *, sure: bool) -> list[Item]:
     """Requirements on the weights from the bands, groups of bands and total power of a record with
     two periods. In one that is `sure` whatever repeats counts."""
-    powers = RepeatingPower.of(record, centre)
+    powers = RepeatingPower.from_record(record, centre)
     items = list[Item]()
     for band in np.flatnonzero(powers.has_lines):
         place = f"around {ANGLES[band]:.2f} rad/sample"
         lines = powers.bands == band
         is_dark = bool(powers.dark[band])
-        items.append(powers.item(lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True))
+        items.append(
+            powers.combine_lines(lines, place, is_doubtful=not sure, is_dark=is_dark, is_band=True)
+        )
     for size in GROUPS:
         items += _group_items(powers, size, is_doubtful=not sure)
     every_line = powers.bands >= 0
-    return [*items, powers.item(every_line, TOTAL, is_doubtful=False)]
+    return [*items, powers.combine_lines(every_line, TOTAL, is_doubtful=False)]
 
 
 def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> list[Item]:
@@ -150,7 +152,7 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
         last = min(start + size, len(ANGLES)) - 1
         place = f"{ANGLES[start]:.2f} to {ANGLES[last]:.2f} rad/sample"
         is_dark = bool(powers.dark[start : start + size].all())
-        items.append(powers.item(lines, place, is_doubtful=is_doubtful, is_dark=is_dark))
+        items.append(powers.combine_lines(lines, place, is_doubtful=is_doubtful, is_dark=is_dark))
     return items
 
 

@@ -38,13 +38,13 @@ class MismatchSpectrum:
     noise: Powers
 
     def deviation(self, centre: float) -> Complex[np.ndarray, "2 L p"]:
-        """Spectrum of the error less the disc's centre, `e - c m`, in both periods."""
+        """Spectrum of the model error less the centre of the disc, in both periods."""
         return self.error - centre * self.model
 
     @property
     def model_power(self) -> Powers:
         """Power of the model's output in the second period."""
-        return power_of(self.model[1])
+        return line_powers(self.model[1])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,13 +67,13 @@ class AveragedSpectrum:
     sure: Powers
 
     def deviation_power(self, centre: float) -> Powers:
-        """Power of `e - c m` in each bin beyond its noise."""
+        """Power of the model error less the centre of the disc in each bin, noise subtracted."""
         power = self.error_power - 2 * centre * self.cross + centre**2 * self.model_power
         return self.sure * np.maximum(power - self.sure * self.drawn, 0.0)
 
 
-def power_of(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
-    """Power of each line, summed over the channels."""
+def line_powers(spectrum: Complex[np.ndarray, "L c"]) -> Powers:
+    """Power of each spectral line, summed over the channels."""
     return np.asarray((np.abs(spectrum) ** 2).sum(axis=1))
 
 
@@ -89,7 +89,7 @@ def line_spectrum(run: RecordErrors, noise: Float[np.ndarray, "F"]) -> MismatchS
         sides=np.where(alone, 1.0, 2.0),
         model=run.periods(run.model),
         error=run.periods(run.e),
-        input_power=power_of(run.periods(run.u)[1]),
+        input_power=line_powers(run.periods(run.u)[1]),
         noise=run.period * np.interp(angles, ANGLES, noise),
     )
 

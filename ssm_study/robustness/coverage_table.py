@@ -3,7 +3,7 @@ that is proved.
 
 `coverage_table(premise, weights, centre, kappa)` has one row for every band of every record. Of a
 run, `measured_premise` (`study/stages/synthesis.py`) gives the premise and the certificate the
-rest: `weights_of(part)`, `part.centre`, `part.kappa` with `part =
+rest: `certificate_weights(part)`, `part.centre`, `part.kappa` with `part =
 design.extra_certificates["coverage"]` (`synthesis/measured_discs_run.py`). Source: docs/theory.md,
 "Measured discs".
 """
@@ -18,8 +18,8 @@ from ssm_study.robustness.coverage_items import Item
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageBand:
-    """Row of the coverage table. One band of one record beside the disc around `c m` that the proof
-    allows there.
+    """Row of the coverage table: measured and proved disc radius in one band of one record. One
+    band of one record beside the disc around `c m` that the proof allows there.
 
     `record` names the record by its input's rms; `frequency` is the band's middle in rad/sample.
     `measured` is the deviation `|e - c m|` that the record shows and `proved_radius` the largest
@@ -51,13 +51,15 @@ def coverage_table(
     needs = [weights.required_radius(band) for band in bands]
     largest = max(needs, default=0.0)
     return [
-        _row(band, weights, kappa, need, decides=need > 0 and need == largest)
+        _band_row(band, weights, kappa, need, decides=need > 0 and need == largest)
         for band, need in zip(bands, needs, strict=True)
     ]
 
 
-def _row(band: Item, weights: Weights, kappa: float, need: float, *, decides: bool) -> CoverageBand:
-    """Row of one band: measured and proved radius of the disc there."""
+def _band_row(
+    band: Item, weights: Weights, kappa: float, need: float, *, decides: bool
+) -> CoverageBand:
+    """Table row of one band, with its measured and its proved disc radius."""
     model_power = float(band.model_power.sum())
     measured = None
     proved_radius = None

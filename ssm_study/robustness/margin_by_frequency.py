@@ -15,14 +15,14 @@ from jaxtyping import Float
 from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.prediction import AmplitudeCondition, LoopResponse, tested_loops
+from ssm_study.robustness.prediction import AmplitudeCondition, LoopResponse, loops_to_test
 from ssm_study.robustness.sensitivity import FINE_ANGLES
 from ssm_study.systems import Balls, Gains
 
 
 @dataclass(frozen=True, kw_only=True)
 class MarginCurve:
-    """Margin (-) at `FINE_ANGLES` for the records of one amplitude (scaled rms of the input).
+    """Stability margin over frequency, for the records of one input amplitude.
 
     `smallest` is the least margin, at `angle` (rad/sample), which may lie between the grid's
     angles. `amplitude` is None for what was recorded in closed loop.
@@ -35,21 +35,21 @@ class MarginCurve:
 
 
 def margin_curves(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> list[MarginCurve]:
-    """Compute one curve for each recorded amplitude, the smallest amplitude first.
+    """Stability margin over frequency, one curve for each recorded amplitude, the smallest first.
 
     None where a loop of constant slopes is unstable: no frequency is to blame for a margin of zero.
     """
     curves: dict[float | None, _WorstCurve] = {}
-    for linear, own_gains, slopes, records in tested_loops(model, pair, balls, mismatch):
-        loop = LoopResponse.of(linear, own_gains, slopes)
+    for linear, own_gains, slopes, records in loops_to_test(model, pair, balls, mismatch):
+        loop = LoopResponse.from_gains(linear, own_gains, slopes)
         if loop is None:
             return []
         for view in records.views:
-            gain = _counted_gain(AmplitudeCondition.of(view, loop), view.by_frequency, loop)
-            curves.setdefault(view.amplitude, _WorstCurve()).include(loop.angles, gain)
+            gain = _counted_gain(AmplitudeCondition.from_view(view, loop), view.by_frequency, loop)
+            curves.setdefault(view.amplitude, _WorstCurve()).include_gain(loop.angles, gain)
         if records.loop is not None:
             gain = np.interp(loop.angles, ANGLES, records.loop.by_frequency) * loop.size
-            curves.setdefault(None, _WorstCurve()).include(loop.angles, gain)
+            curves.setdefault(None, _WorstCurve()).include_gain(loop.angles, gain)
     ordered = sorted(curves.items(), key=lambda item: (item[0] is None, item[0] or 0.0))
     return [curve.as_margin(amplitude) for amplitude, curve in ordered]
 
@@ -79,8 +79,8 @@ class _WorstCurve:
         self.largest = 0.0
         self.angle = float(FINE_ANGLES[0])
 
-    def include(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
-        """Take in the loop gain at one combination of slopes."""
+    def include_gain(self, angles: Float[np.ndarray, "K"], gain: Float[np.ndarray, "K"]) -> None:
+        """Update the worst loop gain at each frequency with that of one combination of slopes."""
         on_grid = gain[np.searchsorted(angles, FINE_ANGLES)]
         self.gain = np.maximum(self.gain, on_grid)
         peak = int(np.argmax(gain))

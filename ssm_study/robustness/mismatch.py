@@ -21,26 +21,26 @@ from jaxtyping import Float
 
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
-from ssm_study.robustness.bands import ANGLES, welch
+from ssm_study.robustness.bands import ANGLES, welch_power_density
 from ssm_study.robustness.record_errors import (
     EXCITED,
     RecordErrors,
     View,
     moving_loop_errors,
-    noise_of,
+    estimate_noise,
     open_loop_errors,
-    view_in_loop,
-    view_of_averages,
-    view_of_periods,
+    mismatch_in_closed_loop,
+    mismatch_from_averages,
+    mismatch_from_periods,
 )
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
-    after_motion,
-    after_returns,
-    is_return,
+    output_after_motion,
+    offsets_after_returns,
+    is_return_to_rest,
     remaining_offset,
-    swing,
+    oscillation_amplitude,
 )
 from ssm_study.signals import Trajectories
 
@@ -75,46 +75,47 @@ class Mismatch:
 
     @property
     def offset(self) -> float:
-        """Largest offset of the output that may remain at constant input, in settling bands (-),
-        with 95 % confidence."""
+        """Largest output offset that may remain at constant input, in settling bands, with 95 %
+        confidence."""
         worst = max(self.stuck) * MISSED ** (-1 / len(self.stuck)) if self.stuck else 0.0
         return worst / self.band
 
     @property
     def band(self) -> float:
-        """Width of the settling band, in output scales."""
+        """Width of the settling band in scaled outputs."""
         return BAND * self.farthest
 
     @property
     def gain(self) -> float:
-        """Gain from the input to the model error at the largest amplitude."""
+        """Gain from the input to the model error at the largest recorded amplitude."""
         return self.views[-1].gain
 
     @property
-    def rests(self) -> bool:
-        """Whether the plant comes to rest whenever its input does, as far as the records show."""
+    def comes_to_rest(self) -> bool:
+        """Whether the records show that the plant comes to rest whenever its input does."""
         return self.left_at_rest is None or self.left_at_rest < AT_REST
 
     @property
     def seen(self) -> float:
-        """Largest gain of the model error in any record. It bounds the incremental gain of the
-        mismatch from below."""
-        return max(view.gain for view in self.everywhere) if self.rests else float("inf")
+        """Largest gain from input to model error in any record. It bounds the incremental gain of
+        the mismatch from below."""
+        return max(view.gain for view in self.all_views) if self.comes_to_rest else float("inf")
 
     @property
-    def everywhere(self) -> tuple[View, ...]:
-        """Mismatch of all amplitudes, records in closed loop included. The views, and what the
-        trials in closed loop show."""
+    def all_views(self) -> tuple[View, ...]:
+        """Mismatch at all recorded amplitudes and in closed loop. The views, and what the trials in
+        closed loop show."""
         return self.views if self.loop is None else (*self.views, self.loop)
 
     @property
     def by_frequency(self) -> Float[np.ndarray, "F"]:
-        """Gain of the mismatch in each band, `g(w)`, at the largest amplitude or in closed loop."""
+        """Gain of the mismatch in each frequency band, the larger of the largest amplitude and the
+        closed loop."""
         largest = self.views[-1].by_frequency
         return largest if self.loop is None else np.maximum(largest, self.loop.by_frequency)
 
-    def at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-        """Gain of the mismatch `g(w)` at given angles, linear between the bands."""
+    def gain_at(self, angles: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
+        """Gain of the mismatch at given frequencies, interpolated between the bands."""
         return np.interp(angles, ANGLES, self.by_frequency)
 
 
@@ -137,23 +138,24 @@ def measure_mismatch(
     remedy = "give a validation record that excites the plant"
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
     periodic = [errors for errors in moving if errors.period is not None]
-    noise = noise_of(periodic) if periodic else None
+    noise = estimate_noise(periodic) if periodic else None
     largest = max(periodic or moving, key=RecordErrors.strength)
-    views = [view_of_averages(moving)]
+    views = [mismatch_from_averages(moving)]
     if noise is not None:
         strength = largest.strength()
         views = [
-            view_of_periods(errors, errors.strength() == strength, noise) for errors in periodic
+            mismatch_from_periods(errors, errors.strength() == strength, noise)
+            for errors in periodic
         ]
     response = model.linear.impulse_response_length()
-    returns = [trial for trial in mismatch_records if is_return(trial)]
-    still, offsets = after_returns(model.scale, returns, response)
+    returns = [trial for trial in mismatch_records if is_return_to_rest(trial)]
+    still, offsets = offsets_after_returns(model.scale, returns, response)
     own_offsets, swings = _offsets_and_swings_at_rest(moving, response)
     decays = [remaining_offset(errors.output) for errors in resting]
     starts = [float(np.abs(errors.output[0]).max()) for errors in resting]
     return Mismatch(
         views=tuple(sorted(views, key=lambda view: view.amplitude)),
-        loop=view_in_loop(closed_loop_errors, noise) if closed_loop_errors else None,
+        loop=mismatch_in_closed_loop(closed_loop_errors, noise) if closed_loop_errors else None,
         spread=largest.spread(),
         noise=() if noise is None else tuple(noise.tolist()),
         left_at_rest=max((*decays, *still, *swings), default=None),
@@ -172,24 +174,23 @@ def _offsets_and_swings_at_rest(
     offsets = []
     swings = []
     for errors in moving:
-        rest = after_motion(errors.moving, errors.output, response)
+        rest = output_after_motion(errors.moving, errors.output, response)
         if not len(rest):
             continue
         if (offset := remaining_offset(rest)) > AT_REST:
             offsets.append(offset)
-        if (size := swing(rest)) > FAINT:
+        if (size := oscillation_amplitude(rest)) > FAINT:
             swings.append(size)
     return offsets, swings
 
 
 def _larger_offsets(first: list[float], second: list[float]) -> list[float]:
-    """Select the list with the larger greatest offset, of two ways to measure them, so that none
-    counts twice."""
+    """Choose, of two lists of measured offsets, the one with the larger maximum."""
     return max(first, second, key=lambda offsets: max(offsets, default=0.0))
 
 
 def _unexcited_bands(errors: RecordErrors) -> tuple[float, ...]:
-    """Bands (rad/sample) without input power in a record."""
-    power_u = welch([errors.u])
+    """Frequencies of the bands in which a record has no input power."""
+    power_u = welch_power_density([errors.u])
     is_dark = power_u < EXCITED * power_u.mean()
     return tuple(float(angle) for angle in ANGLES[: len(power_u)][is_dark])

@@ -65,13 +65,14 @@ class Prediction:
     noise_peak: float = 0.0
 
     def predicts_stability(self, margin: float = 1.0) -> bool:
-        """Whether every condition holds, the stability margin above `margin`."""
+        """Whether every condition for stability on the plant holds, with a stability margin above a
+        given one."""
         return self.resolved_margin > margin and self.controller_radius < 1 and self.noise_peak < 1
 
 
 def predict(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> Prediction:
-    """Stability margins that are predicted for one controller and observer on the plant. They are
-    zero if the loop is unstable at a slope, infinite without any mismatch."""
+    """Predict the stability margins of one controller and observer on the plant. They are zero if
+    the loop is unstable at a slope, infinite without any mismatch."""
     peak = sensitivity_peak(model.system, pair, balls)
     total_gain = mismatch.gain * peak if np.isfinite(peak) else np.inf
     measure = robustness_measure(model, pair, balls, mismatch)
@@ -99,11 +100,11 @@ def robustness_measure(
     same but for rounding), and at the angles of the loop's own modes, where it is sharpest. The
     search ends at the first number from `refused` on.
     """
-    if not mismatch.rests:
+    if not mismatch.comes_to_rest:
         return float("inf")
     largest = 0.0
-    for linear, own_gains, slopes, records in tested_loops(model, pair, balls, mismatch):
-        loop = LoopResponse.of(linear, own_gains, slopes, shared)
+    for linear, own_gains, slopes, records in loops_to_test(model, pair, balls, mismatch):
+        loop = LoopResponse.from_gains(linear, own_gains, slopes, shared)
         if loop is None:
             return float("inf")
         offset = records.offset * loop.gain_of_constants
@@ -113,22 +114,22 @@ def robustness_measure(
     return largest
 
 
-def tested_loops(
+def loops_to_test(
     model: Model, pair: Gains, balls: Balls, mismatch: Mismatch
 ) -> Iterator[tuple[StateSpace, Gains, tuple[float, float], Mismatch]]:
     """Closed loops at every combination of constant slopes, each with the mismatch that applies to
     it."""
-    for met_balls, records in _balls_of_records(model, balls, mismatch):
+    for met_balls, records in _group_by_amplitude(model, balls, mismatch):
         for linear, own_gains, slope_in, slope_out in slope_combinations(
             model.system, pair, met_balls
         ):
             yield linear, own_gains, (slope_in, slope_out), records
 
 
-def _balls_of_records(
+def _group_by_amplitude(
     model: Model, balls: Balls, mismatch: Mismatch
 ) -> list[tuple[Balls, Mismatch]]:
-    """Group the records by amplitude, each group with the slopes that its loops meet. The two
+    """Group the records by amplitude, each with the balls of slopes that its loops reach. The two
     largest amplitudes and what was recorded in closed loop meet all slopes.
 
     The smaller amplitudes, up to the second largest, speak of loops that swing no wider than its
@@ -165,15 +166,15 @@ class LoopResponse:
     integrates: bool
 
     @classmethod
-    def of(
+    def from_gains(
         cls,
         linear: StateSpace,
         pair: Gains,
         slopes: tuple[float, float],
         shared: Responses | None = None,
     ) -> "LoopResponse | None":
-        """Compute the responses of a loop on the grid and at its own modes. None if the loop is
-        unstable."""
+        """Frequency responses of a closed loop for given gains and slopes; None if the loop is
+        unstable. None if the loop is unstable."""
         loop = sensitivity(linear, pair, *slopes)
         modes = np.linalg.eigvals(loop.a)
         if np.abs(modes).max() >= 1:
@@ -186,9 +187,9 @@ class LoopResponse:
         else:
             extra = np.setdiff1d(angles, grid)
             at = np.searchsorted(grid, extra)
-            closed_on_grid = shared.of(linear, pair.k, pair.modes, [pair.l], *slopes)[0]
+            closed_on_grid = shared.loop_response(linear, pair.k, pair.modes, [pair.l], *slopes)[0]
             closed_loop = np.insert(closed_on_grid, at, frequency_response(loop, extra), axis=0)
-            open_on_grid = linear.c @ shared.to_state(linear.a, linear.b) + linear.d
+            open_on_grid = linear.c @ shared.state_response(linear.a, linear.b) + linear.d
             open_loop = np.insert(open_on_grid, at, frequency_response(linear, extra), axis=0)
         through = slopes[0] * slopes[1] * open_loop @ closed_loop
         is_scalar = closed_loop.shape[1:] == open_loop.shape[1:] == (1, 1)
@@ -202,12 +203,12 @@ class LoopResponse:
         )
 
     def small_gain(self, by_frequency: Float[np.ndarray, "F"]) -> float:
-        """Small-gain bound of the loop, `max_w g(w) |T_ue(w)|`."""
+        """Small-gain product of the loop and a mismatch, the largest over frequency."""
         return float((np.interp(self.angles, ANGLES, by_frequency) * self.size).max())
 
     def return_difference(self, linear_part: Complex[np.ndarray, "F"]) -> Complex[np.ndarray, "K"]:
-        """Return difference of the loop with the linear part of the mismatch. `1 - M Q`: the
-        return difference of the linear part, closed into the loop."""
+        """Return difference of the loop when the linear part of the mismatch is closed into it. `1
+        - M Q`: the return difference of the linear part, closed into the loop."""
         real = np.interp(self.angles, ANGLES, linear_part.real)
         imaginary = np.interp(self.angles, ANGLES, linear_part.imag)
         assert self.through is not None
@@ -216,8 +217,9 @@ class LoopResponse:
     def gain_with_phase(
         self, linear_part: Complex[np.ndarray, "F"], remainder: Float[np.ndarray, "F"]
     ) -> float:
-        """Small gain of the remainder after the linear part has been closed into the loop. Infinite
-        if `1 - M Q` winds around zero, so that its phase at pi is not the one at 0."""
+        """Small-gain product of the nonlinear remainder, after the linear part of the mismatch is
+        closed into the loop. Infinite if `1 - M Q` winds around zero, so that its phase at pi is
+        not the one at 0."""
         if self.through is None:
             return float("inf")
         returned = self.return_difference(linear_part)
@@ -240,9 +242,9 @@ class AmplitudeCondition:
     is_exempt: bool
 
     @classmethod
-    def of(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
-        """Evaluate the small-gain condition for the records of one amplitude. The condition of
-        one amplitude; where the plant held still no remainder counts."""
+    def from_view(cls, view: View, loop: LoopResponse) -> "AmplitudeCondition":
+        """Evaluate the stability conditions of a loop for the mismatch at one amplitude. The
+        condition of one amplitude; where the plant held still no remainder counts."""
         held_still = view.response < HOLDS
         return cls(
             linear_part=view.linear,
@@ -265,7 +267,7 @@ def largest_loop_gain(mismatch: Mismatch, loop: LoopResponse) -> float:
     two recorded amplitudes, so mixtures of neighbours are tested too. Source: docs/theory.md,
     "Small gain for the plant".
     """
-    conditions = [AmplitudeCondition.of(view, loop) for view in mismatch.views]
+    conditions = [AmplitudeCondition.from_view(view, loop) for view in mismatch.views]
     gain = 0.0
     for condition in conditions:
         if condition.small_gain > gain and not condition.is_exempt:
@@ -299,14 +301,14 @@ def _largest_interpolated_gain(
 
 
 def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> float:
-    """Largest output that the measured noise causes around the equilibrium. The peak of what the
-    noise does to the output at rest, in bands of settling; zero where the noise was not measured,
-    or the plant holds still under that input."""
+    """Largest output amplitude that the measured sensor noise causes around the equilibrium. The
+    peak of what the noise does to the output at rest, in bands of settling; zero where the noise
+    was not measured, or the plant holds still under that input."""
     if not mismatch.noise:
         return 0.0
-    linear, own_gains = _at_rest(model, pair, balls)
-    slope_in = _slope_at_rest(model.scaffold_in, balls.input)
-    slope_out = _slope_at_rest(model.scaffold_out, balls.output)
+    linear, own_gains = _at_equilibrium_slopes(model, pair, balls)
+    slope_in = _slope_at_equilibrium(model.scaffold_in, balls.input)
+    slope_out = _slope_at_equilibrium(model.scaffold_out, balls.output)
     to_input = frequency_response(sensitivity(linear, own_gains, slope_in, slope_out), COARSE)
     to_output = slope_in * slope_out * frequency_response(linear, COARSE) @ to_input
     sizes = [largest_singular_values(to_input), largest_singular_values(to_output)]
@@ -319,8 +321,8 @@ def noise_peak(model: Model, pair: Gains, balls: Balls, mismatch: Mismatch) -> f
     return PEAK * float(at_output) / mismatch.band
 
 
-def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
-    """Recurrence and gains with the neurons' slopes frozen at the equilibrium."""
+def _at_equilibrium_slopes(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains]:
+    """Linear recurrence and gains that result with the neurons' slopes at the equilibrium."""
     slopes = None
     if isinstance(model, StructuredSSM):
         slopes = evaluate_activations(model.neurons, model.bias, "slope")[None]
@@ -328,7 +330,7 @@ def _at_rest(model: Model, pair: Gains, balls: Balls) -> tuple[StateSpace, Gains
     return linear, own_gains
 
 
-def _slope_at_rest(scaffold: Scaffold, ball: JacobianBall) -> float:
-    """Largest slope of a static map at zero, with its sign, clipped to the slopes of its ball."""
+def _slope_at_equilibrium(scaffold: Scaffold, ball: JacobianBall) -> float:
+    """Slope of a static map at the equilibrium, limited to the slopes of its ball."""
     size = np.linalg.norm(scaffold.jacobian(np.zeros(scaffold.inputs)), 2)
     return float(np.clip(np.sign(ball.alpha) * size, ball.lower, ball.upper))

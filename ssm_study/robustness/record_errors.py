@@ -13,8 +13,15 @@ from jaxtyping import Complex, Float
 
 from ssm_study.models.metrics import simulate_record
 from ssm_study.models.structured import Model
-from ssm_study.robustness.bands import ANGLES, band_means, bands_of, power, safe_ratio, welch
-from ssm_study.robustness.return_to_rest import SURE, is_return, swing
+from ssm_study.robustness.bands import (
+    ANGLES,
+    band_means,
+    sort_lines_into_bands,
+    total_power,
+    safe_ratio,
+    welch_power_density,
+)
+from ssm_study.robustness.return_to_rest import SURE, is_return_to_rest, oscillation_amplitude
 from ssm_study.signals import Trajectories, Trajectory, find_repetition
 
 # A band with less than this share of the input's mean power is not excited: g is measured there,
@@ -36,8 +43,8 @@ Spectra = tuple[
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """Mismatch between plant and model in the records of one input amplitude, in scaled units. See
-    the module for `linear` (Q) and `rest`, both at `ANGLES`.
+    """Mismatch between plant and model in the records of one input amplitude. See the module for
+    `linear` (Q) and `rest`, both at `ANGLES`.
 
     `amplitude` is the input's rms; `response` the output's power over the model's, one where they
     agree, zero where the plant holds still.
@@ -66,7 +73,7 @@ class RecordErrors:
     period: int | None = None
 
     @classmethod
-    def of(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
+    def from_record(cls, model: Model, record: Trajectory, start_up_samples: int) -> "RecordErrors":
         """Simulate the model on a record and collect its scaled errors."""
         simulated = simulate_record(model, record, start_up_samples)
         scored = slice(start_up_samples, None)
@@ -88,7 +95,7 @@ class RecordErrors:
 
     @property
     def output(self) -> Float[np.ndarray, "T p"]:
-        """The measured output, scaled."""
+        """Measured output in scaled units."""
         return self.e + self.model
 
     @property
@@ -101,8 +108,8 @@ class RecordErrors:
         return float((self.u**2).mean())
 
     def spread(self) -> float:
-        """Standard error of the logarithmic gain `ln(||e|| / ||u||)` of the record. It follows from
-        the deviation among `BLOCKS` pieces."""
+        """Standard error of the logarithm of a record's gain from input to model error. It follows
+        from the deviation among `BLOCKS` pieces."""
         errors = np.array_split(self.e, BLOCKS)
         inputs = np.array_split(self.u, BLOCKS)
         ratios = []
@@ -132,76 +139,84 @@ def open_loop_errors(
     them."""
     records = [*validation]
     for trial in trials:
-        if not trial.closed_loop and not is_return(trial):
+        if not trial.closed_loop and not is_return_to_rest(trial):
             records.append(trial)
-    return [RecordErrors.of(model, record, start_up_samples) for record in records]
+    return [RecordErrors.from_record(model, record, start_up_samples) for record in records]
 
 
 def moving_loop_errors(
     model: Model, trials: Trajectories, start_up_samples: int
 ) -> list[RecordErrors]:
-    """Errors in the trials in closed loop that keep moving, without the samples that estimate their
+    """Model errors in closed-loop trials that keep moving, without the samples that estimate the
     initial state."""
     loops = []
     for trial in trials:
         if trial.closed_loop:
-            errors = RecordErrors.of(model, trial, unscored_samples(trial, start_up_samples))
-            if errors.u.any() and swing(errors.output) > MOVING:
+            errors = RecordErrors.from_record(
+                model, trial, unscored_samples(trial, start_up_samples)
+            )
+            if errors.u.any() and oscillation_amplitude(errors.output) > MOVING:
                 loops.append(errors)
     return loops
 
 
 def unscored_samples(trial: Trajectory, start_up_samples: int) -> int:
-    """Number of first samples of a record in closed loop that estimate its initial state. It is a
-    third, `IN_LOOP` at most."""
+    """Number of first samples of a closed-loop record that serve to estimate its initial state. It
+    is a third, `IN_LOOP` at most."""
     return max(start_up_samples, min(int(IN_LOOP[0] * len(trial)), IN_LOOP[1]))
 
 
-def view_of_averages(records: list[RecordErrors]) -> View:
-    """Mismatch from records whose input does not repeat. Noise counts as mismatch, and nothing is
-    split off."""
+def mismatch_from_averages(records: list[RecordErrors]) -> View:
+    """Mismatch from records whose input does not repeat, by averaged spectra. Noise counts as
+    mismatch, and nothing is split off."""
     inputs = [record.u for record in records]
     errors = [record.e for record in records]
     input_energy = float(sum((u**2).sum() for u in inputs))
     error_energy = float(sum((e**2).sum() for e in errors))
-    power_u = welch(inputs)
-    power_e = welch(errors)
+    power_u = welch_power_density(inputs)
+    power_e = welch_power_density(errors)
     bands = np.linspace(0, np.pi, len(power_u))
     without_input = np.where(power_e > 0, np.inf, 0.0)
     ratio = np.divide(power_e, power_u, out=without_input, where=power_u > 0)
     by_frequency = np.interp(ANGLES, bands, np.sqrt(ratio))
-    return _sizes(records, by_frequency, float(np.sqrt(error_energy / input_energy)))
+    return _mismatch_from_total_gain(
+        records, by_frequency, float(np.sqrt(error_energy / input_energy))
+    )
 
 
-def _sizes(records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float) -> View:
-    """Mismatch from records of which only the total gain is known."""
+def _mismatch_from_total_gain(
+    records: list[RecordErrors], resolved: Float[np.ndarray, "F"], gain: float
+) -> View:
+    """Mismatch from records for which only the total gain of the error is known."""
     amplitude = float(np.sqrt(np.mean(np.concatenate([r.u for r in records]) ** 2)))
     linear = np.zeros(len(ANGLES), dtype=complex)
     return View(amplitude=amplitude, gain=gain, by_frequency=resolved, linear=linear, rest=resolved)
 
 
-def view_in_loop(records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None) -> View:
-    """Mismatch seen in trials in closed loop, the largest of any trial. A large swing would hide a
-    small one in their mean."""
-    gains = [_gains_in_loop(record, noise) for record in records]
+def mismatch_in_closed_loop(
+    records: list[RecordErrors], noise: Float[np.ndarray, "F"] | None
+) -> View:
+    """Largest mismatch in any trial in closed loop. A large swing would hide a small one in their
+    mean."""
+    gains = [_closed_loop_gains(record, noise) for record in records]
     by_frequency = np.max([resolved for resolved, _ in gains], axis=0)
     total = max(gain for _, gain in gains)
-    return _sizes(records, by_frequency, total)
+    return _mismatch_from_total_gain(records, by_frequency, total)
 
 
-def _gains_in_loop(
+def _closed_loop_gains(
     record: RecordErrors, noise: Float[np.ndarray, "F"] | None
 ) -> tuple[Float[np.ndarray, "F"], float]:
-    """Gain of the error over the input, by frequency and in total, counting what exceeds the noise
-    by `SURE` standard errors.
+    """Gain from input to model error in a closed-loop record, by frequency and in total, beyond the
+    noise.
 
     Where no record measured the noise it is taken for white, as strong as e in its quietest bands.
     Welch's average over N samples has the relative error `sqrt(1.06 L / 2 N)`, L the segment
     (Hann's window, half overlapping); by frequency the gain is raised by as many of them, since
     what a loop that failed shows must refute it.
     """
-    power_u = welch([record.u])
-    power_e = welch([record.e])
+    power_u = welch_power_density([record.u])
+    power_e = welch_power_density([record.e])
     bands = np.linspace(0, np.pi, len(power_u))
     samples = len(record.u)
     sides = np.where((bands > 0) & (bands < np.pi), 2.0, 1.0)  # Welch's density has one side
@@ -217,19 +232,19 @@ def _gains_in_loop(
     return np.interp(ANGLES, bands, gains), total_gain
 
 
-def noise_of(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
-    """Noise power of a sample in each band, from what does not repeat. It is the same at all
-    amplitudes, so the median of the records serves all."""
+def estimate_noise(records: list[RecordErrors]) -> Float[np.ndarray, "F"]:
+    """Noise power in each frequency band, from the difference of repeated periods. It is the same
+    at all amplitudes, so the median of the records serves all."""
     powers = []
     for record in records:
         first, second = record.spectra()[0]
-        powers.append(band_means(power(first - second) / 2) / record.period)
+        powers.append(band_means(total_power(first - second) / 2) / record.period)
     return np.asarray(np.median(powers, axis=0))
 
 
-def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
-    """Mismatch from records with two equal periods. With two periods `E_1, E_2`, `Re(E_1 conj E_2)`
-    is the power that repeats, without bias: noise is independent.
+def mismatch_from_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "F"]) -> View:
+    """Mismatch from a record with two equal periods, whose difference is noise. With two periods
+    `E_1, E_2`, `Re(E_1 conj E_2)` is the power that repeats, without bias: noise is independent.
 
     In a band that the input does not excite nothing is subtracted: the gain is the one measured,
     noise included. Averaged over the M lines of a band its variance is `(S_n^2 / 2 + S_n S_e) / M`.
@@ -238,9 +253,9 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     both, drive, model = record.spectra()
     first, second = both
     noise_power = noise * record.period
-    _, lines = bands_of(len(drive))
-    power_u = band_means(power(drive))
-    power_model = band_means(power(model))
+    _, lines = sort_lines_into_bands(len(drive))
+    power_u = band_means(total_power(drive))
+    power_model = band_means(total_power(model))
     repeats = band_means((first * second.conj()).real.sum(axis=1))  # noise averages out, see above
     doubt: Any = 0.0
     if not sure:
@@ -256,7 +271,7 @@ def view_of_periods(record: RecordErrors, sure: bool, noise: Float[np.ndarray, "
     rest = np.maximum(repeats - explained - doubt, 0.0)
     # Little or no input: by chance nothing repeats there, or anything.
     unexcited = power_u < EXCITED * power_u.mean()
-    measured = band_means((power(first) + power(second)) / 2)
+    measured = band_means((total_power(first) + total_power(second)) / 2)
     whole = np.where(unexcited, measured, whole)
     rest = np.where(unexcited, measured, rest)
     linear = np.where(unexcited, 0.0, linear)
@@ -278,4 +293,4 @@ def _linear_part(
     mean of both periods, which halves the noise's variance."""
     cross = (error * model.conj()).sum(axis=1)
     banded_cross = band_means(cross.real) + 1j * band_means(cross.imag)
-    return safe_ratio(banded_cross, band_means(power(model)))
+    return safe_ratio(banded_cross, band_means(total_power(model)))

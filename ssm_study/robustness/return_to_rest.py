@@ -25,8 +25,8 @@ FAR = 10 * AT_REST  # from where a return shows a decay
 SAME_INPUT = 6  # digits of the scaled input in which two rests agree
 
 
-def is_return(record: Trajectory) -> bool:
-    """Whether the input moves once, at the beginning, and is held from then on. Measured
+def is_return_to_rest(record: Trajectory) -> bool:
+    """Whether a record's input moves once at the beginning and is constant from then on. Measured
     disturbances are, too (`data.splits.rest_segments`)."""
     if len(record) <= FEWEST:
         return False
@@ -36,11 +36,11 @@ def is_return(record: Trajectory) -> bool:
     return moves_once and is_held
 
 
-def after_returns(
+def offsets_after_returns(
     scale: Scale, records: list[Trajectory], response: int
 ) -> tuple[list[float], list[float]]:
-    """Oscillations and offsets of the output, in output scales, that remain after the input has
-    returned to a constant value.
+    """Oscillations and offsets of the output that remain after the input has returned to a constant
+    value.
 
     Returns count that outlast the model's response; without any, all that came to rest from `FAR`
     away, where each did: a model may have a slow mode that the plant has not. Nothing is said where
@@ -49,30 +49,32 @@ def after_returns(
     motions = list[float]()
     offsets = list[float]()
     shortest = max(RESPONSES * response, FEWEST)
-    for level, outputs in _by_input(scale, records).items():
+    for level, outputs in _group_by_input(scale, records).items():
         is_equilibrium = not np.frombuffer(level).any()
         long = [y for y in outputs if len(y) >= shortest]
         counted = long or outputs
-        swings = [swing(y) for y in counted]
+        swings = [oscillation_amplitude(y) for y in counted]
         apart = _distances_from_rest(counted, centred=is_equilibrium)
-        came_to_rest = bool(long) or (max((*swings, *apart)) < AT_REST and _started_far(outputs))
+        came_to_rest = bool(long) or (
+            max((*swings, *apart)) < AT_REST and _starts_far_from_rest(outputs)
+        )
         if came_to_rest:
             motions += [size for size in swings if size >= AT_REST or apart]
             offsets += [offset for offset in apart if offset > AT_REST]
     return motions, offsets
 
 
-def spread_of_rest_points(scale: Scale, records: list[Trajectory]) -> float:
-    """Largest distance, in output scales, between the final output of one return to a constant
-    input and the mean of the others. It is zero if one still moves there."""
+def equilibrium_spread(scale: Scale, records: list[Trajectory]) -> float:
+    """Largest distance between the final outputs of records that return to the same constant input.
+    It is zero if one still moves there."""
     offsets = list[float]()
-    for outputs in _by_input(scale, records).values():
-        if max(map(swing, outputs)) < AT_REST:
+    for outputs in _group_by_input(scale, records).values():
+        if max(map(oscillation_amplitude, outputs)) < AT_REST:
             offsets += _distances_from_rest(outputs, centred=False)
     return max(offsets, default=0.0)
 
 
-def _by_input(
+def _group_by_input(
     scale: Scale, records: list[Trajectory]
 ) -> dict[bytes, list[Float[np.ndarray, "T p"]]]:
     """Scaled outputs of the records that return to a constant input, grouped by that input."""
@@ -85,9 +87,9 @@ def _by_input(
     return groups
 
 
-def _started_far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
-    """Whether an output started `FAR` from where it ended."""
-    ends = [_tail(y)[0].mean(axis=0) for y in outputs]
+def _starts_far_from_rest(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
+    """Whether an output starts far from where it ends."""
+    ends = [_last_quarter(y)[0].mean(axis=0) for y in outputs]
     distances = [np.abs(y[0] - end).max() for y, end in zip(outputs, ends, strict=True)]
     return any(distance >= FAR for distance in distances)
 
@@ -95,7 +97,7 @@ def _started_far(outputs: list[Float[np.ndarray, "T p"]]) -> bool:
 def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bool) -> list[float]:
     """Distance of each final output from the equilibrium, or from the mean of the others, noise
     removed."""
-    tails = [_tail(y) for y in outputs]
+    tails = [_last_quarter(y) for y in outputs]
     means = np.stack([tail.mean(axis=0) for tail, _ in tails])
     spread = np.stack([noise / len(tail) for tail, noise in tails])
     others = len(means) - 1
@@ -109,10 +111,11 @@ def _distances_from_rest(outputs: list[Float[np.ndarray, "T p"]], *, centred: bo
     return [float(offset) for offset in offsets.max(axis=1)]
 
 
-def after_motion(
+def output_after_motion(
     u: Float[np.ndarray, "T m"], y: Float[np.ndarray, "T p"], response: int
 ) -> Float[np.ndarray, "K p"]:
-    """Output after the last motion of the input. Empty unless that outlasts the response."""
+    """Part of an output after the last motion of the input has died out. Empty unless that outlasts
+    the response."""
     nothing = y[:0]
     if not u.any():
         return nothing
@@ -123,24 +126,26 @@ def after_motion(
 
 
 def remaining_offset(y: Float[np.ndarray, "T p"]) -> float:
-    """Offset or oscillation, the larger, of an output in the last quarter of its record at constant
+    """Larger of offset and oscillation of an output in the last quarter of a record at constant
     input, noise removed."""
-    tail, noise = _tail(y)
+    tail, noise = _last_quarter(y)
     standard_error = np.sqrt(noise / len(tail))
     offset = np.abs(tail.mean(axis=0)) - SURE * standard_error
     offset = np.maximum(offset, 0.0)
-    return max(float(offset.max()), swing(y))
+    return max(float(offset.max()), oscillation_amplitude(y))
 
 
-def swing(y: Float[np.ndarray, "T p"]) -> float:
-    """Amplitude of the output's oscillation in the last quarter of its record at constant input."""
-    tail, noise = _tail(y)
+def oscillation_amplitude(y: Float[np.ndarray, "T p"]) -> float:
+    """Amplitude of the output's oscillation in the last quarter of a record at constant input."""
+    tail, noise = _last_quarter(y)
     most_noise = (1 + SURE * np.sqrt(8 / len(tail))) * noise
     variance = np.maximum(tail.var(axis=0) - most_noise, 0.0)
     return float(np.sqrt(2 * variance).max())
 
 
-def _tail(y: Float[np.ndarray, "T p"]) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
+def _last_quarter(
+    y: Float[np.ndarray, "T p"],
+) -> tuple[Float[np.ndarray, "K p"], Float[np.ndarray, "p"]]:
     """Last quarter of an output at constant input, and the variance of its noise. It is the mean of
     `median(S) / ln 2`, each over `NEIGHBOURS` lines.
 

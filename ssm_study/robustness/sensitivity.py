@@ -30,9 +30,9 @@ FINE_ANGLES = np.geomspace(1e-4, np.pi, 1000)
 End = tuple[StateSpace, Gains, float, float]
 
 
-def slopes(ball: JacobianBall) -> tuple[float, ...]:
-    """Slopes of a map at which the sensitivity is evaluated: both ends of the ball and its
-    centre."""
+def slopes_to_test(ball: JacobianBall) -> tuple[float, ...]:
+    """Slopes of a static map at which the loop is evaluated: both ends and the centre of its
+    ball."""
     if ball.beta > 0:
         return ball.lower, ball.alpha, ball.upper
     return (ball.alpha,)
@@ -41,19 +41,19 @@ def slopes(ball: JacobianBall) -> tuple[float, ...]:
 def slope_combinations(
     system: System, pair: Gains, balls: Balls, at: Float[np.ndarray, "k q"] | None = None
 ) -> Iterator[End]:
-    """Combinations of extreme slopes of maps and neurons. Those of neurons are at the corners
-    unless given (`at`), where L is `L + E S L_z`."""
-    slopes_in = slopes(balls.input)
-    slopes_out = slopes(balls.output)
-    for linear, own_gains in _at_frozen_neurons(system, pair, at):
+    """Linear systems and gains at all combinations of extreme slopes of maps and neurons. Those of
+    neurons are at the corners unless given (`at`), where L is `L + E S L_z`."""
+    slopes_in = slopes_to_test(balls.input)
+    slopes_out = slopes_to_test(balls.output)
+    for linear, own_gains in _freeze_neurons(system, pair, at):
         for slope_in, slope_out in product(slopes_in, slopes_out):
             yield linear, own_gains, slope_in, slope_out
 
 
-def _at_frozen_neurons(
+def _freeze_neurons(
     system: System, pair: Gains, at: Float[np.ndarray, "k q"] | None
 ) -> Iterator[tuple[StateSpace, Gains]]:
-    """System and gains at each row of frozen slopes of the neurons."""
+    """Linear system and gains for each combination of frozen neuron slopes."""
     if isinstance(system, StateSpace):
         yield system, pair
         return
@@ -119,7 +119,7 @@ def sensitivity_peak(system: System, pair: Gains, balls: Balls) -> float:
 
 
 def controller_radius(system: System, pair: Gains, balls: Balls) -> Float[np.ndarray, "*pairs"]:
-    """Spectral radius of each controller alone, the largest over the slopes. Its internal model is
+    """Largest spectral radius of each controller by itself, over the slopes. Its internal model is
     left out.
 
     While the plant holds still (friction holds it, its actuator saturates), `y = y*` and the
@@ -152,17 +152,17 @@ class Responses:
     angles: Float[np.ndarray, "F"]
     known: dict[bytes, Complex[np.ndarray, "F n k"]] = field(default_factory=dict)
 
-    def to_state(
+    def state_response(
         self, a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n k"]
     ) -> Complex[np.ndarray, "F n k"]:
-        """Frequency response from input to state, `(z I - a)^{-1} b`, cached for the next pair."""
+        """Frequency response from input to state, cached for the next pair of gains."""
         key = a.tobytes() + b.tobytes()
         if key not in self.known:
             system = StateSpace(a=a, b=b, c=np.eye(len(a)), d=np.zeros_like(b))
             self.known[key] = frequency_response(system, self.angles)
         return self.known[key]
 
-    def of(
+    def loop_response(
         self,
         linear: StateSpace,
         k: Float[np.ndarray, "m s"],
@@ -170,17 +170,16 @@ class Responses:
         ls: list[Float[np.ndarray, "n p"]],
         *slope: float,
     ) -> Complex[np.ndarray, "O F m p"]:
-        """Response of one controller with its internal model and each of these observers, at slopes
-        of `S_u` and `S_y`."""
+        """Frequency response of the loop with one controller and each of several observers."""
         slope_in, slope_out = slope
         order = linear.order
         outputs = ls[0].shape[1]
         on_state = k[:, :order]
-        summed = k[:, order:] @ self.to_state(modes, error_input_matrix(modes, outputs))
+        summed = k[:, order:] @ self.state_response(modes, error_input_matrix(modes, outputs))
         state_gain = on_state + slope_out * summed @ linear.c[:outputs]
-        loop = state_gain @ self.to_state(linear.a, linear.b)
+        loop = state_gain @ self.state_response(linear.a, linear.b)
         observers = [(linear.a + slope_out * l @ linear.c, l) for l in ls]  # noqa: E741
-        observed = np.stack([self.to_state(*observer) for observer in observers])
+        observed = np.stack([self.state_response(*observer) for observer in observers])
         through = -np.einsum("mn,ofnp->ofmp", on_state, observed)
         if k.shape[1] > order:
             through = through + summed
@@ -198,7 +197,7 @@ def peaks_on_grid(
     l_zs: Float[np.ndarray, "O q p"] | None = None,
     internal: Float[np.ndarray, "z z"] | None = None,
 ) -> Float[np.ndarray, "C O"]:
-    """Peak sensitivity of every pair of controllers and observers on a frequency grid. The largest
+    """Peak sensitivity of every pair of controller and observer on a frequency grid. The largest
     `weight sigma_max(T_ue)` on a grid, for every pair, over the neurons' slopes 0, 1/2 and 1, all
     alike.
 
@@ -214,7 +213,7 @@ def peaks_on_grid(
     for linear, frozen, *slope in slope_combinations(system, observers, balls, neuron_slopes):
         frozen_ls = list(frozen.l)
         for k, peak in zip(ks, peaks, strict=True):
-            response = responses.of(linear, k, observers.modes, frozen_ls, *slope)
+            response = responses.loop_response(linear, k, observers.modes, frozen_ls, *slope)
             weighted = weights * largest_singular_values(response)
             np.maximum(peak, weighted.max(axis=1), out=peak)
     return peaks
@@ -223,7 +222,7 @@ def peaks_on_grid(
 def largest_singular_values(
     response: Complex[np.ndarray, "*many m p"],
 ) -> Float[np.ndarray, "*many"]:
-    """The largest singular value of each matrix."""
+    """Largest singular value of each matrix of a stack."""
     if response.shape[-1] == response.shape[-2] == 1:
         return np.asarray(np.abs(response[..., 0, 0]))  # one channel needs no singular values
     return np.linalg.norm(response, ord=2, axis=(-2, -1))

@@ -49,8 +49,7 @@ class SineMismatch:
 
 
 def peak_lines(model: Model, pair: Gains, balls: Balls, period: int) -> list[int]:
-    """Frequencies for single-sine experiments, as lines of a period: the largest local peaks of
-    `|T_ue|` over all frozen slopes."""
+    """Frequencies, as lines of a period, at which the loop is most sensitive to model errors."""
     size = np.zeros(len(FINE_ANGLES))
     for end in slope_combinations(model.system, pair, balls):
         response = frequency_response(sensitivity(*end), FINE_ANGLES)
@@ -89,16 +88,17 @@ def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"], period: in
 def measure_sine_mismatch(
     model: Model, records: Trajectories, mismatch: Mismatch, period: int
 ) -> list[SineMismatch]:
-    """Measure the mismatch at the sine's frequency in each record, with the noise power that the
-    broadband records show."""
+    """Measure the mismatch at the sine's frequency in each single-sine record."""
     noise = np.array(mismatch.noise)
-    return [measure_sine(RecordErrors.of(model, record, 0), noise, period) for record in records]
+    return [
+        measure_sine(RecordErrors.from_record(model, record, 0), noise, period)
+        for record in records
+    ]
 
 
-def with_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
-    """Add the mismatch measured with single sines to that of the broadband records, at the nearest
-    amplitude. Sines well below the smallest amplitude get one of their own, which else equals the
-    smallest one's."""
+def add_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
+    """Mismatch of the broadband records, raised where single sines measured more. Sines well below
+    the smallest amplitude get one of their own, which else equals the smallest one's."""
     views = list(mismatch.views)
     smallest = views[0]
     below = [sine for sine in sines if sine.amplitude < smallest.amplitude / 2]
@@ -108,12 +108,12 @@ def with_sines(mismatch: Mismatch, sines: Sequence[SineMismatch]) -> Mismatch:
     for sine in sines:
         distances = [abs(np.log(sine.amplitude / view.amplitude)) for view in views]
         nearest = int(np.argmin(distances))
-        views[nearest] = with_sine(views[nearest], sine)
+        views[nearest] = add_sine(views[nearest], sine)
     return replace(mismatch, views=tuple(views))
 
 
-def with_sine(view: View, sine: SineMismatch) -> View:
-    """Raise the gain of a mismatch near the frequency of one sine, where the sine shows more."""
+def add_sine(view: View, sine: SineMismatch) -> View:
+    """Mismatch at one amplitude, raised near the frequency of a sine that measured more."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
     shown = float(np.interp(sine.angle, ANGLES, view.by_frequency))

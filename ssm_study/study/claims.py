@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.columns import ITERATED, ONE_FORMULA
 from ssm_study.data import metrics as data_metrics
 from ssm_study.durable import read_limited_bytes, read_sealed_json
@@ -273,7 +273,7 @@ def model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model, and that its sampling time is that of the
     records."""
     if run.claims_certificate:
-        yield Derived(bound_facts(run.model) | size_columns(run.model))
+        yield Derived(model_bound_columns(run.model) | size_columns(run.model))
         steps = run.model.step_s, run.simulated.validation.records[0].step_s
         yield check_agreement(
             "model.json step_s", {"step_s": steps}, ONE_FORMULA, "that of the records"

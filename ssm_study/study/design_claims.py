@@ -10,12 +10,17 @@ from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
-from ssm_study.certificates.theorem import UNFIT, Theorem, condition, smallest_eigenvalue
+from ssm_study.certificates.theorem import (
+    UNFIT,
+    Theorem,
+    scaled_condition_number,
+    smallest_eigenvalue,
+)
 from ssm_study.certificates.theorems.integral_action import (
-    augmented,
+    augmented_system,
     controlled_system,
     internal_model,
-    output_gain,
+    linear_output_gain,
 )
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.unlimited_start import UnlimitedStart
@@ -35,13 +40,17 @@ from ssm_study.study.findings import (
     check_entries,
 )
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.deployed import starts_at_rest
+from ssm_study.synthesis.deployed import equilibrium_starts
 from ssm_study.synthesis.design import failed_checks
-from ssm_study.synthesis.expected_response import response_facts
+from ssm_study.synthesis.expected_response import response_columns
 from ssm_study.synthesis.input_inversion import mismatch_behind_map
-from ssm_study.synthesis.measured_discs_run import coverage_facts, fresh_facts, fresh_needs
-from ssm_study.synthesis.metrics import design_facts
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_facts
+from ssm_study.synthesis.measured_discs_run import (
+    coverage_columns,
+    fresh_data_column,
+    fresh_data_needs,
+)
+from ssm_study.synthesis.metrics import design_columns
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
 from ssm_study.systems import Balls, System
 
 
@@ -57,17 +66,17 @@ def certificate(run: RunFiles) -> Claims:
         yield Checked(claim="certificate.json", holds=False, found="; ".join(misfits))
         return
     yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
-    for label, part in design.content.items():
+    for label, part in design.parts_by_name.items():
         yield verdict_on_part(run, label, part, sentences)
     yield from internal_model_claim(run)
     yield from limits_claim(run)
     yield from starts_claim(run)
     mismatch = mismatch_again(run)
-    facts = design_facts(design, run.model, balls, mismatch)
+    facts = design_columns(design, run.model, balls, mismatch)
     facts |= coverage_again(run)
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.trials
-        facts |= response_facts(design, run.model, mismatch, *records)
+        facts |= response_columns(design, run.model, mismatch, *records)
     facts |= sines_again(run, balls, mismatch)
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 
@@ -121,7 +130,7 @@ def starts_claim(run: RunFiles) -> Iterator[Checked]:
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
-            yield stored_starts(part, starts_at_rest(model, part.starts))
+            yield stored_starts(part, equilibrium_starts(model, part.starts))
 
 
 def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
@@ -142,7 +151,7 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
 def mismatch_again(run: RunFiles) -> Any:
     """Measure the mismatch again from the run's own recordings."""
     validation = run.simulated.validation
-    measure = mismatch_behind_map if run.design.inverts else measure_mismatch
+    measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
@@ -160,7 +169,7 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
     if run.specification.plant is None:
         test = run.simulated.test
         fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
-    facts = coverage_facts(run.design, run.model, premise, fresh)
+    facts = coverage_columns(run.design, run.model, premise, fresh)
     return facts | fresh_data_again(run, premise, mismatch)
 
 
@@ -173,7 +182,9 @@ def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dic
     assert specification.plant is not None
     start_up = run.simulated.validation.start_up_samples
     fresh = specification.data.simulate_fresh_sets(specification.plant, specification.seed)
-    return fresh_facts(fresh_needs(run.design, run.model, premise, mismatch, fresh, start_up))
+    return fresh_data_column(
+        fresh_data_needs(run.design, run.model, premise, mismatch, fresh, start_up)
+    )
 
 
 def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
@@ -191,7 +202,7 @@ def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, An
         specification.plant,
         specification.seed,
     )
-    return sine_facts(run.design, run.model, balls, mismatch, sines)
+    return sine_columns(run.design, run.model, balls, mismatch, sines)
 
 
 def requested_system(run: RunFiles) -> System:
@@ -207,7 +218,7 @@ def requested_system(run: RunFiles) -> System:
     if not words:
         return run.model.system
     modes = internal_model(words, run.model.step_s, run.model.scale.outputs)
-    return augmented(run.model.system, output_gain(run.model), modes)
+    return augmented_system(run.model.system, linear_output_gain(run.model), modes)
 
 
 def information_errors(part: Theorem | Infeasible) -> list[str]:
@@ -220,7 +231,7 @@ def information_errors(part: Theorem | Infeasible) -> list[str]:
     # So written that NaN is wrong.
     if not abs(again - part.margin) <= ITERATED * abs(again) + EIGENVALUE:
         wrong.append(f"margin: it is {again:.6g}")
-    number = condition(getattr(part, part.metric_matrix))
+    number = scaled_condition_number(getattr(part, part.metric_matrix))
     if not abs(number / part.condition - 1) <= ITERATED:
         wrong.append(f"condition: it is {number:.6g}")
     return wrong

@@ -96,7 +96,7 @@ def _unreduced(run: RunFiles) -> Iterator[Checked]:
 
 def _reasons(run: RunFiles) -> Claims:
     """Check that the reason for a missing certificate is one short line; it decides nothing."""
-    for label, part in run.design.content.items():
+    for label, part in run.design.parts_by_name.items():
         if not isinstance(part, Infeasible):
             continue
         is_sentence = part.reason.isprintable() and len(part.reason) <= LONGEST_REASON

@@ -17,7 +17,7 @@ from ssm_study.engine.records import INFEASIBLE, OK, RECORD
 from ssm_study.engine.runs import Run
 from ssm_study.engine.settings import Settings, value_at
 from ssm_study.engine.stages import Facts, StageOutput, Stages
-from ssm_study.engine.task import Task, folder_of, store_of
+from ssm_study.engine.task import Task, run_folder, shared_store
 from ssm_study.refusal import require
 from ssm_study.renamed import rename_old_settings
 from ssm_study.study.allow_list import KEYS, PARTS, refuse_foreign_targets
@@ -47,7 +47,7 @@ class Study(Task["Specification"]):
         "ssm-study",
     )
 
-    def refuse(self, config: DictConfig) -> None:
+    def refuse_configuration(self, config: DictConfig) -> None:
         rename_old_settings(config)
         refuse_foreign_targets(config)
         known_keys = {*KEYS, *PARTS}
@@ -55,7 +55,7 @@ class Study(Task["Specification"]):
         for key in map(str, config):
             require(key in known_keys, key, config[key], "is no part of a study", remedy)
 
-    def inputs(self, settings: Settings) -> list[Path]:
+    def input_files(self, settings: Settings) -> list[Path]:
         # By its name: building the data to ask them would import what a finished run does without.
         simulated = str(settings["data"].get("_target_", "")).endswith(".SimulatedData")
         if simulated and "'path'" not in str(settings):
@@ -107,7 +107,7 @@ class Study(Task["Specification"]):
         is_on_processor = request.training.accelerator == "cpu"
         if is_on_processor or settings.get("dry_run") or not launcher.endswith(LOCAL):
             return False
-        planned = PlannedStages(store_of(settings))
+        planned = PlannedStages(shared_store(settings))
         self.stages(request, planned)
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
@@ -233,7 +233,7 @@ class Study(Task["Specification"]):
             "rates_chosen": chosen_rates(values),
         }
 
-    def asked(self, request: "Specification", overrides: Sequence[str]) -> Facts:
+    def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
         return undeclared_settings(
             request.configuration, {word.partition("=")[0] for word in overrides}
         )
@@ -254,7 +254,7 @@ def study_folder(config: DictConfig) -> Path:
     Raises `BadRequest` for a name that leaves the results folder.
     """
     names = {"results_dir": config.results_dir, "study": config.study, "run": "any"}
-    return folder_of(names).parent
+    return run_folder(names).parent
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:

@@ -55,4 +55,4 @@ def preload(again: Set[str]) -> None:
     constants = MotorConstants(*[1.0] * len(MotorConstants._fields))
     advance_batch(constants, np.zeros((0, 4)), np.zeros((0, 1)), np.zeros((0, 1)), 1.0, 1)
     Plugins.instance()  # Hydra looks for them once per process
-    CODE.remember()  # last: what is loaded by now is what counts
+    CODE.read_loaded_modules()  # last: what is loaded by now is what counts

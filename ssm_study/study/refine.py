@@ -23,7 +23,7 @@ from ssm_study.study.line import STUDY
 from ssm_study.study.loop_recordings import read_experiment
 from ssm_study.study.run_files import CONFIGURATION, RunFiles
 from ssm_study.study.trials import read_logs, records_of_loops, refined_run_name
-from ssm_study.synthesis.measured_discs_run import coverage_facts
+from ssm_study.synthesis.measured_discs_run import coverage_columns
 
 # iterations at most: of the designs that failed on plants whose record hid something, two mended
 # most
@@ -147,7 +147,7 @@ def _measure_trial(files: RunFiles, log: Path | None) -> TrialMismatch:
         return TrialMismatch(gain=0.0, coverage=None)
     records, start_up_samples, trials = measured
     premise = measure_premise(files.model, records, mismatch, start_up_samples, trials)
-    facts = coverage_facts(files.design, files.model, premise)
+    facts = coverage_columns(files.design, files.model, premise)
     return TrialMismatch(gain=mismatch.loop.gain, coverage=facts.get("coverage"))
 
 

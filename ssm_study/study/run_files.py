@@ -185,7 +185,7 @@ class RunFiles:
         """Closed-loop experiment of the run. Without a plant its limits are the input range of the
         log."""
         loop = self.specification.loop
-        if self.specification.plant and not self.design.inverts:
+        if self.specification.plant and not self.design.inverts_input_map:
             return loop
         return loop.with_default_limits(self.training_inputs)
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Design
-from ssm_study.certificates.theorems.integral_action import frequencies
+from ssm_study.certificates.theorems.integral_action import parse_frequencies
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require, require_positive
@@ -27,7 +27,7 @@ from ssm_study.synthesis.candidate_grid import CandidateGrid
 from ssm_study.synthesis.candidates import Candidates
 from ssm_study.synthesis.covered_gains import GainSearch
 from ssm_study.synthesis.decay_response import NO_DECAYS
-from ssm_study.synthesis.design import Synthesis, contraction_rate
+from ssm_study.synthesis.design import Synthesis, require_contraction_rate
 from ssm_study.synthesis.expected_response import ATTEMPTS, FASTER, ExpectedResponse, RankedPair
 from ssm_study.synthesis.input_inversion import design_with_inverted_input
 from ssm_study.synthesis.measured_discs_choice import Search, prefer_covered
@@ -79,20 +79,22 @@ class Auto:
         for name in ("rate", "rate_controller", "rate_observer"):
             rate = getattr(self, name)
             if rate != "auto":
-                contraction_rate(f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1')
+                require_contraction_rate(
+                    f"synthesis.{name}", rate, 'use "auto" or a number such as 0.1'
+                )
         above_zero = self.margin > 0
         require(above_zero, "synthesis.margin", self.margin, "the margin must be positive", "use 1")
         for name in SHARES:
             self._check_grid(name, below=1.0, allowed="numbers in (0, 1)")
         for name in WEIGHTS:
             self._check_grid(name, below=np.inf, allowed="positive numbers")
-        frequencies(self.internal_model)
+        parse_frequencies(self.internal_model)
         if self.cover is not None:
             require_positive("synthesis.cover", self.cover, "use 1, or 1.5 for more")
 
     def _check_grid(self, name: str, below: float, allowed: str) -> None:
-        """Raise `BadRequest` for a grid that is empty where it must not be, or that holds a value
-        out of range."""
+        """Raise `BadRequest` for a grid of rates or weights that is empty or holds a value out of
+        range."""
         grid = getattr(self, name)
         may_be_empty = name == "integral_weights"
         in_range = all(0 < value < below for value in grid)
@@ -101,13 +103,13 @@ class Auto:
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the internal model's modes."""
+        """Names of the internal model's modes, such as `step`."""
         return tuple(self.internal_model) or ("step",) * bool(self.integral_weights)
 
     @property
     def grid(self) -> CandidateGrid:
-        """Grid of rates and weights. A controller or observer without a rate of its own takes
-        `rate`."""
+        """Grid of rates and weights over which gains are computed. A controller or observer without
+        a rate of its own takes `rate`."""
         return CandidateGrid(
             rate_controller=self._rate_or_common(self.rate_controller),
             rate_observer=self._rate_or_common(self.rate_observer),
@@ -124,8 +126,8 @@ class Auto:
         return self.rate if rate == "auto" else rate
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains of all points of the grid for which the Riccati equation has a solution. None if
-        controller or observer has none."""
+        """Gains at all grid points where the Riccati equation has a solution; None if there are
+        none. None if controller or observer has none."""
         return self.grid.candidates(model, balls)
 
     def design(
@@ -135,8 +137,8 @@ class Auto:
         validation: Trajectories = (),
         mismatch: Mismatch | None = None,
     ) -> Design:
-        """Choose controller and observer and verify them exactly. Where no design exists, the
-        result carries the Riccati route's reason.
+        """Choose the gains of controller and observer and verify them in exact arithmetic. Where no
+        design exists, the result carries the Riccati route's reason.
 
         The mismatch is that of the validation records unless given.
         """
@@ -146,7 +148,9 @@ class Auto:
             )
         candidates = self.candidates(model, balls)
         if candidates is None:
-            return self._reported(self._slowest(model, balls), "nothing on the grid is feasible")
+            return self._with_search_outcome(
+                self._slowest_design(model, balls), "nothing on the grid is feasible"
+            )
         mismatch = mismatch or measure_mismatch(model, validation)
         peaks = coarse_peaks(model, balls, candidates, mismatch)
         response = ExpectedResponse(
@@ -168,8 +172,8 @@ class Auto:
             pairs, make.certified_and_predicted, model, balls, self.premise, self.cover, search
         )
         if chosen is not None:
-            return self._reported(chosen, status + unsolved_note(candidates))
-        return self._largest_margin(model, balls, candidates, peaks)
+            return self._with_search_outcome(chosen, status + describe_unsolved_points(candidates))
+        return self._largest_margin_design(model, balls, candidates, peaks)
 
     def _covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
@@ -192,12 +196,12 @@ class Auto:
 
         def covered_gains(first: Design, most: Design, cover: float) -> Design | None:
             """Search around one design for gains whose proof covers the records."""
-            largest_area = min(slower * search.area_of(first.pair), FASTER)
+            largest_area = min(slower * search.response_area(first.pair), FASTER)
             return search.improve(most, cover, rounds, largest_area)
 
         return covered_gains
 
-    def _largest_margin(
+    def _largest_margin_design(
         self, model: Model, balls: Balls, candidates: Candidates, peaks: Float[np.ndarray, "C O"]
     ) -> Design:
         """Design the controller and observer with the largest coarse stability margin, and note why
@@ -207,10 +211,12 @@ class Auto:
         status = f"no stable controller with margin above {self.margin:g}; largest margin taken"
         if np.isinf(self.margin):
             status = "the evidence allows no judgement of the plant; largest margin taken"
-        return self._reported(design, status + unsolved_note(candidates))
+        return self._with_search_outcome(design, status + describe_unsolved_points(candidates))
 
-    def within(self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]) -> "Auto":
-        """Copy of this choice that scores responses with the input limited to these scaled
+    def with_input_limits(
+        self, lower: Float[np.ndarray, "m"], upper: Float[np.ndarray, "m"]
+    ) -> "Auto":
+        """Copy of this synthesis that scores responses with the input limited to these scaled
         deviations.
 
         Limits without room around rest are not applied.
@@ -218,22 +224,22 @@ class Auto:
         has_room = (lower < 0).all() and (upper > 0).all()
         return replace(self, limits=(lower, upper)) if has_room else self
 
-    def covering(self, premise: Premise) -> "Auto":
-        """Copy of this choice that prefers designs whose proof covers these records."""
+    def prefer_covered_designs(self, premise: Premise) -> "Auto":
+        """Copy of this synthesis that prefers designs whose proof covers the mismatch in the
+        records."""
         return replace(self, premise=premise)
 
-    def starting_from(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
-        """Copy of this choice that prefers designs which settle faster than these recorded decays
-        (`decays_of`)."""
+    def prefer_faster_than_decays(self, decays: Float[np.ndarray, "N T p"]) -> "Auto":
+        """Copy of this synthesis that prefers designs which settle faster than the recorded
+        decays."""
         return replace(self, decays=decays)
 
     def with_largest_margin(self) -> "Auto":
-        """Copy of this choice with the same grids that takes the design with the largest margin."""
+        """Copy of this synthesis that takes the design with the largest stability margin."""
         return replace(self, margin=float("inf"))
 
-    def _slowest(self, model: Model, balls: Balls) -> Design:
-        """Design at the least demanding rates and weights by the Riccati route, to report its
-        reason."""
+    def _slowest_design(self, model: Model, balls: Balls) -> Design:
+        """Design at the slowest rates and smallest weights, made to report why none succeeds."""
         grid = self.grid
         rates = {"rate_controller": grid.rate_controller, "rate_observer": grid.rate_observer}
         least: Any = {
@@ -241,8 +247,9 @@ class Auto:
         }
         return replace(grid.specifications()[0], **least).design(model, balls)
 
-    def _reported(self, design: Design, status: str) -> Design:
-        """The design's parts under this method's name, with the outcome of the search."""
+    def _with_search_outcome(self, design: Design, status: str) -> Design:
+        """The same design under this method's name, with the outcome of the search in its
+        status."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(
@@ -257,15 +264,16 @@ class Auto:
 
 @dataclass(kw_only=True)
 class CertifiedDesigns:
-    """Certified designs of ranked gains, made when asked for. Once one is faster than the open
-    loop, slower ones are left out."""
+    """Lazily made certified designs of ranked gains. Once one is faster than the open loop, slower
+    ones are left out."""
 
     response: ExpectedResponse
     has_faster: bool = False
 
     def certified_and_predicted(self, ranked: RankedPair) -> Design | None:
-        """Certified design of one controller and observer. None unless it is predicted to be
-        stable, and for a controller that is no faster than none while a faster one is predicted."""
+        """Certified design of one controller and observer, or None if it is not certified or not
+        predicted to be stable. None unless it is predicted to be stable, and for a controller that
+        is no faster than none while a faster one is predicted."""
         if self.has_faster and not ranked.is_faster:
             return None
         known = self.response
@@ -282,9 +290,9 @@ class CertifiedDesigns:
 def coarse_peaks(
     model: Model, balls: Balls, candidates: Candidates, mismatch: Mismatch
 ) -> Float[np.ndarray, "C O"]:
-    """Largest loop gain `g |T_ue|` of every controller and observer on `GRID_ANGLES`. Infinite
-    where the loop is unstable."""
-    weights = mismatch.at(GRID_ANGLES)
+    """Largest loop gain of every pair of controller and observer on a coarse frequency grid.
+    Infinite where the loop is unstable."""
+    weights = mismatch.gain_at(GRID_ANGLES)
     return peaks_on_grid(
         model.system,
         candidates.ks,
@@ -297,8 +305,8 @@ def coarse_peaks(
     )
 
 
-def unsolved_note(candidates: Candidates) -> str:
-    """Text on the points of the grid without a solution. Empty if all have one."""
+def describe_unsolved_points(candidates: Candidates) -> str:
+    """Text on the grid points at which no gain could be computed. Empty if all have one."""
     count = candidates.unsolved
     return f" ({count} of the grid have no solution)" if count else ""
 

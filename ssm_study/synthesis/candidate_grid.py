@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.certificates.problem import NoSolution, Solution, dual
-from ssm_study.certificates.theorems.integral_action import internal_model, with_modes
+from ssm_study.certificates.problem import NoSolution, Solution, dual_system
+from ssm_study.certificates.theorems.integral_action import internal_model, append_internal_model
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, evaluate_activations
 from ssm_study.synthesis.candidates import Candidates, GainCandidate
@@ -29,8 +29,8 @@ HALF_SLOPE = 0.5
 
 
 class SolvedSide(NamedTuple):
-    """Gains of the controllers or of the observers of the grid, and the number of points without a
-    solution."""
+    """Gains of all controllers, or of all observers, of a grid, and the number of grid points
+    without a solution."""
 
     candidates: list[GainCandidate]
     unsolved: int
@@ -51,7 +51,8 @@ class CandidateGrid:
     modes: tuple[str, ...]
 
     def specifications(self) -> list[RiccatiSynthesis]:
-        """Synthesis specifications of the grid, one for each weight of the internal model."""
+        """Riccati synthesis specifications of the grid, one for each weight of the internal
+        model."""
         weights: Sequence[float] = INTEGRAL_WEIGHTS[:1]
         if self.modes:
             weights = tuple(self.integral_weights) or INTEGRAL_WEIGHTS
@@ -67,11 +68,11 @@ class CandidateGrid:
         ]
 
     def candidates(self, model: Model, balls: Balls) -> Candidates | None:
-        """Gains of all points of the grid for which the Riccati equation has a solution. None if
-        controller or observer has none."""
+        """Gains at all grid points where the Riccati equation has a solution; None if there are
+        none. None if controller or observer has none."""
         if any(abs(ball.alpha) <= ball.beta for ball in (balls.input, balls.output)):
             return None
-        rest = slopes_at_rest(model)
+        rest = equilibrium_slopes(model)
         specifications = self.specifications()
         first = specifications[0]
         observers, unsolved = self.solve_side(first, model.system, balls.output, True, rest)
@@ -80,7 +81,7 @@ class CandidateGrid:
             controlled = model.system
             if specification.modes:
                 weight = specification.integral_weight
-                controlled = with_modes(model, specification.modes, weight)
+                controlled = append_internal_model(model, specification.modes, weight)
             side = self.solve_side(specification, controlled, balls.input, False, rest)
             controllers += side.candidates
             unsolved += side.unsolved
@@ -95,7 +96,7 @@ class CandidateGrid:
             ks=ks,
             observing=observing,
             ls=ls,
-            l_zs=injections(observers),
+            l_zs=stack_neuron_injections(observers),
             internal=self._internal_model(model),
             unsolved=unsolved,
         )
@@ -115,8 +116,8 @@ class CandidateGrid:
         observes: bool,
         rest: Slopes | None = None,
     ) -> SolvedSide:
-        """Solve for the controllers, or the observers, at all rates and weights, the fastest rate
-        first.
+        """Gains of controllers, or of observers, at all rates and weights of the grid, the fastest
+        rate first.
 
         A solution at a faster rate holds at a slower one, so the search for that one starts there.
         """
@@ -142,7 +143,7 @@ class CandidateGrid:
             candidates.append((replace(request, near={observes: solution}), solution))
         if rest is not None and rates:
             slowest = rates[-1]
-            candidates += self._at_frozen_slopes(
+            candidates += self._solve_at_frozen_slopes(
                 specification, system, ball, observes, rest, slowest
             )
         return SolvedSide(candidates[::-1], unsolved)
@@ -150,13 +151,13 @@ class CandidateGrid:
     def _rates_below_limit(
         self, specification: RiccatiSynthesis, system: System, ball: JacobianBall, observes: bool
     ) -> tuple[list[float], Solution | None]:
-        """Rates of controller or observer below their limit, the fastest first. Also a solution to
-        start the search from."""
+        """Rates of the grid below the exact limit for controller or observer, the fastest first.
+        Also a solution to start the search from."""
         own = 0.0  # with neurons the spectral radius proves nothing
         fastest = None
         if isinstance(system, StateSpace):
             own = max(1 - system.spectral_radius**2, 0.0)
-            frontier = controller_frontier(dual(system) if observes else system, ball)
+            frontier = controller_frontier(dual_system(system) if observes else system, ball)
             limit = frontier.rate_limit
         else:
             from ssm_study.synthesis import structured_lmi  # CVXPY: only where there are neurons
@@ -164,13 +165,15 @@ class CandidateGrid:
             problem = specification.problem(system, ball, observes)
             limit, fastest = structured_lmi.fastest_solution(problem)
         linear = isinstance(system, StateSpace)
-        rates = self._rates(observes, linear, own, limit)
+        rates = self._requested_rates(observes, linear, own, limit)
         below = [rate for rate in rates if 0 < rate < limit]
         return sorted(below, reverse=True), fastest
 
-    def _rates(self, observes: bool, linear: bool, own: float, limit: float) -> list[float]:
-        """Requested rate of controller or observer. Without one, rates from half of the model's own
-        to near the limit."""
+    def _requested_rates(
+        self, observes: bool, linear: bool, own: float, limit: float
+    ) -> list[float]:
+        """Rates of the grid for controller or observer, as numbers. Without one, rates from half of
+        the model's own to near the limit."""
         requested = self.rate_observer if observes else self.rate_controller
         if requested != "auto":
             return [float(requested)]
@@ -181,7 +184,7 @@ class CandidateGrid:
             rates += [own + share * (limit - own) for share in self.stretch_shares]
         return rates
 
-    def _at_frozen_slopes(
+    def _solve_at_frozen_slopes(
         self,
         specification: RiccatiSynthesis,
         system: Any,
@@ -190,16 +193,16 @@ class CandidateGrid:
         rest: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Gains of the linear model with the neurons' slopes frozen at the equilibrium or half way.
-        They are certified for all slopes.
+        """Gains of the linear models that result when the neurons' slopes are frozen. They are
+        certified for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does
         not need that guard.
         """
         from ssm_study.synthesis.structured_lmi import StructuredLmi
 
-        problem = specification.problem(system, ball, observes).at(rate)
-        program = StructuredLmi.of_gains(problem)
+        problem = specification.problem(system, ball, observes).at_rate(rate)
+        program = StructuredLmi.for_fixed_gains(problem)
         side = "rate_observer" if observes else "rate_controller"
         proved_candidates = []
         for slopes in (rest, HALF_SLOPE * np.ones_like(rest)):
@@ -207,7 +210,7 @@ class CandidateGrid:
             solved_side = self.solve_side(specification, frozen, ball, observes)
             for request, solution in solved_side.candidates:
                 try:
-                    proved = program.proved(solution.k)
+                    proved = program.prove_gain(solution.k)
                 except NoSolution:
                     continue
                 near = {observes: proved}
@@ -216,16 +219,17 @@ class CandidateGrid:
         return proved_candidates
 
 
-def slopes_at_rest(model: Model) -> Slopes | None:
-    """Slopes of the neurons at the equilibrium. None for a model without neurons."""
+def equilibrium_slopes(model: Model) -> Slopes | None:
+    """Slopes of a model's neurons at the equilibrium; None for a model without neurons. None for a
+    model without neurons."""
     if isinstance(model, SSM) or not model.neurons:
         return None
     return evaluate_activations(model.neurons, model.bias, "slope")
 
 
-def injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
-    """Gains `L_z` with which the observers correct the neurons. None where the first observer has
-    none."""
+def stack_neuron_injections(observers: list[GainCandidate]) -> Float[np.ndarray, "O q p"] | None:
+    """Stack the gains by which each observer corrects the neurons; None without neurons. None where
+    the first observer has none."""
     gains = [solution.k_w for _, solution in observers]
     if gains[0] is None:
         return None

@@ -16,7 +16,7 @@ GainCandidate = tuple[RiccatiSynthesis, Solution]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidates:
-    """Gains on the grid, each with the specification that leads to it."""
+    """Controller and observer gains on a grid, each with the specification that gives it."""
 
     feedback: tuple[RiccatiSynthesis, ...]
     ks: Float[np.ndarray, "C m s"]

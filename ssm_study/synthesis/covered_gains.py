@@ -24,12 +24,12 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import controller_radius
 from ssm_study.signals import Ends, Trajectories
-from ssm_study.synthesis.decay_response import NO_DECAYS, slowest_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios
 from ssm_study.synthesis.deployed import at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
-from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
 from ssm_study.systems import Balls, Gains
 
 PROPOSALS = 8  # pairs of gains in one round
@@ -83,8 +83,8 @@ class GainSearch:
     def improve(
         self, start: Design, target: float, rounds: int, largest_area: float
     ) -> Design | None:
-        """Fastest certified design of the search whose certificate covers the target. None if there
-        is none.
+        """Fastest certified design found by the search whose certificate covers the target. None if
+        there is none.
 
         A proof keeps a little less than its frequencies promise: where it keeps too little, the
         search goes on for as much more.
@@ -92,7 +92,7 @@ class GainSearch:
         wanted = LOST * target
         for _ in range(CERTIFICATES):
             best = self.search(start, wanted, rounds, largest_area)
-            design = self.certified_design(start, best.gains)
+            design = self.certify_gains(start, best.gains)
             if best.coverage < wanted or design is None:
                 return None
             proved = self.proved_coverage(design)
@@ -105,35 +105,35 @@ class GainSearch:
     def proved_coverage(self, design: Design) -> float:
         """Coverage that the certificate of a design proves, decided exactly. Zero without a
         certificate."""
-        proved = with_coverage(design, self.model, self.balls, self.premise)
-        return coverage_facts(proved, self.model, self.premise).get("coverage") or 0.0
+        proved = add_coverage_certificate(design, self.model, self.balls, self.premise)
+        return coverage_columns(proved, self.model, self.premise).get("coverage") or 0.0
 
-    def area_of(self, gains: Gains) -> float:
+    def response_area(self, gains: Gains) -> float:
         """Response area of one controller and observer on the model, relative to the open loop."""
-        return self._areas([gains])[0]
+        return self._response_areas([gains])[0]
 
     def search(self, start: Design, target: float, rounds: int, largest_area: float) -> ScoredGains:
-        """Best gains after a number of rounds, covered or not, not yet certified."""
+        """Best gains after several rounds of random search, not yet certified."""
         feedback = start.state_feedback
         assert isinstance(feedback, StateFeedback)
         controlled = controlled_system(self.model, feedback)
-        loop = LoopCoverage.of(self.model, controlled, self.balls, self.premise)
-        coverage, centre = loop.largest(gain_fields(start.pair))
-        best = ScoredGains(gains=start.pair, area=self.area_of(start.pair), coverage=coverage)
+        loop = LoopCoverage.from_premise(self.model, controlled, self.balls, self.premise)
+        coverage, centre = loop.largest_radius(gain_fields(start.pair))
+        best = ScoredGains(gains=start.pair, area=self.response_area(start.pair), coverage=coverage)
         random = np.random.default_rng(SEED)
         step = FIRST_STEP
         slowest = max(FASTER, self._decay_ratios([start.pair])[0])
         for _ in range(rounds):
-            proposals = [scaled_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
-            fast = self._faster_than(proposals, slowest)
-            trials = self._scored(fast, loop, centre, best, target, largest_area)
+            proposals = [scale_at_random(best.gains, step, random) for _ in range(PROPOSALS)]
+            fast = self._faster_proposals(proposals, slowest)
+            trials = self._score_proposals(fast, loop, centre, best, target, largest_area)
             better = self._best_predicted(trials, best, target)
             step *= SHORTEN if better is None else LENGTHEN
             step = min(max(step, SMALLEST_STEP), LARGEST_STEP)
             best = better or best
         return best
 
-    def _scored(
+    def _score_proposals(
         self,
         proposals: list[Gains],
         loop: "LoopCoverage",
@@ -142,15 +142,15 @@ class GainSearch:
         target: float,
         largest_area: float,
     ) -> list[ScoredGains]:
-        """Proposals that are fast enough and whose controllers are stable, with their coverage."""
+        """Score the proposed gains that are fast enough and whose controller itself is stable."""
         if not proposals:
             return []
         allowed = best.area if best.coverage >= target else max(largest_area, best.area)
         trials = []
-        for gains, area in zip(proposals, self._areas(proposals), strict=True):
+        for gains, area in zip(proposals, self._response_areas(proposals), strict=True):
             if area > allowed or controller_radius(self.model.system, gains, self.balls) >= 1:
                 continue
-            coverage = loop.around(gain_fields(gains), centre)
+            coverage = loop.largest_radius_around(gain_fields(gains), centre)
             trials.append(ScoredGains(gains=gains, area=area, coverage=coverage))
         return trials
 
@@ -167,40 +167,42 @@ class GainSearch:
                 leader = trial
         return leader
 
-    def _faster_than(self, proposals: list[Gains], slowest: float) -> list[Gains]:
-        """Proposals that settle recorded decays in less than this share of the decays' own time."""
+    def _faster_proposals(self, proposals: list[Gains], slowest: float) -> list[Gains]:
+        """Proposed gains that settle the recorded decays in less than a given share of the decays'
+        own time."""
         ratios = self._decay_ratios(proposals)
         return [gains for gains, ratio in zip(proposals, ratios, strict=True) if ratio < slowest]
 
     def _decay_ratios(self, proposals: list[Gains]) -> list[float]:
-        """Settling time of each proposal, relative to the recorded decays."""
-        ratios = slowest_ratios(
-            self.model, stacked_gains(proposals), self.decays, self.mismatch.band, self.limits
+        """Settling time of each proposal relative to that of the recorded decays."""
+        ratios = largest_decay_ratios(
+            self.model, stack_gains(proposals), self.decays, self.mismatch.band, self.limits
         )
         return [float(ratio) for ratio in ratios]
 
-    def _areas(self, proposals: list[Gains]) -> list[float]:
+    def _response_areas(self, proposals: list[Gains]) -> list[float]:
         """Response area of each proposal on the model, relative to the open loop."""
-        areas = relative_areas(self.model, stacked_gains(proposals), self.validation, self.limits)
+        areas = relative_areas(self.model, stack_gains(proposals), self.validation, self.limits)
         return [float(area) for area in areas]
 
-    def certified_design(self, start: Design, gains: Gains) -> Design | None:
-        """Design with these gains and certificates at the largest rates proved for them. None where
-        there are none, or where the loop is not predicted to be stable."""
+    def certify_gains(self, start: Design, gains: Gains) -> Design | None:
+        """Design with these gains and certificates at the largest rates proved for them; None if
+        one is missing. None where there are none, or where the loop is not predicted to be
+        stable."""
         feedback, observer = start.parts()
-        new_feedback = certified_at_gain(feedback, k=gains.k)
+        new_feedback = certify_other_gains(feedback, k=gains.k)
         injected: dict[str, Any] = {"l": gains.l}
         if gains.l_z is not None:
             injected["l_z"] = gains.l_z
-        new_observer = certified_at_gain(observer, **injected)
+        new_observer = certify_other_gains(observer, **injected)
         if not isinstance(new_feedback, StateFeedback) or not isinstance(new_observer, Observer):
             return None
         return Design(state_feedback=new_feedback, observer=new_observer)
 
 
-def certified_at_gain(part: Any, **gains: Any) -> Any:
-    """Certificate of other gains by the theorem of a given one, at the largest rate that is proved
-    for them. None if no rate is."""
+def certify_other_gains(part: Any, **gains: Any) -> Any:
+    """Certificate of other gains by the theorem of a given certificate, at the largest rate it
+    proves for them. None if no rate is."""
     try:
         with linear_algebra_failures_as_no_solution():
             return at_largest_rate(replace(part, rate=LEAST_RATE, **gains))
@@ -208,8 +210,8 @@ def certified_at_gain(part: Any, **gains: Any) -> Any:
         return None
 
 
-def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
-    """Gains with every entry multiplied by a random factor of its own."""
+def scale_at_random(gains: Gains, step: float, random: np.random.Generator) -> Gains:
+    """Multiply every entry of the gains by a random factor of its own."""
 
     def scaled(matrix: Any) -> Any:
         """Matrix with every entry multiplied by a random factor."""
@@ -219,8 +221,8 @@ def scaled_at_random(gains: Gains, step: float, random: np.random.Generator) -> 
     return replace(gains, k=scaled(gains.k), l=scaled(gains.l), l_z=l_z)
 
 
-def stacked_gains(proposals: list[Gains]) -> Gains:
-    """Stack several gains of controllers and observers to one batch."""
+def stack_gains(proposals: list[Gains]) -> Gains:
+    """Stack the gains of several controllers and observers into one batch."""
     injections = [gains.l_z for gains in proposals if gains.l_z is not None]
     k = np.stack([gains.k for gains in proposals])
     l_ = np.stack([gains.l for gains in proposals])

@@ -25,11 +25,11 @@ NO_DECAYS = np.zeros((0, 0, 1))
 BANDS = (1.0, 2.0)  # bands of settling in which a response is judged
 
 
-def decays_of(
+def simulate_decays(
     model: Model, trials: Trajectories, validation: Trajectories
 ) -> Float[np.ndarray, "N T p"]:
-    """Noise-free decays: scaled outputs of the model from the states at which recorded decays
-    start.
+    """Decays of the model without control from the states at which recorded decays start, scaled
+    and free of noise.
 
     Decays at rest input count that start beyond the band of settling and that the model follows;
     none with measured disturbances, which push an output without a start.
@@ -55,15 +55,16 @@ def decays_of(
     return np.stack([decay[:shortest] for decay in decays])
 
 
-def slowest_ratios(
+def largest_decay_ratios(
     model: Model,
     gains: Gains,
     decays: Float[np.ndarray, "N T p"],
     band: float,
     limits: Ends | None = None,
 ) -> Float[np.ndarray, "P"]:
-    """Larger of the decay ratios at each of `BANDS`. Zero without decays, and with an internal
-    model, which settles at its own pace."""
+    """Settling time of each loop relative to the decays without control, the larger ratio of two
+    settling bands. Zero without decays, and with an internal model, which settles at its own
+    pace."""
     if gains.modes.size:
         return np.zeros(len(gains.k))
     ratios = [decay_ratios(model, gains, decays, size * band, limits) for size in BANDS]
@@ -84,7 +85,7 @@ def decay_ratios(
         return np.zeros(pairs)
     sizes = np.linalg.norm(decays, axis=2)
     alone = _settled_sample(sizes, band)
-    outputs = _closed_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
+    outputs = _closed_loop_outputs(model, gains, decays, limits or (-LARGEST, LARGEST))
     settled = _settled_sample(np.linalg.norm(outputs, axis=3), band)
     return np.asarray(settled.mean(axis=1) / max(float(alone.mean()), 1.0))
 
@@ -92,13 +93,13 @@ def decay_ratios(
 def _settled_sample(
     sizes: Float[np.ndarray, "*pairs T"], band: float
 ) -> Float[np.ndarray, "*pairs"]:
-    """First sample from which on the size stays within the band."""
+    """First sample from which a signal's size stays within a band."""
     outside = sizes > band
     samples = np.arange(1, sizes.shape[-1] + 1)
     return np.asarray((outside * samples).max(axis=-1).astype(float))
 
 
-def _closed_outputs(
+def _closed_loop_outputs(
     model: Model,
     gains: Gains,
     decays: Float[np.ndarray, "N T p"],

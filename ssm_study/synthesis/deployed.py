@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.bounds.network import inverse_of
+from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
     Design,
@@ -37,7 +37,7 @@ from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_st
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
 from ssm_study.refusal import BadRequest, require
-from ssm_study.synthesis.input_inversion import of_commands
+from ssm_study.synthesis.input_inversion import commanded_model_and_balls
 from ssm_study.systems import Balls
 
 Inputs = Float[np.ndarray, "m"]
@@ -48,31 +48,31 @@ EVERYWHERE, SETS = OF_LIMITS  # as `certificate.json` names them
 def with_gain_certificates(
     design: Design, model: Model, balls: Balls, limits: tuple[Inputs, Inputs] | None = None
 ) -> Design:
-    """Design with further certificates for its gains, each verified exactly. They are largest
-    rates, tolerance, and the effect of physical input `limits`.
+    """Add to a design all further certificates that its gains have, each verified exactly. They are
+    largest rates, tolerance, and the effect of physical input `limits`.
 
     For a law that undoes the input map nothing is proved with limits: they are not those of what
     it commands.
     """
-    model, balls = of_commands(design, model, balls)
+    model, balls = commanded_model_and_balls(design, model, balls)
     certificates: dict[str, Theorem | None] = {}
     sides = {"state_feedback": design.state_feedback, "observer": design.observer}
     for side, part in sides.items():
         if not isinstance(part, Infeasible) and part.certified:
             find = partial(at_largest_rate, part)
-            certificates[f"{side}_deployed"] = within_reach(find)
+            certificates[f"{side}_deployed"] = none_if_unsolved(find)
     certificates["tolerance"] = tolerance_certificate(design, model, balls)
     extra = {name: part for name, part in certificates.items() if part is not None}
     design = replace(design, extra_certificates=extra)
-    if limits is None or design.inverts:
+    if limits is None or design.inverts_input_map:
         return design
-    limited = with_limits(model, design, *limits)
+    limited = certify_input_limits(model, design, *limits)
     return replace(design, extra_certificates=extra | limited)
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest mismatch at the input for which the loop converges. None for gains
-    certified by another class, and where none is proved."""
+    """Certificate of the largest mismatch at the input under which the loop converges. None for
+    gains certified by another class, and where none is proved."""
     feedback = design.state_feedback
     observer = design.observer
     is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
@@ -86,7 +86,7 @@ def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem
     theorem = Tolerance if is_linear else StructuredTolerance
     constant_weight = np.eye(len(feedback.k))
     find = partial(largest_tolerance, context, constant_weight, theorem=theorem)
-    return within_reach(find)
+    return none_if_unsolved(find)
 
 
 def at_largest_rate(part: Side) -> Side | None:
@@ -100,13 +100,15 @@ def at_largest_rate(part: Side) -> Side | None:
     if hasattr(part, "lambda_"):
         from ssm_study.synthesis import structured_lmi  # CVXPY only with neurons
 
-        return structured_lmi.at_largest_rate(part)
+        return structured_lmi.certify_largest_rate(part)
     return deployed_rate.at_largest_rate(part)
 
 
-def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> dict[str, Any]:
-    """Design with certificates for limited inputs. Unchanged for neurons, without a certificate, or
-    for limits that do not enclose the equilibrium."""
+def certify_input_limits(
+    model: Model, design: Design, lower: Inputs, upper: Inputs
+) -> dict[str, Any]:
+    """Certificates of a design's gains for limited inputs, by name. Unchanged for neurons, without
+    a certificate, or for limits that do not enclose the equilibrium."""
     extra = design.extra_certificates
     parts = (
         design.state_feedback,
@@ -120,29 +122,29 @@ def with_limits(model: Model, design: Design, lower: Inputs, upper: Inputs) -> d
     if not feedbacks or not isinstance(model, SSM) or not hold_rest:
         return {}
     find = partial(certify_under_limits, feedbacks[0])
-    everywhere = within_reach(find)
+    everywhere = none_if_unsolved(find)
     certificates: dict[str, Any] = {EVERYWHERE: everywhere}
     if isinstance(everywhere, StateFeedbackOfBall):
         feedbacks.append(everywhere)
-    corners = rest_corners(model)
+    corners = equilibrium_corners(model)
     if corners is not None:
         feedbacks_k = feedbacks[0].k
         internal_states = feedbacks_k.shape[1] - model.order
         corners = np.pad(corners, ((0, internal_states), (0, 0)))
-        certificates[SETS] = within_reach(
+        certificates[SETS] = none_if_unsolved(
             partial(certify_unlimited_start, feedbacks, corners, limits)
         )
     return {label: part for label, part in certificates.items() if part is not None}
 
 
-def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
+def equilibrium_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     """Equilibrium states at the corners of a box of outputs, one of each pair of mirror images.
 
     Their hull with the mirror images holds every rest point whose outputs lie in the box. With
     outputs that answer at once (D), several rest points of one output, or outputs that a nonlinear
     S_y couples there is no such box: None.
     """
-    inverse = inverse_of(model.scaffold_out.as_portable())
+    inverse = invert_map(model.scaffold_out.as_portable())
     rest, _, gain = model.linear.steady_states()
     outputs, dimension = gain.shape
     tells_state = dimension in (1, outputs) and np.linalg.matrix_rank(gain) == dimension
@@ -159,10 +161,12 @@ def rest_corners(model: SSM) -> Float[np.ndarray, "n j"] | None:
     return corners
 
 
-def starts_at_rest(model: SSM, starts: Float[np.ndarray, "s j"]) -> Float[np.ndarray, "s j"] | None:
-    """Equilibrium states nearest to stored initial states, in the same shares of each corner. None
-    if there are none."""
-    corners = rest_corners(model)
+def equilibrium_starts(
+    model: SSM, starts: Float[np.ndarray, "s j"]
+) -> Float[np.ndarray, "s j"] | None:
+    """Equilibrium states nearest to stored initial states, each scaled to the same share of its
+    corner. None if there are none."""
+    corners = equilibrium_corners(model)
     if corners is None or not corners.any() or len(starts) < len(corners):
         return None
     share = np.abs(starts).max() / np.abs(corners).max()
@@ -181,29 +185,29 @@ class WithinLimits:
     everywhere: LimitedFeedback | None
 
     @classmethod
-    def of(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
-        """Read the limits from the parts of a certificate. None where they have no set of initial
-        states."""
+    def from_certificate(cls, model: Model, parts: Mapping[str, Any]) -> "WithinLimits | None":
+        """Limits and proved outputs, read from the parts of a certificate; None where it has no
+        such part. None where they have no set of initial states."""
         if SETS not in parts or not isinstance(model, SSM):
             return None
-        starts = starts_at_rest(model, parts[SETS].starts)
+        starts = equilibrium_starts(model, parts[SETS].starts)
         if starts is None:
             return None
-        low, high = outputs_of(model, starts)
+        low, high = output_range(model, starts)
         everywhere = parts.get(EVERYWHERE)
         return cls(lower=low, upper=high, everywhere=everywhere)
 
 
-def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
-    """Certificates of a design within physical input limits. Raises `BadRequest` where nothing can
-    be proved."""
+def limits_proof(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> WithinLimits:
+    """Proof of what a design achieves within physical input limits. Raises `BadRequest` where
+    nothing can be proved."""
     design.parts()
     rest = model.scale.input_equilibrium
     limits = (lower.tolist(), upper.tolist())
     problem = "do not enclose the input at rest"
     remedy = "widen them or choose another operating point"
     require(((lower < rest) & (rest < upper)).all(), "input limits", limits, problem, remedy)
-    found = WithinLimits.of(model, with_limits(model, design, lower, upper))
+    found = WithinLimits.from_certificate(model, certify_input_limits(model, design, lower, upper))
     if found is None:
         raise BadRequest(
             "input limits", limits, "nothing is proved within them", "request lower rates"
@@ -211,8 +215,8 @@ def within_limits(model: SSM, design: Design, lower: Inputs, upper: Inputs) -> W
     return found
 
 
-def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
-    """Least and greatest output between the initial states and their mirror images, in physical
+def output_range(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, Outputs]:
+    """Smallest and largest output between the initial states and their mirror images, in physical
     units."""
     linear_c = model.linear.c
     read = (linear_c @ starts[: model.order]).T
@@ -220,9 +224,9 @@ def outputs_of(model: SSM, starts: Float[np.ndarray, "s j"]) -> tuple[Outputs, O
     return ends.min(axis=0), ends.max(axis=0)
 
 
-def within_reach(find: Callable[[], Theorem | None]) -> Theorem | None:
-    """Certificate that `find` returns. None where its numbers exceed floating point, so that
-    nothing is claimed and the design remains."""
+def none_if_unsolved(find: Callable[[], Theorem | None]) -> Theorem | None:
+    """Certificate that a search returns; None if the search ends without a solution. None where its
+    numbers exceed floating point, so that nothing is claimed and the design remains."""
     try:
         with linear_algebra_failures_as_no_solution():
             return find()

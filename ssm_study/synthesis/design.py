@@ -21,7 +21,7 @@ from ssm_study.certificates.certificate import (
     Observer,
     Side,
     StateFeedback,
-    digest,
+    certificate_digest,
 )
 from ssm_study.certificates.frontier import Frontier, controller_frontier
 from ssm_study.certificates.problem import (
@@ -29,11 +29,11 @@ from ssm_study.certificates.problem import (
     NoSolution,
     Problem,
     Solution,
-    dual,
+    dual_system,
     linear_algebra_failures_as_no_solution,
 )
-from ssm_study.certificates.theorem import Theorem, VerificationContext, theorem_named
-from ssm_study.certificates.theorems.integral_action import frequencies, with_modes
+from ssm_study.certificates.theorem import Theorem, VerificationContext, find_theorem
+from ssm_study.certificates.theorems.integral_action import parse_frequencies, append_internal_model
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
@@ -55,8 +55,8 @@ FRONTIER_ROUNDING = (
 
 @dataclass(frozen=True, kw_only=True)
 class DesignAttempt:
-    """Attempt to design controller or observer, with the request, its theoretical limit, the
-    method, and the time it began."""
+    """Attempt to design a controller or observer, with its request, theoretical limit, method and
+    start time."""
 
     theorem: type[Side]
     rate: float
@@ -65,8 +65,8 @@ class DesignAttempt:
     method: str
     started: float
 
-    def refused(self) -> Infeasible | None:
-        """Refusal of a request beyond the theoretical limit, with the number that decides. None if
+    def refuse_beyond_limit(self) -> Infeasible | None:
+        """Result for a requested rate beyond the theoretical limit; None for one within it. None if
         the request lies within it."""
         ball = self.ball
         limit = self.frontier.rate_limit
@@ -77,7 +77,7 @@ class DesignAttempt:
                 "raise the slope floor (model.slope_lower) or use a scaffolding with slopes "
                 "bounded by construction"
             )
-            return self.infeasible(reason, "not asked", proved=True)
+            return self.without_certificate(reason, "not asked", proved=True)
         if self.rate >= limit:
             by = self.frontier.decided_by
             floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
@@ -88,11 +88,11 @@ class DesignAttempt:
             reason += (
                 f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
             )
-            return self.infeasible(reason, "not asked", proved=True)
+            return self.without_certificate(reason, "not asked", proved=True)
         return None
 
-    def infeasible(self, reason: str, status: str, proved: bool = False) -> Infeasible:
-        """Result of an attempt without a certificate. `reason` says why."""
+    def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
+        """Result of an attempt that gave no certificate, with its reason. `reason` says why."""
         theorem = self.theorem.name()
         rate_limit = self.frontier.rate_limit
         asked: Any = {"theorem": theorem, "rate": self.rate, "rate_limit": rate_limit}
@@ -104,17 +104,17 @@ class DesignAttempt:
             **asked, proved=proved, reason=reason, solver_status=status, seconds=seconds
         )
 
-    def verified(self, problem: Problem, solution: Solution) -> Any:
-        """Certificate of controller or observer from a solution. `problem` is in Theorem 1's form,
-        transposed for an observer."""
+    def certify_solution(self, problem: Problem, solution: Solution) -> Any:
+        """Certificate built from a solution and decided in exact arithmetic. `problem` is in
+        Theorem 1's form, transposed for an observer."""
         numbers = self.theorem.numbers_of(problem, solution)
         told: dict[str, Any] = {"method": self.method, "started": self.started}
         rate_limit = self.frontier.rate_limit
         return self.theorem.proved(numbers, rate_limit=rate_limit, status=solution.status, **told)
 
     def first_certified(self, problem: Problem, attempts: Iterable[Callable[[], Solution]]) -> Any:
-        """First attempt that is certified; otherwise the result of the last one with matrices, or
-        the reason why no attempt gave any.
+        """First solution that is certified, else the last one's certificate or the reason why there
+        is none.
 
         Matrices that floats could have held are handed on as found, not certified; hopeless ones
         are refused.
@@ -124,7 +124,7 @@ class DesignAttempt:
         for attempt in attempts:
             try:
                 with linear_algebra_failures_as_no_solution():
-                    best = self.verified(problem, attempt())
+                    best = self.certify_solution(problem, attempt())
             except NoSolution as error:
                 status = str(error)
                 continue
@@ -136,7 +136,7 @@ class DesignAttempt:
                 f"{inside} {self.method} found no certificate ({status}); try synthesis=riccati "
                 "or a lower rate"
             )
-            return self.infeasible(reason, status)
+            return self.without_certificate(reason, status)
         fewer = "drop states (reduction.truncate_to) or " * (best.condition > ILL)
         number = f"{best.condition:.1e}; {fewer}request a smaller rate"
         if best.condition > MOST_CONDITION:
@@ -144,7 +144,7 @@ class DesignAttempt:
                 f"{inside} its metric needs more digits than floats have: its condition number "
                 f"is {number}"
             )
-            return self.infeasible(reason, best.solver_status)
+            return self.without_certificate(reason, best.solver_status)
         told = f"not positive definite in exact arithmetic, condition number {number}"
         return replace(best, solver_status=f"{best.solver_status}; {told}")
 
@@ -152,7 +152,8 @@ class DesignAttempt:
 def failed_checks(
     content: dict[str, Any], linear: Any, balls: Balls, controlled: Any = None
 ) -> list[str]:
-    """Sentences on the claims of a `certificate.json` that do not hold. Empty when all hold.
+    """One sentence for each claim of a stored `certificate.json` that does not hold for the model.
+    Empty when all hold.
 
     `linear` is the recurrence, `balls` those of `model.json`, `controlled` what the state feedback
     acts on where that is not the model itself (integral action). Claims are each part's digest, the
@@ -164,7 +165,7 @@ def failed_checks(
     except BadRequest as malformed:
         return [str(malformed)]
     if (
-        design.inverts and balls.input.relative_radius < 1
+        design.inverts_input_map and balls.input.relative_radius < 1
     ):  # S_u has an inverse, and the law applies it
         jacobian_ball = JacobianBall(alpha=1.0, beta=0.0)
         balls = replace(balls, input=jacobian_ball)
@@ -174,10 +175,10 @@ def failed_checks(
     broken = [
         f"{part}.digest: the stored numbers are not those that were written"
         for part, fields in content.items()
-        if part in design.content and fields.get("digest") != digest(fields)
+        if part in design.parts_by_name and fields.get("digest") != certificate_digest(fields)
     ]
-    for label, part in design.content.items():
-        claims = _of_part(part, context)
+    for label, part in design.parts_by_name.items():
+        claims = _failed_checks_of_part(part, context)
         broken += [f"{label}{claim}" for claim in claims]
     for (
         label,
@@ -196,9 +197,9 @@ def failed_checks(
     return broken
 
 
-def _of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
-    """Sentences on the claims of one part that do not hold."""
-    theorem = theorem_named(part.theorem) if isinstance(part, Infeasible) else type(part)
+def _failed_checks_of_part(part: Theorem | Infeasible, context: VerificationContext) -> list[str]:
+    """One sentence for each claim of one certificate that does not hold."""
+    theorem = find_theorem(part.theorem) if isinstance(part, Infeasible) else type(part)
     ball = theorem.ball(context)
     limit = theorem.rate_limit_of(context)
     broken = []
@@ -233,17 +234,15 @@ REPAIR_FLOOR = (
 FASTEST = 1 - 1e-13  # of the rates: faster ones, as repairs try, must still be told from 1
 
 
-def contraction_rate(field: str, rate: Any, remedy: str) -> None:
-    """Raise `BadRequest` for a value that is no contraction rate, or so near 1 that a faster one
-    rounds to 1."""
+def require_contraction_rate(field: str, rate: Any, remedy: str) -> None:
+    """Raise `BadRequest` unless a value is a contraction rate between 0 and 1, not too near 1."""
     fits = isinstance(rate, int | float) and 0 < rate <= FASTEST
     require(fits, field, rate, "a contraction rate lies in (0, 1), at least 1e-13 below 1", remedy)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Synthesis(ABC):
-    """Design of controller and observer at the requested contraction rates (distances shrink by
-    `sqrt(1 - rate)` per sample).
+    """Design of controller and observer at requested contraction rates.
 
     The weights of the controller's guaranteed cost and the variances the observer is tuned for, in
     scaled units: conf/synthesis/riccati.yaml. With `invert_input` the law is `u = S_u^{-1}(K xh)`
@@ -271,7 +270,7 @@ class Synthesis(ABC):
     def __post_init__(self) -> None:
         for name in ("rate_controller", "rate_observer"):
             rate = getattr(self, name)
-            contraction_rate(f"synthesis.{name}", rate, "try 0.1")
+            require_contraction_rate(f"synthesis.{name}", rate, "try 0.1")
         for name in (
             "state_weight",
             "input_weight",
@@ -282,49 +281,50 @@ class Synthesis(ABC):
             require_positive(f"synthesis.{name}", getattr(self, name), "try 1")
         for name in ("output_weight", "input_noise"):
             require_at_least(0, f"synthesis.{name}", getattr(self, name), "try 1")
-        frequencies(self.internal_model)
+        parse_frequencies(self.internal_model)
 
     @property
     def modes(self) -> tuple[str, ...]:
-        """Names of the internal model's modes."""
+        """Names of the internal model's modes, such as `step`."""
         return tuple(self.internal_model)
 
     @abstractmethod
     def solve(self, problem: Problem) -> Solution:
-        """Matrices of Theorem 1 for the problem. Raises `NoSolution` when the method finds none."""
+        """Solve the synthesis problem for a gain and its contraction metric. Raises `NoSolution`
+        when the method finds none."""
 
     def design(
         self, model: Any, balls: Balls, validation: Trajectories = (), shown: Mismatch | None = None
     ) -> Design:
-        """Design controller and observer independently, for the model's `system` if it has one,
-        else for its linear recurrence."""
+        """Design controller and observer independently of each other."""
         if self.invert_input:
             plain = replace(self, invert_input=False)
             return design_with_inverted_input(plain, model, validation, shown)
         system = getattr(model, "system", model.linear)
-        controlled = with_modes(model, self.modes, self.integral_weight) if self.modes else system
+        controlled = (
+            append_internal_model(model, self.modes, self.integral_weight) if self.modes else system
+        )
         feedback = self.state_feedback(controlled, balls.input)
         observer = self.observer(system, balls.output)
         return Design(state_feedback=feedback, observer=observer)
 
     def state_feedback(self, system: System, ball: JacobianBall) -> StateFeedback | Infeasible:
-        """Design of the state feedback: Theorem 1 for `x+ = A x + B S_u(u)`, or its counterpart for
-        a model with neurons."""
+        """Design the certified state feedback for a system, or give the reason why there is
+        none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredStateFeedback if neurons else self.feedback_theorem
-        return self._certified(theorem, system, ball)
+        return self._design_part(theorem, system, ball)
 
     def observer(self, system: System, ball: JacobianBall) -> Observer | Infeasible:
-        """Design of the observer for `y = S_y(C x + D S_u(u))`: Theorem 2, solved as Theorem 1 for
-        `(A^T, C^T)` and verified in its own form."""
+        """Design the certified observer for a system, or give the reason why there is none."""
         neurons = isinstance(system, StructuredSystem)
         theorem = StructuredObserver if neurons else self.observer_theorem
-        return self._certified(theorem, system, ball)
+        return self._design_part(theorem, system, ball)
 
-    def _certified(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
-        """Certified solution for controller or observer, or the reason why there is none."""
+    def _design_part(self, theorem: type[Side], system: System, ball: JacobianBall) -> Any:
+        """Certified controller or observer, or the reason why there is none."""
         rate = self.rate_observer if theorem.observes else self.rate_controller
-        limit = controller_frontier(dual(system) if theorem.observes else system, ball)
+        limit = controller_frontier(dual_system(system) if theorem.observes else system, ball)
         started = time.perf_counter()
         request = DesignAttempt(
             theorem=theorem,
@@ -334,18 +334,18 @@ class Synthesis(ABC):
             method=self.method,
             started=started,
         )
-        if refused := request.refused():
+        if refused := request.refuse_beyond_limit():
             return refused
         problem = self.problem(system, ball, theorem.observes)
         return request.first_certified(problem, self.attempts(problem, limit))
 
     def problem(self, system: System, ball: JacobianBall, observes: bool = False) -> Problem:
-        """Problem that is solved for the controller. With `observes` it is that of the observer on
-        the dual system."""
+        """Synthesis problem of the controller, or of the observer on the dual system. With
+        `observes` it is that of the observer on the dual system."""
         weights = (self.output_weight, self.state_weight, self.input_weight, self.rate_controller)
         if observes:
             weights = (self.input_noise, self.state_noise, self.output_noise, self.rate_observer)
-            system = dual(system)
+            system = dual_system(system)
         on_output, on_state, on_input, rate = weights
         weight = on_output * system.c.T @ system.c + on_state * np.eye(
             system.order
@@ -356,9 +356,9 @@ class Synthesis(ABC):
         return Problem(**data, ball=ball, rate=rate)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Solutions at the requested rate, then at faster ones, which hold at the requested rate
-        with a larger margin."""
+        """Functions that solve the problem at the requested rate, then at faster rates, which leave
+        a larger margin."""
         r = problem.contraction
         floor = max(frontier.contraction_limit, REPAIR_FLOOR * problem.contraction)
         rates = [problem.rate, *(1 - (r * (floor / r) ** share) ** 2 for share in REPAIRS)]
-        return [partial(self.solve, problem.at(rate)) for rate in rates]
+        return [partial(self.solve, problem.at_rate(rate)) for rate in rates]

@@ -24,7 +24,7 @@ from ssm_study.robustness.prediction import noise_peak, robustness_measure
 from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, decays_of, slowest_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, simulate_decays, largest_decay_ratios
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.systems import Balls, Gains
 
@@ -42,7 +42,7 @@ LEAST_SPREAD = 0.1
 
 
 def expected_area(area: float, loop_gain: float, spread: float) -> float:
-    """Expected response area `P area + (1 - P) LOSS` with `P = Phi(-ln(loop_gain) / spread)`.
+    """Expected response area, weighted by the probability that the loop is stable on the plant.
     `loop_gain` is 1 / margin."""
     from scipy.special import ndtr  # here: what only reads a study does without
 
@@ -52,8 +52,8 @@ def expected_area(area: float, loop_gain: float, spread: float) -> float:
 
 
 class RankedPair(NamedTuple):
-    """Gains of one controller and observer, and whether they are faster than the open loop on the
-    model."""
+    """Gains of one controller and observer with their rank and whether they are faster than the
+    open loop."""
 
     pair: Pair
     is_faster: bool
@@ -61,7 +61,7 @@ class RankedPair(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedResponse:
-    """Model, gains and records by which the designs of one grid are scored."""
+    """Scores of the designs of one grid, from the model, the gains and the records."""
 
     model: Model
     balls: Balls
@@ -71,26 +71,25 @@ class ExpectedResponse:
     decays: Float[np.ndarray, "N T p"] = field(default_factory=lambda: NO_DECAYS)
 
     def loop_gain(self, pair: Pair, shared: Responses) -> float:
-        """Inverse of a design's stability margin. The computation stops early from `1 / margin`
-        on."""
+        """Loop gain of a design under the measured mismatch, the inverse of its stability margin.
+        The computation stops early from `1 / margin` on."""
         gains = self.candidates.gains(pair)
         refused = 1 / self.margin
         return robustness_measure(self.model, gains, self.balls, self.mismatch, shared, refused)
 
-    def expected(self, pair: Pair, area: float, shared: Responses) -> float:
-        """Expected response area of a design, with its loop gain taken on the angles of
-        `shared`."""
+    def expected_area_of(self, pair: Pair, area: float, shared: Responses) -> float:
+        """Expected response area of one design, its loop gain taken on a coarse frequency grid."""
         loop_gain = self.loop_gain(pair, shared)
         spread = self.mismatch.spread
         return expected_area(float(area), loop_gain, spread)
 
     def resists_noise(self, pair: Pair) -> bool:
-        """Whether the sensor's noise alone leaves the output within the settling band."""
+        """Whether sensor noise alone keeps the output within the settling band."""
         gains = self.candidates.gains(pair)
         return noise_peak(self.model, gains, self.balls, self.mismatch) < 1
 
     def stable_pairs(self, peaks: Float[np.ndarray, "C O"]) -> Int[np.ndarray, "N 2"]:
-        """Designs with a large enough coarse margin whose controller itself is stable."""
+        """Designs with a large enough stability margin whose controller itself is stable."""
         if np.isinf(self.margin):  # no pair has it (and times a peak of zero it is no number)
             return np.empty((0, 2), dtype=int)
         pairs = np.argwhere(self.margin * peaks < 1)
@@ -108,12 +107,12 @@ class ExpectedResponse:
         of a verified design may differ from its candidate's).
         """
         pairs = self.stable_pairs(peaks)
-        if not len(pairs) or not self.mismatch.rests:
+        if not len(pairs) or not self.mismatch.comes_to_rest:
             return
         gains = self.candidates.gains(pairs)
         areas = relative_areas(self.model, gains, validation, limits)
         band = self.mismatch.band
-        ratios = slowest_ratios(self.model, gains, self.decays, band, limits)
+        ratios = largest_decay_ratios(self.model, gains, self.decays, band, limits)
         slow = np.maximum(areas, ratios) >= FASTER
         angles = FINE_ANGLES[::2]
         coarse = Responses(angles=angles)
@@ -135,7 +134,7 @@ class ExpectedResponse:
             passing.sort()
             # between two frequencies of the coarser grid a loop may come nearer to its limit
             best = [index for _, index in passing[:ATTEMPTS]]
-            scores = [self.expected(pairs[index], areas[index], fine) for index in best]
+            scores = [self.expected_area_of(pairs[index], areas[index], fine) for index in best]
             ranks = [(bool(slow[index]), score) for index, score in zip(best, scores, strict=True)]
             for _, index in sorted(zip(ranks, best, strict=True)):
                 yield RankedPair(pairs[index], not slow[index])
@@ -143,8 +142,8 @@ class ExpectedResponse:
 
 
 def compared_indices(areas: Float[np.ndarray, "N"], slow: Bool[np.ndarray, "N"]) -> list[int]:
-    """Indices of the designs to compare: the `COMPARED` smallest areas (slow ones last) and as many
-    spread over the others."""
+    """Indices of the designs to compare: those with the smallest response areas, and as many spread
+    over the others."""
     order = np.lexsort((areas, slow))
     step = max(len(order) // COMPARED, 1)
     return [*order[:COMPARED].tolist(), *order[COMPARED::step].tolist()]
@@ -159,15 +158,15 @@ def predicts_faster_response(
     k = pair.k[None]
     one = replace(pair, k=k, l=pair.l[None], l_z=l_z)
     area = relative_areas(model, one, validation)[0]
-    decays = decays_of(model, trials, validation)
-    ratio = slowest_ratios(model, one, decays, mismatch.band)[0]
+    decays = simulate_decays(model, trials, validation)
+    ratio = largest_decay_ratios(model, one, decays, mismatch.band)[0]
     return bool(max(area, ratio) < FASTER)
 
 
-def response_facts(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
-    """Column that says whether a faster response is predicted, from validation records and trials.
-    None without a design, and for a law that inverts the input map."""
-    if not design.feasible or design.inverts:
+def response_columns(design: Any, model: Model, mismatch: Mismatch, *records: Trajectories) -> Any:
+    """Column that says whether the design is predicted to be faster than the open loop. None
+    without a design, and for a law that inverts the input map."""
+    if not design.feasible or design.inverts_input_map:
         return {}
     predicted_faster = predicts_faster_response(model, design.pair, mismatch, *records)
     return {"predicted_faster": predicted_faster}

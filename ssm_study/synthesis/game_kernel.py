@@ -33,7 +33,7 @@ def transpose(a):
 @compile_with_numba
 @no_type_check
 def multiply(a, b):
-    """Matrix product `a b`."""
+    """Matrix product of two matrices."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
         for k in range(a.shape[1]):
@@ -117,7 +117,7 @@ def log_det(a):
 @compile_with_numba
 @no_type_check
 def _add_step(total, step):
-    """Add a symmetrised step to a sum, in place. Returns 1 where the step no longer counts, -1
+    """Add a symmetrised matrix to a sum, in place. Returns 1 where the step no longer counts, -1
     where the sum diverges (or is NaN), else 0."""
     largest = change = 0.0
     for i in range(len(total)):
@@ -175,8 +175,7 @@ def solve_lyapunov(a, source):
 @compile_with_numba
 @no_type_check
 def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
-    """Cost matrices `Q, R, S'` of the equation with inputs `(u, p, v)`, at these log
-    multipliers."""
+    """Cost matrices of the game Riccati equation at given log multipliers."""
     (q, n), inputs = f.shape, moved.shape[1]
     bound = exp(logs[q]) if inputs > m else 0.0  # lambda_p: |p|^2 <= |u|^2
     rows = join_columns(moved, f)  # what drives each neuron, by (u, p, x)
@@ -205,8 +204,8 @@ def _cost_matrices(f, moved, state_weight, input_weight, m, r, logs):
 @compile_with_numba
 @no_type_check
 def _constraint(h, m, inputs, injects):
-    """Matrix `T` with `T'H T < 0`, the order of play: (p, v) after u; or, where the gain answers v,
-    v, then u, then p."""
+    """Matrix that selects the signals whose quadratic form has to be negative, by the order in
+    which the players move."""
     size = len(h)
     t = np.zeros((size, size - m))
     for i in range(m, size):
@@ -223,8 +222,7 @@ def _constraint(h, m, inputs, injects):
 @compile_with_numba
 @no_type_check
 def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
-    """Gradient of the goal, from the saddle point `(u, p, v)`, the loop's Gramian and `T
-    (T'(-H)T)^{-1} T'`.
+    """Gradient of the goal in the log multipliers, from the saddle point of the game.
 
     At a saddle point the players' own changes count only in second order: the multipliers act on
     the cost alone.
@@ -258,8 +256,7 @@ def _goal_gradient(f, moved, m, r, logs, barrier, saddle, reach, shadow):
 @compile_with_numba
 @no_type_check
 def saddle_point(a, b, f, moved, state_weight, input_weight, m, r, injects, logs, barrier):
-    """Saddle point of the game at these log multipliers: `goal, gradient, X, H = R + B'X B, B'X A +
-    S'`."""
+    """Saddle point of the game at given log multipliers, with the goal and its gradient."""
     (q, n), inputs = f.shape, moved.shape[1]
     cost, own, s = _cost_matrices(f, moved, state_weight, input_weight, m, r, logs)
     across = transpose(b)

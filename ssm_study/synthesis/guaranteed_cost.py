@@ -52,7 +52,7 @@ from ssm_study.certificates.problem import (
     Problem,
     Solution,
     linear_algebra_failures_as_no_solution,
-    symmetric,
+    symmetric_part,
 )
 from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.synthesis.design import Synthesis
@@ -87,26 +87,26 @@ class GuaranteedCost:
 
 @linear_algebra_failures_as_no_solution()
 def guaranteed_cost(problem: Problem) -> Solution:
-    """Certified gain with the least guaranteed cost over tau. Raises `NoSolution` if no tau is
-    admissible."""
+    """Certified gain with the least guaranteed cost over the multiplier tau. Raises `NoSolution` if
+    no tau is admissible."""
     alpha = problem.ball.alpha
     beta = problem.ball.beta
     if abs(alpha) <= beta:
         raise NoSolution("the slopes include zero, so no input is sure to have an effect")
     tau_min = problem.input_weight / (alpha**2 - beta**2)  # kappa > 0 above it
     best = (
-        at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None
+        solve_at_tau(problem, tau_min * TAU_SPAN[1]) if beta == 0 else None
     )  # the cost only falls with tau
-    best = best or _search(problem, tau_min)
+    best = best or _minimise_over_tau(problem, tau_min)
     # of S/tau: Theorem 1 is homogeneous in (P, Y, X, sigma), so sigma becomes one
     matrix = np.linalg.inv(best.s_over_tau)
-    p = symmetric(matrix)
+    p = symmetric_part(matrix)
     return Solution(p=p, y=p, k=best.k, sigma=1.0, status=f"tau {best.tau:.6g}")
 
 
-def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
-    """Riccati solution at one tau, divided by tau so that large tau is harmless. None if tau is
-    inadmissible."""
+def solve_at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
+    """Riccati solution and gain at one value of the multiplier tau; None if there is none. None if
+    tau is inadmissible."""
     ball = problem.ball
     ah = problem.a_hat
     bh = problem.b_hat
@@ -130,16 +130,15 @@ def at_tau(problem: Problem, tau: float) -> GuaranteedCost | None:
     return GuaranteedCost(s_over_tau=s, k=k, tau=tau)
 
 
-def _search(problem: Problem, tau_min: float) -> GuaranteedCost:
-    """Minimise the cost over tau on a coarse logarithmic grid, then by Brent's method around its
-    best point."""
+def _minimise_over_tau(problem: Problem, tau_min: float) -> GuaranteedCost:
+    """Minimise the guaranteed cost over the multiplier tau."""
     tried: list[tuple[float, GuaranteedCost | None]] = []
 
     def cost(log_step: float) -> float:
         """Guaranteed cost at a value of the search variable, the logarithm of `tau / tau_min -
         1`."""
         tau = tau_min * (1 + np.exp(log_step))
-        point = at_tau(problem, tau)
+        point = solve_at_tau(problem, tau)
         tried.append((FAR if point is None else point.cost, point))
         return tried[-1][0]
 
@@ -180,8 +179,8 @@ class RiccatiSynthesis(Synthesis):
         return least_cost(problem, near)
 
     def attempts(self, problem: Problem, frontier: Frontier) -> list[Callable[[], Solution]]:
-        """Solutions for the given weights; near the frontier also the minimum-energy gain or, with
-        neurons, that of the LMI."""
+        """Functions that solve for the given weights; near the rate limit also for the
+        minimum-energy gain."""
         weighted = super().attempts(problem, frontier)[:WEIGHTED_ATTEMPTS]
         if problem.neurons is not None:
             from ssm_study.synthesis.structured_lmi import StructuredLmi

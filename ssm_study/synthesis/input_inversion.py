@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ssm_study.bounds.network import inverse_of
+from ssm_study.bounds.network import invert_map
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.certificates.theorem import theorem_named
+from ssm_study.certificates.theorem import find_theorem
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require
@@ -29,13 +29,13 @@ INVERTED = {
 
 
 def model_behind_map(model: Model) -> Model:
-    """Model whose input is v = S_u(u). Raises `BadRequest` where `S_u` cannot be inverted channel
-    by channel."""
+    """Model without its input map, whose input is `v = S_u(u)`. Raises `BadRequest` where `S_u`
+    cannot be inverted channel by channel."""
     problem = "is not strictly monotone in each channel"
     remedy = "use scaffold@model.scaffold_in=monotone"
     kind = model.scaffold_in.kind
     portable = model.scaffold_in.as_portable()
-    known = inverse_of(portable) is not None
+    known = invert_map(portable) is not None
     require(known, "synthesis.invert_input", kind, problem, remedy)
     channels = model.scaffold_in.outputs
     input_scale = np.ones(channels)
@@ -47,14 +47,14 @@ def model_behind_map(model: Model) -> Model:
 
 
 def records_behind_map(model: Model, records: Trajectories) -> Trajectories:
-    """Records with v = S_u(u) as their input."""
+    """Records in which the input is replaced by `v = S_u(u)`."""
     return tuple(replace(record, u=model.map_input(record.u)) for record in records)
 
 
 def mismatch_behind_map(
     model: Model, records: Trajectories, start_up_samples: int, mismatch_records: Trajectories
 ) -> Mismatch:
-    """Mismatch between records and model, relative to v = S_u(u)."""
+    """Mismatch between records and model relative to `v = S_u(u)`."""
     return measure_mismatch(
         model_behind_map(model),
         records_behind_map(model, records),
@@ -64,17 +64,17 @@ def mismatch_behind_map(
 
 
 def mismatch_for_law(law: Any, model: Model, data: DataSet, mismatch: Mismatch) -> Mismatch:
-    """Mismatch relative to the input that a design, or a specification, commands. `mismatch` is
-    relative to u."""
-    inverts = law.inverts if isinstance(law, Design) else law.invert_input
+    """Mismatch relative to the input that the control law computes: u, or v where it inverts the
+    input map. `mismatch` is relative to u."""
+    inverts = law.inverts_input_map if isinstance(law, Design) else law.invert_input
     if not inverts:
         return mismatch
     records = data.validation, data.start_up_samples, data.mismatch_records
     return mismatch_behind_map(model, *records)
 
 
-def as_inverting(design: Design) -> Design:
-    """Design with the gains found for the model with input v, as a law that inverts `S_u`."""
+def mark_as_inverting(design: Design) -> Design:
+    """The same gains as a design whose control law inverts the input map."""
     part = design.state_feedback
     name = part.theorem if isinstance(part, Infeasible) else part.name()
     require(
@@ -87,14 +87,14 @@ def as_inverting(design: Design) -> Design:
     if isinstance(part, Infeasible):
         state_feedback = replace(part, theorem=INVERTED[name])
         return replace(design, state_feedback=state_feedback)
-    kind: Any = theorem_named(INVERTED[name])
+    kind: Any = find_theorem(INVERTED[name])
     return replace(design, state_feedback=kind(**vars(part)))
 
 
-def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
-    """Model and balls to which a design refers. They are the model itself, or the model with input
-    v."""
-    if not design.inverts:
+def commanded_model_and_balls(design: Design, model: Model, balls: Balls) -> tuple[Model, Balls]:
+    """Model and Jacobian balls relative to the input that the control law computes. They are the
+    model itself, or the model with input v."""
+    if not design.inverts_input_map:
         return model, balls
     inner_model = model_behind_map(model)
     return inner_model, certified_balls(inner_model)
@@ -103,8 +103,7 @@ def of_commands(design: Design, model: Model, balls: Balls) -> tuple[Model, Ball
 def design_with_inverted_input(
     plain: Any, model: Model, validation: Trajectories, shown: Mismatch | None
 ) -> Design:
-    """Design by the specification `plain` for the model with input v, marked as inverting the input
-    map."""
+    """Design for the model without its input map, as a control law that inverts that map."""
     inner_model = model_behind_map(model)
     limits = getattr(plain, "limits", None)
     if limits is not None:
@@ -113,4 +112,4 @@ def design_with_inverted_input(
     balls = certified_balls(inner_model)
     records = records_behind_map(model, validation)
     design = plain.design(inner_model, balls, records, shown)
-    return as_inverting(design)
+    return mark_as_inverting(design)

@@ -29,11 +29,10 @@ LARGEST = 1e6
 AT_ONCE = 256  # designs simulated together: as many as stay in the processor's cache
 
 
-def release(
+def comparison_scenario(
     model: Model, validation: Trajectories, loaded: bool
 ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N k"], int]:
-    """Initial states and loads of the simulations by which designs are compared, and their horizon
-    in samples.
+    """Initial states, loads and horizon of the simulations by which designs are compared.
 
     `CASES` states that the model passes through in the validation record; if `loaded`, also rest
     under loads. Not states in which a constant input would hold the model: a model may have a mode
@@ -59,15 +58,15 @@ def release(
     samples = np.ceil(TIME_CONSTANTS / decay)
     horizon = int(np.clip(samples, *SAMPLES))
     channels = linear.b.shape[1]
-    load = _loads(model, linear, horizon) if loaded else np.zeros((0, channels))
+    load = _constant_loads(model, linear, horizon) if loaded else np.zeros((0, channels))
     at_origin = np.zeros((len(load), model.order))
     no_load = np.zeros((len(x0), channels))
     return np.concatenate([x0, at_origin]), np.concatenate([no_load, load]), horizon
 
 
-def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
-    """Constant loads at `LEVELS` of each channel of `S_u`, scaled so that level one moves the
-    output by one scale. Channels without effect are left out."""
+def _constant_loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, "L k"]:
+    """Constant loads at several levels for each input channel, scaled by their effect on the
+    output. Channels without effect are left out."""
     if linear.integrates:  # a unit of each channel holds no state: the one that it reaches
         response = linear.simulate(np.eye(linear.b.shape[1])[:, None].repeat(horizon, axis=1))
         held = response[1]
@@ -82,9 +81,11 @@ def _loads(model: Model, linear: StateSpace, horizon: int) -> Float[np.ndarray, 
     return np.concatenate(loads)
 
 
-def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float[np.ndarray, "T"]:
-    """Time course of a load that the internal model can generate, at most one: constant, a ramp,
-    sines, or their mean."""
+def _load_time_course(
+    modes: Float[np.ndarray, "z z"], outputs: int, horizon: int
+) -> Float[np.ndarray, "T"]:
+    """Time course of a load that the internal model can generate, such as a constant, a ramp or a
+    sine."""
     own_modes = modes[::outputs, ::outputs]  # of one output
     if not len(own_modes):
         return np.ones(horizon)
@@ -97,8 +98,7 @@ def _shape(modes: Float[np.ndarray, "z z"], outputs: int, horizon: int) -> Float
 def relative_areas(
     model: Model, gains: Gains, validation: Trajectories, limits: Ends | None = None
 ) -> Float[np.ndarray, "P"]:
-    """Response area relative to the open loop, `J / J_uncontrolled`, mean over the initial states,
-    for each design.
+    """Response area of each design relative to the open loop, mean over the initial states.
 
     `J = sum_k (||y[k]|| + [not settled at k])`, settled when `||y||` stays below `SETTLED`: the
     area hardly sees a faint tail, on which the time to settle turns; the time does not see what
@@ -107,19 +107,19 @@ def relative_areas(
     units, inputs within `limits`, where it is `steady_states`. Below one is faster than none.
     """
     loaded = len(gains.modes) > 0
-    x0, load, horizon = release(model, validation, loaded=loaded)
+    x0, load, horizon = comparison_scenario(model, validation, loaded=loaded)
     cut = limits or (-LARGEST, LARGEST)
     k = 0 * gains.k[:1]
     no_control = replace(gains, k=k, l=0 * gains.l[:1], l_z=None)
-    alone = _areas(model, no_control, x0, load, horizon, cut)[0]
+    alone = _response_areas(model, no_control, x0, load, horizon, cut)[0]
     counts = alone > FAINT * alone.max()
     batches = np.array_split(np.arange(len(gains.k)), -(-len(gains.k) // AT_ONCE))
-    areas = [_areas(model, gains.at(batch), x0, load, horizon, cut) for batch in batches]
+    areas = [_response_areas(model, gains.at(batch), x0, load, horizon, cut) for batch in batches]
     counted = np.concatenate(areas)[:, counts]
     return (counted / alone[counts]).mean(axis=1)
 
 
-def _areas(
+def _response_areas(
     model: Model,
     gains: Gains,
     x0: Float[np.ndarray, "N n"],
@@ -127,8 +127,7 @@ def _areas(
     horizon: int,
     limits: Ends | tuple[float, float],
 ) -> Float[np.ndarray, "P N"]:
-    """Area under the response plus settling time of each design (rows) from each initial state
-    (columns)."""
+    """Response area plus settling time of each design from each initial state."""
     n = model.order
     k = gains.k.transpose(0, 2, 1)
     l_ = gains.l.transpose(0, 2, 1)
@@ -136,7 +135,7 @@ def _areas(
     modes = gains.modes
     outputs = l_.shape[1]
     into_modes = error_input_matrix(modes, outputs)
-    shape = _shape(modes, outputs, horizon)
+    shape = _load_time_course(modes, outputs, horizon)
     x = np.broadcast_to(x0, (len(k), *x0.shape)).copy()
     x_hat = np.zeros_like(x)
     z = np.zeros((*x.shape[:2], k.shape[1] - n))

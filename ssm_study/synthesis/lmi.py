@@ -19,9 +19,9 @@ from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import Frontier
-from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.problem import NoSolution, Problem, Solution, symmetric_part
 from ssm_study.certificates.semidefinite import SOLVERS, solve_program
-from ssm_study.certificates.theorem import Blocks, full
+from ssm_study.certificates.theorem import Blocks, symmetric_from_upper
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest, require_one_of
 from ssm_study.synthesis.design import DesignAttempt, Synthesis
@@ -37,8 +37,7 @@ Matrix = Float[np.ndarray, "_ _"]
 
 
 class CompiledLmi:
-    """Inequality of Theorem 1 for one pair `a (n, n)`, `b (n, m)`, compiled so that it can be
-    solved at any rate and ball.
+    """Linear matrix inequality of Theorem 1, compiled once and solved at any rate and ball.
 
     `full` keeps the extra matrix Y; `Y = P` is lossless with a third of the unknowns. Weights
     matter for `guaranteed_cost` only, whose cost is that of the Riccati route.
@@ -76,8 +75,8 @@ class CompiledLmi:
         self.problem = cp.Problem(minimize, constraints)
 
     def solve(self, problem: Problem, solver: str = "CLARABEL") -> Solution:
-        """Matrices that satisfy the inequality. Raises `NoSolution` with the solver's status when
-        it returns none."""
+        """Solve the linear matrix inequality for gain and metric. Raises `NoSolution` with the
+        solver's status when it returns none."""
         parts = self.parts
         alpha = problem.ball.alpha
         beta = problem.ball.beta
@@ -85,7 +84,7 @@ class CompiledLmi:
         for name, value in known.items():
             parts[name].value = value
         status = solve_program(self.problem, solver)
-        p = symmetric(parts["p"].value)
+        p = symmetric_part(parts["p"].value)
         y = p if parts["y"] is parts["p"] else parts["y"].value
         try:
             k = np.linalg.solve(y.T, parts["x"].value.T).T
@@ -96,9 +95,8 @@ class CompiledLmi:
 
 
 def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expression) -> Goal:
-    """Objective and constraints that minimise g with `X^T X <= g (Y + Y^T - P) <= g Y^T P^{-1} Y`
-    and `P >= I`, so that `||K||^2 <= g`."""
-    matrix = cp.bmat(full(upper))
+    """Objective and constraints that minimise the norm of the gain."""
+    matrix = cp.bmat(symmetric_from_upper(upper))
     g = cp.Variable(nonneg=True)
     bound = cp.bmat([[y + y.T - p, x.T], [x, g * np.eye(x.shape[0])]])
     is_strict = matrix >> STRICTNESS * np.eye(matrix.shape[0])
@@ -107,10 +105,10 @@ def _smallest_gain(upper: Blocks, p: cp.Expression, y: cp.Expression, x: cp.Expr
 
 
 @lru_cache(maxsize=4)
-def _compiled(
+def _compiled_inequality(
     data: tuple[bytes, bytes, bytes], order: int, objective: str, full: bool, input_weight: float
 ) -> Any:
-    """Compiled inequality of these dimensions, cached for problems with the same data."""
+    """Compiled linear matrix inequality, cached for problems with the same data."""
     a, b, weight = (np.frombuffer(part).reshape(order, -1) for part in data)
     return CompiledLmi(
         a=a, b=b, objective=objective, full=full, state_weight=weight, input_weight=input_weight
@@ -139,7 +137,9 @@ class LmiSynthesis(Synthesis):
             has_weight = self.objective == "guaranteed_cost"
             weight = problem.state_weight if has_weight else np.eye(order)
             data = (problem.a.tobytes(), problem.b.tobytes(), weight.tobytes())
-            compiled = _compiled(data, order, self.objective, self.full, problem.input_weight)
+            compiled = _compiled_inequality(
+                data, order, self.objective, self.full, problem.input_weight
+            )
             return compiled.solve(problem, self.solver)
         from ssm_study.synthesis.structured_lmi import StructuredLmi  # which solves by this module
 
@@ -151,9 +151,8 @@ class LmiSynthesis(Synthesis):
 def paper_lmi(
     linear: StateSpace, ball: JacobianBall, rate: float, theorem: type[Side] = StateFeedbackOfBall
 ) -> Any:
-    """Certificate from the LMI of [Z26] Theorem 1 (2) as printed, with all its unknowns (P, Y, X,
-    sigma). Any solution with the block matrix `>= I` serves. It is any with the block matrix `>=
-    I`.
+    """Certificate from the linear matrix inequality exactly as [Z26] prints it. Any solution with
+    the block matrix `>= I` serves. It is any with the block matrix `>= I`.
 
     One attempt at the asked rate, no frontier consulted, nothing repaired: a second opinion for
     every record. A certificate, certified or not; `Infeasible` without matrices.
@@ -173,6 +172,6 @@ def paper_lmi(
     )
     try:
         problem = method.problem(linear, ball, theorem.observes)
-        return attempt.verified(problem, method.solve(problem))
+        return attempt.certify_solution(problem, method.solve(problem))
     except (NoSolution, BadRequest) as error:
-        return attempt.infeasible("the solver returned no matrices", str(error))
+        return attempt.without_certificate("the solver returned no matrices", str(error))

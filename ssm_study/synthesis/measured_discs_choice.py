@@ -49,9 +49,9 @@ def prefer_covered(
     cover: float | None,
     search: Search | None = None,
 ) -> tuple[Design | None, str]:
-    """First design whose proof covers the records as requested, else the best substitute, with a
-    word for which it is. Substitutes are the result of a search around the one that covers most,
-    then the first that is covered at all, then the first.
+    """First design whose proof covers the records, else the best substitute, with a word for which
+    it is. Substitutes are the result of a search around the one that covers most, then the first
+    that is covered at all, then the first.
 
     `search(first, most, cover)` is given the first design, the one that covers most, and the
     coverage wanted of its certificate; unasked only where that one nearly covers. With neurons,
@@ -74,7 +74,7 @@ def prefer_covered(
         coverage = coverage_by_frequency(design, model, balls, premise, target)
         if coverage >= target:
             return design, COVERED
-        seen.note(design, coverage)
+        seen.add_design(design, coverage)
     if search is not None and (cover is not None or seen.largest >= NEARLY * target):
         searched = seen.search_around(search, target / LOST)
         if searched is not None:
@@ -84,16 +84,16 @@ def prefer_covered(
 
 @dataclass(kw_only=True)
 class SeenDesigns:
-    """Designs considered so far whose coverage is too small. Kept are the first, the first that is
-    covered at all, and the one with the `largest` coverage, `most`."""
+    """Designs considered so far, whose proofs do not cover the records. Kept are the first, the
+    first that is covered at all, and the one with the `largest` coverage, `most`."""
 
     first: Design | None = None
     barely: Design | None = None
     most: Design | None = None
     largest: float = 0.0
 
-    def note(self, design: Design, coverage: float) -> None:
-        """Add one more design with its coverage."""
+    def add_design(self, design: Design, coverage: float) -> None:
+        """Add a design with its coverage to those considered."""
         self.first = self.first or design
         if self.barely is None and coverage >= LOST:
             self.barely = design
@@ -102,7 +102,8 @@ class SeenDesigns:
             self.largest = coverage
 
     def search_around(self, search: Search, target: float) -> Design | None:
-        """Design found by a search around the one that covers most. None without any."""
+        """Design found by a random search around the one with the largest coverage. None without
+        any."""
         if self.first is None or self.most is None:
             return None
         return search(self.first, self.most, target)
@@ -116,9 +117,11 @@ class LoopCoverage:
     items: dict[float, tuple[Item, ...]]
 
     @classmethod
-    def of(cls, model: Model, controlled: Any, balls: Balls, premise: Premise) -> "LoopCoverage":
-        """Prepare the coverage for a loop, with the requirements of the premise measured once
-        around each centre."""
+    def from_premise(
+        cls, model: Model, controlled: Any, balls: Balls, premise: Premise
+    ) -> "LoopCoverage":
+        """Prepare the coverage computation for one loop, with the requirements that the records put
+        on it."""
         from ssm_study.synthesis.measured_discs_search import CENTRES
 
         context = VerificationContext(
@@ -129,32 +132,32 @@ class LoopCoverage:
             items[centre] = tuple(item for item in premise.items(centre) if item.seen > 0)
         return cls(context=context, items=items)
 
-    def around(self, gains: dict[str, Any], centre: float) -> float:
-        """Largest radius kappa of the mismatch disc around one centre, with weights and multipliers
-        chosen together. Zero where there is no solution."""
+    def largest_radius_around(self, gains: dict[str, Any], centre: float) -> float:
+        """Largest radius of the mismatch disc around one centre for given gains. Zero where there
+        is no solution."""
         from ssm_study.synthesis.measured_discs_program import LoopForms
-        from ssm_study.synthesis.measured_discs_search import theorem_of
+        from ssm_study.synthesis.measured_discs_search import select_theorem
         from ssm_study.synthesis.measured_discs_weights import WeightBasis, WeightProgram
 
         context = replace(self.context, gains=gains)
-        forms = LoopForms.of(theorem_of(context), context, (centre,))
-        grid = forms.at(forms.frequency_grid)
+        forms = LoopForms.from_context(select_theorem(context), context, (centre,))
+        grid = forms.at_angles(forms.frequency_grid)
         weight_program_items = self.items[centre]
         program = WeightProgram(
             forms=forms, grid=grid, centre=centre, items=weight_program_items, basis=WeightBasis()
         )
         try:
             with linear_algebra_failures_as_no_solution():
-                return float(max(program.largest()[0], 0.0) ** 0.5)
+                return float(max(program.maximise_radius()[0], 0.0) ** 0.5)
         except NoSolution:
             return 0.0
 
-    def largest(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
-        """Largest radius kappa of the mismatch disc over all centres, and the centre that has it.
-        The search ends at the first radius that is `enough`."""
+    def largest_radius(self, gains: dict[str, Any], enough: float = np.inf) -> tuple[float, float]:
+        """Largest radius of the mismatch disc over all centres for given gains, and the best
+        centre. The search ends at the first radius that is `enough`."""
         best = (0.0, next(iter(self.items)))
         for centre in self.items:
-            best = max(best, (self.around(gains, centre), centre))
+            best = max(best, (self.largest_radius_around(gains, centre), centre))
             if best[0] >= enough:
                 break
         return best
@@ -163,10 +166,10 @@ class LoopCoverage:
 def coverage_by_frequency(
     design: Design, model: Model, balls: Balls, premise: Premise, enough: float = np.inf
 ) -> float:
-    """Largest radius kappa of the mismatch disc that a design tolerates, over all centres and by
-    frequency. The search ends at the first radius that is `enough`."""
+    """Largest radius of the mismatch disc that a design tolerates, computed frequency by frequency.
+    The search ends at the first radius that is `enough`."""
     feedback = design.state_feedback
     assert isinstance(feedback, StateFeedback)
     system = controlled_system(model, feedback)
-    loop = LoopCoverage.of(model, system, balls, premise)
-    return loop.largest(design.gains, enough)[0]
+    loop = LoopCoverage.from_premise(model, system, balls, premise)
+    return loop.largest_radius(design.gains, enough)[0]

@@ -40,8 +40,8 @@ Forms = Complex[np.ndarray, "A F G G"]
 
 @dataclass(frozen=True, kw_only=True)
 class LoopForms:
-    """Quadratic forms of the loop over states and free signals: those of the disc's parts and of
-    each multiplier."""
+    """Quadratic forms of the loop over states and free signals: the disc's parts and one for each
+    multiplier."""
 
     a: Float[np.ndarray, "x x"]
     b: Float[np.ndarray, "x g"]
@@ -52,10 +52,10 @@ class LoopForms:
     names: tuple[tuple[str, int], ...]
 
     @classmethod
-    def of(
+    def from_context(
         cls, theorem: type[MeasuredDiscs], context: VerificationContext, centres: Sequence[float]
     ) -> "LoopForms":
-        """Forms of a loop without filters, since only squared gains of the weights enter."""
+        """Quadratic forms of a loop, from the model and its gains."""
         of, counts = loop_without_filters(theorem, context)
         rows = theorem.signals(of)
         order = len(rows.xi)
@@ -66,7 +66,7 @@ class LoopForms:
         for c in centres:
             deviation = rows.e - c * rows.m
             centred[c] = deviation.T @ deviation
-        multipliers = [_form_of(theorem, of, counts, *name) for name in names]
+        multipliers = [_multiplier_form(theorem, of, counts, *name) for name in names]
         a = rows.step[:, :order]
         b = rows.step[:, order:]
         model = rows.m.T @ rows.m
@@ -80,8 +80,8 @@ class LoopForms:
             names=tuple(names),
         )
 
-    def at(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
-        """Each form over the free signals alone, at each angle."""
+    def at_angles(self, angles: Float[np.ndarray, "F"]) -> "FormsAtAngles":
+        """Value of each quadratic form at each frequency, over the free signals alone."""
         order, free_signals = self.b.shape
         count = len(angles)
         z = np.exp(1j * angles)[:, None, None]
@@ -105,7 +105,7 @@ class LoopForms:
 
     @property
     def frequency_grid(self) -> Float[np.ndarray, "F"]:
-        """Grid of angles that includes the loop's own modes and their neighbourhoods."""
+        """Frequency grid that includes the loop's own modes and their neighbourhoods."""
         modes = np.linalg.eigvals(self.a)
         own = np.abs(np.angle(modes))
         width = np.maximum(1 - np.abs(modes), 1e-4)
@@ -124,8 +124,8 @@ class FormsAtAngles:
     centred: dict[float, Complex[np.ndarray, "F G G"]]
     multipliers: Forms
 
-    def joined(self, other: "FormsAtAngles") -> "FormsAtAngles":
-        """Forms at the angles of both objects."""
+    def combine_with(self, other: "FormsAtAngles") -> "FormsAtAngles":
+        """Forms at the angles of this object and of another one."""
         angles = np.concatenate([self.angles, other.angles])
         model = np.concatenate([self.model, other.model])
         forms_at_angles_input = np.concatenate([self.input, other.input])
@@ -143,7 +143,7 @@ class FormsAtAngles:
 def loop_without_filters(
     theorem: type[MeasuredDiscs], context: VerificationContext
 ) -> tuple[Any, dict[str, int]]:
-    """Numbers of the loop with filters of order zero and multipliers zero, and the count of
+    """Fields of the theorem with trivial weights and zero multipliers, and the number of
     multipliers of each name."""
     loop = theorem.loop_of(context)
     zero = np.zeros((1, 1))
@@ -157,10 +157,10 @@ def loop_without_filters(
     return SimpleNamespace(**loop, **numbers, **multipliers), counts
 
 
-def _form_of(
+def _multiplier_form(
     theorem: type[MeasuredDiscs], of: Any, counts: dict[str, int], name: str, index: int
 ) -> Float[np.ndarray, "N N"]:
-    """Quadratic form that one multiplier multiplies."""
+    """Quadratic form that belongs to one multiplier."""
     unit = np.zeros((1, counts[name]))
     unit[0, index] = 1.0
     alone = SimpleNamespace(**{**vars(of), name: unit})
@@ -172,30 +172,32 @@ def _form_of(
 
 @dataclass(kw_only=True)
 class ConeProgram:
-    """Program `minimise c x` subject to rows `g x >= h` and Hermitian `H_0 + sum_a x_a H_a >= 0`,
-    solved by Clarabel."""
+    """Linear program with semidefinite constraints, solved by Clarabel."""
 
     unknowns: int
     rows: list[Float[np.ndarray, "R n"]] = field(default_factory=list)
     bounds: list[Float[np.ndarray, "R"]] = field(default_factory=list)
     blocks: list[tuple[Any, Any]] = field(default_factory=list)
 
-    def at_least(self, rows: Float[np.ndarray, "R n"], bounds: Float[np.ndarray, "R"]) -> None:
-        """Append the constraint `rows x >= bounds`."""
+    def add_rows(self, rows: Float[np.ndarray, "R n"], bounds: Float[np.ndarray, "R"]) -> None:
+        """Append linear constraints `rows x >= bounds` to the program."""
         self.rows.append(np.atleast_2d(rows))
         self.bounds.append(np.atleast_1d(bounds))
 
-    def positive(
+    def add_semidefinite(
         self, constant: Complex[np.ndarray, "G G"], linear: Complex[np.ndarray, "n G G"]
     ) -> None:
-        """Append the constraint `constant + sum_a x_a linear_a >= 0`."""
-        self.blocks.append((_triangle(constant[None])[0], _triangle(linear)))
+        """Append a constraint that a Hermitian matrix, linear in the unknowns, is positive
+        semidefinite."""
+        self.blocks.append(
+            (_real_upper_triangles(constant[None])[0], _real_upper_triangles(linear))
+        )
 
     def minimise(
         self, cost: Float[np.ndarray, "n"], accuracy: float = 1e-8
     ) -> Float[np.ndarray, "n"]:
-        """Solution of the program. Raises `NoSolution` with the solver's status where there is
-        none."""
+        """Minimise a linear cost under the constraints of the program. Raises `NoSolution` with the
+        solver's status where there is none."""
         import clarabel  # slow to load
 
         rows = [-row for row in self.rows]
@@ -225,9 +227,9 @@ class ConeProgram:
         return np.array(solution.x)
 
 
-def _triangle(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t"]:
-    """Upper triangles, column by column, of the real symmetric matrices `[Re, -Im; Im, Re]`, as
-    Clarabel takes them."""
+def _real_upper_triangles(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t"]:
+    """Upper triangles of the real symmetric forms of Hermitian matrices, in the order that Clarabel
+    takes."""
     real = hermitian.real
     imaginary = hermitian.imag
     top = np.concatenate([real, -imaginary], axis=2)
@@ -240,8 +242,7 @@ def _triangle(hermitian: Complex[np.ndarray, "n G G"]) -> Float[np.ndarray, "n t
 
 @dataclass(frozen=True, kw_only=True)
 class AngleProgram:
-    """Program `maximise goal x` subject to rows, and `constant + sum_a x_a linear_a >= 0` at every
-    angle of a grid."""
+    """Linear program whose matrix constraints must hold at every frequency of a grid."""
 
     constant: Complex[np.ndarray, "F G G"]
     linear: Complex[np.ndarray, "n F G G"]
@@ -249,7 +250,7 @@ class AngleProgram:
     bounds: Float[np.ndarray, "R"]
 
     def smallest_eigenvalues(self, x: Float[np.ndarray, "n"]) -> Float[np.ndarray, "F"]:
-        """Smallest eigenvalue of the matrix at each angle."""
+        """Smallest eigenvalue of the constrained matrix at each angle."""
         whole = self.constant + np.tensordot(x, self.linear, axes=1)
         eigenvalues = np.linalg.eigvalsh(whole)
         return np.asarray(eigenvalues[:, 0])
@@ -257,7 +258,8 @@ class AngleProgram:
     def maximise(
         self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
-        """Solution by cutting planes, and the angles that decided it. Raises `NoSolution`.
+        """Maximise a linear goal by cutting planes; returns the solution and the angles that
+        decided it. Raises `NoSolution`.
 
         Angles that are far from deciding leave again.
         """
@@ -266,9 +268,9 @@ class AngleProgram:
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
             program = ConeProgram(unknowns=len(goal))
-            program.at_least(self.rows, self.bounds)
+            program.add_rows(self.rows, self.bounds)
             for k in chosen:
-                program.positive(self.constant[k], self.linear[:, k])
+                program.add_semidefinite(self.constant[k], self.linear[:, k])
             x = program.minimise(-goal, SOLVED if accuracy > SOLVED else VIOLATED)
             lowest = self.smallest_eigenvalues(x)
             violated = _local_minima(lowest, -accuracy)
@@ -280,7 +282,7 @@ class AngleProgram:
 
 
 def _spread_indices(count: int, some: int) -> list[int]:
-    """Indices of `some` of `count` items, spread evenly."""
+    """Indices of some items of a list, spread evenly."""
     return [int(k) for k in np.unique(np.linspace(0, count - 1, some).round())]
 
 
@@ -294,5 +296,5 @@ def _local_minima(values: Float[np.ndarray, "F"], below: float) -> list[int]:
 
 
 def form_sizes(forms: Complex[np.ndarray, "A F G G"]) -> Float[np.ndarray, "A"]:
-    """Size of each form, by which its multiplier is scaled."""
+    """Size of each quadratic form, by which its multiplier is scaled."""
     return np.asarray(np.maximum(np.abs(forms).max(axis=(1, 2, 3)), np.finfo(float).tiny))

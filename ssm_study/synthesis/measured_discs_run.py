@@ -37,13 +37,15 @@ UNKNOWN = "{} the input has next to no power, so nothing separates mismatch from
 
 
 def is_coverage_sought(model: Model, synthesis: Any) -> bool:
-    """Whether a proof of coverage is searched for; with neurons, which take long, only on
-    request."""
+    """Whether a run searches for a proof that covers the records."""
     return isinstance(model, SSM) or getattr(synthesis, "cover", None) is not None
 
 
-def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) -> Design:
-    """Design with its coverage certificate added. Unchanged where there is none."""
+def add_coverage_certificate(
+    design: Design, model: Model, balls: Balls, premise: Premise
+) -> Design:
+    """Design with a certificate added that covers as much of the recorded mismatch as possible.
+    Unchanged where there is none."""
     if not design.feasible or exclusion_reason(design, model) or premise.missing(0.0) is not None:
         return design
     from ssm_study.synthesis import measured_discs_search  # slow to load
@@ -67,8 +69,9 @@ def with_coverage(design: Design, model: Model, balls: Balls, premise: Premise) 
 
 
 def exclusion_reason(design: Design, model: Model) -> str | None:
-    """Reason why the theorem does not apply to this loop. None where it does."""
-    if design.inverts:
+    """Reason why the coverage theorem does not apply to a loop; None if it applies. None where it
+    does."""
+    if design.inverts_input_map:
         return INVERTS
     observer = design.observer
     injects = isinstance(observer, Observer) and np.any(getattr(observer, "l_z", 0.0))
@@ -76,10 +79,11 @@ def exclusion_reason(design: Design, model: Model) -> str | None:
     return INJECTED if injects and seen else None
 
 
-def coverage_facts(
+def coverage_columns(
     design: Design, model: Model, premise: Premise, fresh: Premise | None = None
 ) -> dict[str, Any]:
-    """Columns of the coverage. `coverage` is null, with its reason, where nothing is covered."""
+    """Columns that compare the proved mismatch with the recorded one. `coverage` is null, with its
+    reason, where nothing is covered."""
     if not design.feasible:
         return {}
     part = design.extra_certificates.get(PART)
@@ -90,13 +94,13 @@ def coverage_facts(
     missing = premise.missing(part.centre)
     if missing is not None:
         return {"coverage": None, "coverage_reason": missing}
-    weights = weights_of(part)
+    weights = certificate_weights(part)
     items = premise.items(part.centre)
     need, where = weights.need(items)
     coverage = part.kappa / need
     facts: dict[str, Any] = {"coverage": coverage, "coverage_reference": where}
     if part.kappa < need:
-        facts |= unknown_band(part.kappa, weights, items)
+        facts |= null_coverage_of_unknown_band(part.kappa, weights, items)
     if fresh is not None and fresh.missing(part.centre) is None:
         facts["coverage_needed"] = weights.need(fresh.items(part.centre))[0] / need
     return facts
@@ -113,7 +117,7 @@ class MismatchRecords(Protocol):
     def mismatch_records(self) -> Trajectories: ...
 
 
-def fresh_needs(
+def fresh_data_needs(
     design: Design,
     model: Model,
     premise: Premise,
@@ -121,12 +125,12 @@ def fresh_needs(
     fresh_sets: Iterable[MismatchRecords],
     start_up_samples: int,
 ) -> list[float]:
-    """Disc radius kappa that each fresh data set needs, relative to that of `premise`, the run's
-    own records. None without a coverage certificate from these records."""
+    """Disc radius that each fresh data set needs, relative to the radius that the run's own records
+    need. None without a coverage certificate from these records."""
     part = design.extra_certificates.get(PART)
     if not isinstance(part, MeasuredDiscs) or premise.missing(part.centre) is not None:
         return []
-    weights = weights_of(part)
+    weights = certificate_weights(part)
     own_need, _ = weights.need(premise.items(part.centre))
     needs = []
     for records in fresh_sets:
@@ -137,14 +141,15 @@ def fresh_needs(
     return needs
 
 
-def fresh_facts(needs: Sequence[float]) -> dict[str, Any]:
-    """Column with the largest need of fresh data sets."""
+def fresh_data_column(needs: Sequence[float]) -> dict[str, Any]:
+    """Column with the largest disc radius that a fresh data set needs."""
     return {"coverage_needed": max(needs)} if needs else {}
 
 
-def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[str, Any]:
-    """Null coverage with the band's name, where only bands without excitation prevent the proof
-    from covering the records."""
+def null_coverage_of_unknown_band(
+    kappa: float, weights: Weights, items: Sequence[Item]
+) -> dict[str, Any]:
+    """Columns without a coverage value, and the name of the unexcited band that prevents one."""
     lit = [item for item in items if not item.dark]
     if kappa < weights.need(lit)[0]:
         return {}
@@ -153,6 +158,6 @@ def unknown_band(kappa: float, weights: Weights, items: Sequence[Item]) -> dict[
     return {"coverage": None, "coverage_reason": coverage_reason}
 
 
-def weights_of(part: MeasuredDiscs) -> Weights:
-    """Weights in a certificate."""
+def certificate_weights(part: MeasuredDiscs) -> Weights:
+    """Weights of the measured disc, as stored in a certificate."""
     return Weights(floor=part.floor, output=part.weight_output, input=part.weight_input)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ssm_study.certificates.problem import NoSolution, symmetric
+from ssm_study.certificates.problem import NoSolution, symmetric_part
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
@@ -35,7 +35,7 @@ from ssm_study.synthesis.measured_discs_weights import (
     LARGEST,
     WeightBasis,
     WeightProgram,
-    own_weights,
+    initial_weights,
 )
 from ssm_study.systems import StructuredSystem
 
@@ -50,8 +50,8 @@ FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share o
 
 @dataclass(frozen=True, kw_only=True)
 class Coverage:
-    """Certificate with its `coverage` (kappa relative to the need of the records), or None with the
-    `reason`."""
+    """Coverage certificate with the ratio of proved to recorded mismatch, or the reason why there
+    is none."""
 
     certificate: MeasuredDiscs | None
     coverage: float | None
@@ -59,8 +59,8 @@ class Coverage:
     reference: str = ""
 
 
-def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
-    """Theorem for a model with or without neurons."""
+def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
+    """Coverage theorem for a model with or without neurons."""
     neurons = isinstance(context.system, StructuredSystem)
     return StructuredMeasuredDiscs if neurons else MeasuredDiscs
 
@@ -68,15 +68,15 @@ def theorem_of(context: VerificationContext) -> type[MeasuredDiscs]:
 def largest_kappa(
     context: VerificationContext, weights: Weights, centre: float
 ) -> MeasuredDiscs | None:
-    """Certificate with the largest radius kappa of the mismatch disc for given weights. None where
-    none is certified, and where no mismatch has an effect."""
+    """Certificate with the largest mismatch disc for given weights and centre. None where none is
+    certified, and where no mismatch has an effect."""
     started = time.perf_counter()
-    theorem = theorem_of(context)
+    theorem = select_theorem(context)
     try:
         nu, multipliers = optimum_for_weights(theorem, context, weights, centre)
         if nu >= LARGEST:
             return None
-        forms = LoopForms.of(theorem, context, (centre,))
+        forms = LoopForms.from_context(theorem, context, (centre,))
         for inside in INSIDE:
             scaled = nu * inside**2
             multipliers, margin = _largest_margin(forms, weights, centre, scaled, multipliers)
@@ -94,8 +94,8 @@ def optimum_for_weights(
 ) -> tuple[float, Float[np.ndarray, "A"]]:
     """Largest squared disc radius `kappa^2` for given weights, by frequency, and its multipliers.
     Raises `NoSolution`."""
-    forms = LoopForms.of(theorem, context, (centre,))
-    grid = forms.at(forms.frequency_grid)
+    forms = LoopForms.from_context(theorem, context, (centre,))
+    grid = forms.at_angles(forms.frequency_grid)
     x = np.zeros(0)
     scale = np.zeros(0)
     for _ in range(3):  # finer around the angles that decide
@@ -106,7 +106,7 @@ def optimum_for_weights(
         lowest = program.smallest_eigenvalues(x)
         deciding = grid.angles[np.argsort(lowest)[:4]]
         fresh = angles_around(deciding, grid.angles)
-        grid = grid.joined(forms.at(np.setdiff1d(fresh, grid.angles)))
+        grid = grid.combine_with(forms.at_angles(np.setdiff1d(fresh, grid.angles)))
     unscaled = x / scale
     return float(unscaled[0]), np.maximum(unscaled[1:], 0.0)
 
@@ -130,9 +130,9 @@ def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
     """Program at the angles of a grid with the weights fixed."""
-    powers = weights.on_output(grid.angles)
+    powers = weights.output_weight(grid.angles)
     reference = powers[:, None, None] * grid.model
-    reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
+    reference = reference + weights.input_weight(grid.angles)[:, None, None] * grid.input
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
@@ -152,13 +152,13 @@ def _largest_margin(
     nu: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> tuple[Float[np.ndarray, "A"], float]:
-    """Multipliers with the largest margin at this disc radius. The margin is in units of each free
-    signal's own weight."""
-    grid = forms.at(forms.frequency_grid)
-    own = own_weights(forms, centre, multipliers)
-    powers = weights.on_output(grid.angles)
+    """Multipliers with the largest margin at a given disc radius. The margin is in units of each
+    free signal's own weight."""
+    grid = forms.at_angles(forms.frequency_grid)
+    own = initial_weights(forms, centre, multipliers)
+    powers = weights.output_weight(grid.angles)
     reference = powers[:, None, None] * grid.model
-    reference = reference + weights.on_input(grid.angles)[:, None, None] * grid.input
+    reference = reference + weights.input_weight(grid.angles)[:, None, None] * grid.input
     constant = grid.centred[centre] - nu * reference
     margin = -np.broadcast_to(np.diag(own), grid.model.shape)
     linear = np.concatenate([grid.multipliers, margin[None]])
@@ -181,7 +181,7 @@ def _theorem_variables(
     kappa: float,
     multipliers: Float[np.ndarray, "A"],
 ) -> dict[str, Any]:
-    """Variables of the theorem except P."""
+    """Stored variables of the theorem except its metric P."""
     numbers: dict[str, Any] = {"centre": centre, "kappa": kappa, "floor": weights.floor}
     numbers |= {"weight_output": weights.output, "weight_input": weights.input}
     numbers["lambda_out"] = np.zeros(0)
@@ -201,7 +201,8 @@ def certify_numbers(
     margin: float,
     started: float,
 ) -> MeasuredDiscs | None:
-    """Certificate with the first P that exact arithmetic accepts. None without any."""
+    """Certificate with the first metric P that exact arithmetic accepts; None if none is accepted.
+    None without any."""
     if margin <= 0:
         return None
     ball = context.balls.input
@@ -221,7 +222,7 @@ def certify_numbers(
 def metric_candidates(
     theorem: type[MeasuredDiscs], numbers: dict[str, Any], margin: float
 ) -> Iterator[Float[np.ndarray, "x x"]]:
-    """Candidates for P: negated stabilising solutions of the Riccati equation at several slacks."""
+    """Candidates for the metric P, from Riccati equations with several slacks."""
     of = SimpleNamespace(**{name: np.atleast_2d(value) for name, value in numbers.items()})
     rows = theorem.signals(of)
     order = len(rows.xi)
@@ -234,12 +235,12 @@ def metric_candidates(
     root = np.sqrt(np.maximum(own, 1e-9 * own.max()))
     driven = b / root
     matrix = scipy.linalg.solve_discrete_lyapunov(a, driven @ driven.T)
-    gramian = symmetric(matrix)
+    gramian = symmetric_part(matrix)
     share = FLOOR * np.trace(gramian) / order
     right = np.linalg.cholesky(gramian + share * np.eye(order))
     left = np.linalg.inv(right)
     scaling = scipy.linalg.block_diag(right, np.diag(1 / root))
-    scaled = symmetric(scaling.T @ form @ scaling)
+    scaled = symmetric_part(scaling.T @ form @ scaling)
     inputs = np.eye(len(root))
     for slack in SLACKS:
         q = scaled[:order, :order] - slack * margin * np.eye(order)
@@ -249,13 +250,13 @@ def metric_candidates(
             x = scipy.linalg.solve_discrete_are(left @ a @ right, left @ driven, q, r, s=s)
         except (np.linalg.LinAlgError, ValueError):
             continue
-        p = symmetric(-(left.T @ x @ left))
+        p = symmetric_part(-(left.T @ x @ left))
         if theorem_margin(theorem, numbers | {"p": p}) > 0:
             yield p
 
 
 def theorem_margin(theorem: type[MeasuredDiscs], numbers: dict[str, Any]) -> float:
-    """Smallest eigenvalue of the inequality and of P in floats, scaled to unit diagonals."""
+    """Smallest eigenvalue in floats of the theorem's matrices, scaled to unit diagonals."""
     matrices = theorem.as_floats(**numbers)
     names = ("inequality", "p")
     return min(float(np.linalg.eigvalsh(matrices[name])[0]) for name in names)
@@ -267,8 +268,8 @@ def largest_coverage(
     centres: Sequence[float] = CENTRES,
     basis: WeightBasis | None = None,
 ) -> Coverage:
-    """Proof that covers most of the records' mismatch, over all centres, or the reason why there is
-    none.
+    """Certificate that covers most of the recorded mismatch, over all disc centres, or the reason
+    why there is none.
 
     Where bands without excitation alone keep it from covering, the proof is that of the other
     bands: its need of all of them says so.
@@ -278,30 +279,30 @@ def largest_coverage(
         return Coverage(certificate=None, coverage=None, reason=missing)
     items = {c: [item for item in premise.items(c) if item.seen > 0] for c in centres}
     basis = basis or WeightBasis()
-    whole = _largest_around(context, items, basis)
+    whole = _largest_coverage_around(context, items, basis)
     lit = {c: [item for item in some if not item.dark] for c, some in items.items()}
     covers = whole.coverage is not None and whole.coverage >= 1
     if covers or not all(lit.values()) or lit == items:
         return whole
-    partial = _largest_around(context, lit, basis)
+    partial = _largest_coverage_around(context, lit, basis)
     return partial if partial.coverage is not None and partial.coverage >= 1 else whole
 
 
-def _largest_around(
+def _largest_coverage_around(
     context: VerificationContext, items: dict[float, list[Item]], basis: WeightBasis
 ) -> Coverage:
-    """Proof with the largest coverage among the discs around these centres."""
+    """Certificate that covers most of the recorded mismatch among discs around given centres."""
     started = time.perf_counter()
-    theorem = theorem_of(context)
-    forms = LoopForms.of(theorem, context, tuple(items))
-    grid = forms.at(forms.frequency_grid)
+    theorem = select_theorem(context)
+    forms = LoopForms.from_context(theorem, context, tuple(items))
+    grid = forms.at_angles(forms.frequency_grid)
     optima = list[tuple[float, Any, WeightProgram]]()
     for centre, some in items.items():
         program = WeightProgram(
             forms=forms, grid=grid, centre=centre, items=tuple(some), basis=basis
         )
         try:
-            nu, unknowns = program.largest()
+            nu, unknowns = program.maximise_radius()
         except NoSolution:
             continue
         if nu > SMALLEST:
@@ -324,15 +325,15 @@ def _certify_program(
     unknowns: Float[np.ndarray, "n"],
     started: float,
 ) -> Coverage | None:
-    """Certificate from a solution for weights and multipliers together. None if no attempt is
-    accepted."""
-    coarse = program.accuracy == COARSE
+    """Certificate from a joint solution for weights and multipliers; None if exact arithmetic
+    refuses it. None if no attempt is accepted."""
+    coarse = program.constraint_tolerance == COARSE
     for inside in INSIDE[coarse:]:
         scaled = nu * inside**2
         for room in ROOMS[coarse:]:
             try:
                 chosen = program.widen_weights(scaled, unknowns, room)
-                weights = program.weights_of(scaled, chosen)
+                weights = program.weights_from_unknowns(scaled, chosen)
             except NoSolution:
                 continue
             multipliers = np.maximum(chosen[2 * (program.basis.order + 1) :], 0.0)

@@ -38,11 +38,11 @@ CIRCLE = np.union1d(np.linspace(0, np.pi, 65), np.geomspace(1e-3, 0.1, 12))
 EVENLY = np.linspace(0, np.pi, 2001)
 
 
-def own_weights(
+def initial_weights(
     forms: LoopForms, centre: float, multipliers: Float[np.ndarray, "A"]
 ) -> Float[np.ndarray, "G"]:
-    """Weight of each free signal in the quadratic form by itself. It is one for |e|^2, its
-    multiplier for |p|^2, and so on."""
+    """Weight of each free signal in the loop's quadratic form, taken by itself. It is one for
+    |e|^2, its multiplier for |p|^2, and so on."""
     order = len(forms.a)
     whole = forms.centred[centre] + np.tensordot(multipliers, forms.multipliers, axes=1)
     own = np.abs(np.diagonal(whole)[order:])
@@ -51,8 +51,7 @@ def own_weights(
 
 @dataclass(frozen=True, kw_only=True)
 class WeightBasis:
-    """Basis of squared gains `sum_j x_j phi_j`, `phi_0 = 1 / |den|^2`, `phi_j = 2 cos(j w) /
-    |den|^2`."""
+    """Basis of cosine functions in which the squared gains of the weights are expanded."""
 
     poles: tuple[float, ...] = POLES
     order: int = ORDER
@@ -65,8 +64,8 @@ class WeightBasis:
         factors = [np.abs(1 - pole * delay) ** 2 for pole in self.poles]
         return np.asarray(np.prod(factors, axis=0))
 
-    def at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
-        """Value of each basis function at each angle."""
+    def values_at(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
+        """Value of each basis function at each frequency."""
         return self.numerators(angles) / self.denominator(angles)
 
     def numerators(self, angles: Float[np.ndarray, "F"]) -> Float[np.ndarray, "K F"]:
@@ -76,9 +75,11 @@ class WeightBasis:
             rows.append(2 * np.cos(j * angles))
         return np.stack(rows)
 
-    def filter(self, coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "v v"]:
-        """Minimum-phase filter with this squared gain, as `[A, B; C, D]`. Raises `NoSolution` where
-        there is none."""
+    def filter_from_coefficients(
+        self, coefficients: Float[np.ndarray, "K"]
+    ) -> Float[np.ndarray, "v v"]:
+        """Minimum-phase filter whose squared gain has these basis coefficients, as `[A, B; C, D]`.
+        Raises `NoSolution` where there is none."""
         if coefficients[0] <= 0:
             return np.zeros((1, 1))
         if self.order == 0 and not self.poles:
@@ -93,8 +94,7 @@ class WeightBasis:
 
 
 def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "K"]:
-    """Spectral factor `n` with `|sum_k n_k z^-k|^2 = c_0 + sum_j 2 c_j cos(j w)` and zeros inside
-    the unit circle. Raises `NoSolution`.
+    """Minimum-phase spectral factor of a cosine polynomial. Raises `NoSolution`.
 
     By the cepstrum: the causal half of `log |n|^2` is the logarithm of a factor without zeros or
     poles outside (Oppenheim & Schafer, Discrete-Time Signal Processing, chapter 13).
@@ -118,8 +118,8 @@ def spectral_factor(coefficients: Float[np.ndarray, "K"]) -> Float[np.ndarray, "
 
 @dataclass(frozen=True, kw_only=True)
 class WeightProgram:
-    """Program that optimises weights, multipliers and the squared disc radius `nu = kappa^2`
-    together, around one centre.
+    """Convex program that optimises weights, multipliers and disc radius together, around one
+    centre.
 
     Unknowns: nu, x and y (the coefficients of X and Y), the multipliers; in stage two nu is fixed
     and each band has a `widening` of its own.
@@ -132,37 +132,36 @@ class WeightProgram:
     basis: WeightBasis
 
     @property
-    def accuracy(self) -> float:
-        """Amount by which constraints between the angles may be violated. It is larger where each
-        is a large matrix."""
+    def constraint_tolerance(self) -> float:
+        """Amount by which constraints between the grid frequencies may be violated. It is larger
+        where each is a large matrix."""
         model = self.grid.model
         return COARSE if model.shape[1] > LARGE else JOINT
 
     @property
-    def linear(self) -> Any:
-        """Matrix of each unknown except nu, at each angle."""
+    def unknown_matrices(self) -> Any:
+        """Matrix that multiplies each unknown except the disc radius, at each frequency."""
         angles = self.grid.angles
-        phi = self.basis.at(angles)[:, :, None, None]
+        phi = self.basis.values_at(angles)[:, :, None, None]
         of_x = -phi * self.grid.model
         of_y = -phi * self.grid.input
         multipliers = self.grid.multipliers
         return np.concatenate([of_x, of_y, multipliers])
 
     def item_rows(self) -> Float[np.ndarray, "I n"]:
-        """Coefficients of x and y in each requirement, `sum over its lines of (X model + Y input) /
-        seen`."""
+        """Linear coefficients of the weights in each requirement that the records put on them."""
         rows = []
         for item in self.items:
-            phi = self.basis.at(item.angles)
+            phi = self.basis.values_at(item.angles)
             row = np.concatenate([phi @ item.model_power, phi @ item.input_power])
             rows.append(row / item.seen)
         return np.array(rows)
 
     def weight_rows(self) -> tuple[Float[np.ndarray, "R n"], Float[np.ndarray, "R"]]:
-        """Constraints on (x, y) with their bounds. X exceeds `c^2`, so that the disc contains `e =
-        0`, and neither comes near zero."""
-        mean = self.basis.at(EVENLY).mean(axis=1)
-        clear = self.basis.at(CIRCLE).T - NEAR_ZERO * mean
+        """Linear constraints on the weights' coefficients, with their bounds. X exceeds `c^2`, so
+        that the disc contains `e = 0`, and neither comes near zero."""
+        mean = self.basis.values_at(EVENLY).mean(axis=1)
+        clear = self.basis.values_at(CIRCLE).T - NEAR_ZERO * mean
         none = np.zeros_like(clear)
         least = np.full(len(CIRCLE), self.centre**2 * (1 + ROOM))
         on_x = np.hstack([clear, none])
@@ -171,20 +170,23 @@ class WeightProgram:
         bounds = np.concatenate([least, np.zeros(len(CIRCLE))])
         return rows, bounds
 
-    def largest(self) -> tuple[float, Float[np.ndarray, "n"]]:
-        """Largest squared disc radius nu, with x, y and the multipliers. Raises `NoSolution`."""
-        linear = self.linear
+    def maximise_radius(self) -> tuple[float, Float[np.ndarray, "n"]]:
+        """Largest squared disc radius, with the weights and multipliers that reach it. Raises
+        `NoSolution`."""
+        linear = self.unknown_matrices
         scale = form_sizes(linear)
         count = len(scale)
         rows, bounds = self._rows_with_nu(scale)
         constant = self.grid.centred[self.centre]
-        angle_program_linear = np.concatenate([np.zeros_like(linear[:1]), in_units(linear, scale)])
+        angle_program_linear = np.concatenate(
+            [np.zeros_like(linear[:1]), scale_unknowns(linear, scale)]
+        )
         program = AngleProgram(
             constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
         )
         goal = np.zeros(1 + count)
         goal[0] = 1.0
-        x, _ = program.maximise(goal, self.accuracy)
+        x, _ = program.maximise(goal, self.constraint_tolerance)
         return float(x[0]), x[1:] / scale
 
     @property
@@ -195,7 +197,7 @@ class WeightProgram:
     def _rows_with_nu(
         self, scale: Float[np.ndarray, "n"]
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"]]:
-        """Constraints on nu, x, y and the multipliers, with their bounds.
+        """Linear constraints on disc radius, weights and multipliers, with their bounds.
 
         Each item needs nu at most; the weights stay clear of zero; a multiplier is at least zero
         and at most `MOST`; nu is at most `LARGEST`.
@@ -222,31 +224,31 @@ class WeightProgram:
     def widen_weights(
         self, nu: float, unknowns: Float[np.ndarray, "n"], room: float
     ) -> Float[np.ndarray, "n"]:
-        """Widen the weights as far as the loop stays proved at a fixed `nu`, each band up to
-        `WIDEST`. A margin of `room` times each free signal's own weight is left in the loop."""
+        """Enlarge the weights in each frequency band as far as the loop stays proved at a fixed
+        disc radius. A margin of `room` times each free signal's own weight is left in the loop."""
         multipliers = np.maximum(unknowns[self.weight_count :], 0.0)
-        own = own_weights(self.forms, self.centre, multipliers)
+        own = initial_weights(self.forms, self.centre, multipliers)
         root = 1 / np.sqrt(own)
         units = np.outer(root, root)  # each free signal in units of its own weight
-        linear = self.linear * units
+        linear = self.unknown_matrices * units
         scale = form_sizes(linear)
         rows, bounds, bands = self._rows_with_bands(scale, nu)
         none = np.zeros((bands, *linear.shape[1:]))
         centred = self.grid.centred
         constant = centred[self.centre] * units - room * np.eye(len(own))
-        angle_program_linear = np.concatenate([in_units(linear, scale), none])
+        angle_program_linear = np.concatenate([scale_unknowns(linear, scale), none])
         program = AngleProgram(
             constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds
         )
         goal = np.concatenate([np.zeros(len(scale)), np.ones(bands)])
-        x, _ = program.maximise(goal, self.accuracy)
+        x, _ = program.maximise(goal, self.constraint_tolerance)
         return np.asarray(x[: len(scale)] / scale)
 
     def _rows_with_bands(
         self, scale: Float[np.ndarray, "n"], nu: float
     ) -> tuple[Float[np.ndarray, "R N"], Float[np.ndarray, "R"], int]:
-        """Constraints on x, y, the multipliers and a widening of each band; their bounds; the
-        number of bands.
+        """Linear constraints on weights, multipliers and the widening of each band; their bounds;
+        the number of bands.
 
         Each item needs its band's widening times nu at most; a widening lies between one and
         `WIDEST`.
@@ -269,9 +271,8 @@ class WeightProgram:
         bounds = np.concatenate([np.zeros(len(seen)), least_xy, least, -most])
         return rows, bounds, len(bands)
 
-    def weights_of(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
-        """Filters from the coefficients: `X / nu = floor^2 + |W|^2`, `Y / nu = |V|^2`. Raises
-        `NoSolution`."""
+    def weights_from_unknowns(self, nu: float, unknowns: Float[np.ndarray, "n"]) -> Weights:
+        """Weighting filters from the coefficients that the program found. Raises `NoSolution`."""
         size = self.basis.order + 1
         x = unknowns[:size] / nu
         y = unknowns[size : 2 * size] / nu
@@ -279,19 +280,19 @@ class WeightProgram:
         if floor == 0:
             floor = 1e-6 * float(np.sqrt(max(x[0], 1e-12)))
         poles = self.basis.poles
-        above_floor = x - floor**2 * autocorrelation(poles, size)
-        output = self.basis.filter(above_floor)
-        weights_input = self.basis.filter(y)
+        above_floor = x - floor**2 * denominator_coefficients(poles, size)
+        output = self.basis.filter_from_coefficients(above_floor)
+        weights_input = self.basis.filter_from_coefficients(y)
         return Weights(floor=float(floor), output=output, input=weights_input)
 
 
-def in_units(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
-    """Matrices of the unknowns, each divided by its size."""
+def scale_unknowns(forms: Any, scale: Float[np.ndarray, "n"]) -> Any:
+    """Matrices of the unknowns, each divided by the unknown's size."""
     return forms / scale[:, None, None, None]
 
 
-def autocorrelation(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
-    """Coefficients of `|den|^2` in one and `2 cos(j w)`."""
+def denominator_coefficients(poles: Sequence[float], size: int) -> Float[np.ndarray, "K"]:
+    """Cosine coefficients of the squared denominator gain, from the poles."""
     denominator = np.real(np.poly(poles)) if len(poles) else np.ones(1)
     whole = np.convolve(denominator, denominator[::-1])[len(denominator) - 1 :]
     return np.pad(whole, (0, size - len(whole)))

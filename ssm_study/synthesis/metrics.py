@@ -19,14 +19,14 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import noise_gain
 from ssm_study.synthesis.deployed import SETS, WithinLimits
-from ssm_study.synthesis.input_inversion import of_commands
+from ssm_study.synthesis.input_inversion import commanded_model_and_balls
 from ssm_study.systems import Balls, StructuredSystem
 
 OPINION = "another solver's opinion, which decides nothing"
 
 
-def _of_side(side: str, short: str, gain: str) -> tuple[Column, ...]:
-    """Declarations of the columns of controller or observer."""
+def _side_columns(side: str, short: str, gain: str) -> tuple[Column, ...]:
+    """Declarations of the columns that describe controller or observer."""
     said = side.capitalize()
     rate = _rate_column(f"rate_{side}", f"{said} rate, ρ", setting=f"synthesis.rate_{side}")
     margin = f"{said} LMI margin"
@@ -53,8 +53,8 @@ COLUMNS = (
     Column("refinements", "Int64", word="Refined so many times"),
     Column("synthesis_method", "string", head="method", word="Synthesis", setting="synthesis"),
     Column("rates_chosen", "string", word="Rates chosen by auto", setting="synthesis.rate"),
-    *_of_side("controller", "ctl", "K"),
-    *_of_side("observer", "obs", "L"),
+    *_side_columns("controller", "ctl", "K"),
+    *_side_columns("observer", "obs", "L"),
     Column("infeasible_reason", "string", word="Why it is infeasible"),
     Column("uncertified_reason", "string", word="Why it is not certified"),
     Column(
@@ -151,7 +151,7 @@ COLUMNS = (
         "Float64",
         "high",
         "margin",
-        "Prediction margin",
+        "Stability margin",
         "–",
         ITERATED,
         shown=True,
@@ -160,7 +160,7 @@ COLUMNS = (
         "sine_margin",
         "Float64",
         "high",
-        word="Prediction margin with single sines after the choice",
+        word="Stability margin with single sines after the choice",
         unit="–",
         tolerance=ITERATED,
     ),
@@ -169,7 +169,7 @@ COLUMNS = (
         "Float64",
         "low",
         "ctl radius",
-        "Controller's own spectral radius",
+        "Spectral radius of the controller",
         "–",
         ITERATED,
     ),
@@ -195,16 +195,18 @@ COLUMNS = (
 )
 
 
-def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
-    """Columns of a design: feasible, certified, distance from the frontier, size of the gains, and
-    the prediction for the plant.
+def design_columns(
+    design: Design, model: Model, balls: Balls, mismatch: Mismatch
+) -> dict[str, Any]:
+    """Columns of a design: feasible, certified, distance from the limit, gain sizes and predicted
+    stability.
 
     `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
-    model, balls = of_commands(design, model, balls)
+    model, balls = commanded_model_and_balls(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
-    facts = part_facts("controller", feedback) | part_facts("observer", observer)
+    facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
     facts["controller_certified_rate"] = design.certified_rate("state_feedback")
     facts["observer_certified_rate"] = design.certified_rate("observer")
     if not design.feasible:
@@ -214,9 +216,9 @@ def design_facts(design: Design, model: Model, balls: Balls, mismatch: Mismatch)
         facts["uncertified_reason"] = uncertified_reason(design)
     tolerance = design.extra_certificates.get("tolerance")
     facts["certified_tolerance"] = getattr(tolerance, "s", None)
-    facts |= limit_facts(design, model)
+    facts |= limit_columns(design, model)
     facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
-    facts |= mismatch_facts(mismatch)
+    facts |= mismatch_columns(mismatch)
     prediction = predict(model, design.pair, balls, mismatch)
     facts |= vars(prediction)
     facts["predicted_stable"] = prediction.predicts_stability()
@@ -239,7 +241,7 @@ def uncertified_reason(design: Design) -> str:
     return "; ".join(missed)
 
 
-def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
+def mismatch_columns(mismatch: Mismatch) -> dict[str, Any]:
     """Columns of the mismatch between records and model."""
     facts: dict[str, Any] = {
         "mismatch_gain": mismatch.gain,
@@ -251,10 +253,9 @@ def mismatch_facts(mismatch: Mismatch) -> dict[str, Any]:
     return facts
 
 
-def limit_facts(design: Design, model: Model) -> dict[str, Any]:
-    """Columns of what is proved within input limits, for several inputs or outputs what all share.
-    Empty where nothing is proved."""
-    within_limits = WithinLimits.of(model, design.extra_certificates)
+def limit_columns(design: Design, model: Model) -> dict[str, Any]:
+    """Columns of what is proved with limited inputs. Empty where nothing is proved."""
+    within_limits = WithinLimits.from_certificate(model, design.extra_certificates)
     if within_limits is None:
         return {}
     limits: Any = design.extra_certificates[SETS]
@@ -269,7 +270,7 @@ def limit_facts(design: Design, model: Model) -> dict[str, Any]:
 def shared_range(
     start: str, end: str, lower: Float[np.ndarray, "c"], upper: Float[np.ndarray, "c"]
 ) -> dict[str, float]:
-    """Range that all channels share, under these column names. Empty where they share none."""
+    """Columns with the range that all channels have in common. Empty where they share none."""
     shared_lower = float(lower.max())
     shared_upper = float(upper.min())
     if shared_lower < shared_upper:
@@ -277,12 +278,12 @@ def shared_range(
     return {}
 
 
-def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
-    """Columns with the results of the two LMIs of [Z26], solved by Clarabel at the same rates as a
-    second opinion."""
+def second_opinion_columns(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
+    """Columns with a second opinion on feasibility: the paper's matrix inequalities, solved at the
+    same rates."""
     from ssm_study.synthesis.lmi import paper_lmi  # CVXPY takes half a second to import
 
-    model, balls = of_commands(design, model, balls)
+    model, balls = commanded_model_and_balls(design, model, balls)
     feedback = design.state_feedback
     observer = design.observer
     # Of neurons [Z26] says nothing.
@@ -301,8 +302,9 @@ def opinion_facts(design: Design, model: Model, balls: Balls) -> dict[str, Any]:
     return facts
 
 
-def part_facts(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
-    """Columns of controller or observer. Null where there is no certificate."""
+def certificate_columns(side: str, part: StateFeedback | Observer | Infeasible) -> dict[str, Any]:
+    """Columns that describe the certificate of controller or observer. Null where there is no
+    certificate."""
     facts: dict[str, Any] = {
         f"rate_{side}": part.rate,
         f"{side}_feasible": not isinstance(part, Infeasible),

@@ -33,7 +33,7 @@ Example. `x+ = 2 x + S_u(u)`, slopes in [0.8, 1.2]: at r = 1 the mode is mirrore
 >>> from ssm_study.systems import JacobianBall
 >>> modes = split_modes(np.array([[2.0]]), np.ones((1, 1)), 1.0)
 >>> ball = JacobianBall.from_slopes(0.8, 1.2)
->>> gain = fast_gain(modes, ball, contraction=1.0, widen=False).k
+>>> gain = minimum_energy_gain(modes, ball, contraction=1.0, widen=False).k
 >>> print(f"{gain[0, 0]:.4f} = -1.5 / (1 - 0.2^2)")
 -1.5625 = -1.5 / (1 - 0.2^2)
 """
@@ -50,7 +50,13 @@ import scipy
 from ssm_study.certificates.frontier import Frontier, energy_root, frontier
 from ssm_study.certificates.problem import Problem, Solution
 from ssm_study.synthesis.design import Synthesis
-from ssm_study.synthesis.modes import FastGain, Modes, split_modes, whole_metric, with_slow_modes
+from ssm_study.synthesis.modes import (
+    FastGain,
+    Modes,
+    split_modes,
+    full_metric,
+    weighted_block_metric,
+)
 from ssm_study.systems import JacobianBall
 
 # where no frontier is above r = 0 (no radius, or all modes slow): how much faster to design at most
@@ -64,9 +70,11 @@ WHOLE_SHARES = (0.5, 0.8, 0.35, 0.65, 0.9)
 SCALES = (1.0, 1.1, 1.25, 1.4, 1.6, 1.8)
 
 
-def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True) -> FastGain:
-    """Minimum-energy gain of the modes outside the circle of radius `contraction`, `K0 / ((1 -
-    delta^2) alpha)`. Zero where there is no such mode.
+def minimum_energy_gain(
+    modes: Modes, ball: JacobianBall, contraction: float, widen: bool = True
+) -> FastGain:
+    """Minimum-energy gain that moves the fast modes inside a circle of the given radius. Zero where
+    there is no such mode.
 
     `widen` designs for a ball between the asked one and the widest that is possible at this r.
     """
@@ -93,49 +101,48 @@ def fast_gain(modes: Modes, ball: JacobianBall, contraction: float, widen: bool 
 
 
 def minimum_energy_attempts(problem: Problem) -> list[Callable[[], Solution]]:
-    """Solutions at every share of the room to the frontier, with the cheap metric first, then with
-    the metric of the whole model."""
+    """Functions that solve by minimum-energy gains at several rates up to the limit, cheap metrics
+    first."""
     attempts: list[Callable[[], Solution]] = []
     for share in SHARES:
         attempts.append(partial(minimum_energy_solution, problem, share))
     for scale, share in product(SCALES, WHOLE_SHARES):
-        attempts.append(partial(whole_solution, problem, share, scale))
+        attempts.append(partial(solution_with_full_metric, problem, share, scale))
     return attempts
 
 
 def minimum_energy_solution(problem: Problem, share: float = SHARES[0]) -> Solution:
-    """Gain and metric of the problem at a faster rate, `share` of the way (in log r) to the
-    frontier.
+    """Minimum-energy gain and metric of a problem at a rate between the requested one and the
+    limit.
 
     At the faster rate and wider ball the fast part of the inequality is an equality; the room in
     between makes it strict, and pays for the slow modes. Raises `NoSolution` near an eigenvalue
     with `|lambda| = r`, or where floats run out.
     """
-    modes, fast, faster = _gain_at(problem, share)
-    p = with_slow_modes(problem, modes, fast)
+    modes, fast, faster = _gain_at_share(problem, share)
+    p = weighted_block_metric(problem, modes, fast)
     status = f"minimum energy at rate {1 - faster**2:.6g}"
     return Solution(p=p, y=p, k=fast.k, sigma=1.0, status=status)
 
 
-def whole_solution(problem: Problem, share: float, scale: float) -> Solution:
-    """The same gain with `scale` times the least metric of the whole model
-    (`modes.whole_metric`)."""
-    modes, fast, faster = _gain_at(problem, share)
-    p = scale * whole_metric(problem, modes, fast, faster)
+def solution_with_full_metric(problem: Problem, share: float, scale: float) -> Solution:
+    """Minimum-energy gain with a scaled least metric of the whole model."""
+    modes, fast, faster = _gain_at_share(problem, share)
+    p = scale * full_metric(problem, modes, fast, faster)
     status = f"minimum energy at rate {1 - faster**2:.6g}, metric of the whole model"
     return Solution(p=p, y=p, k=fast.k, sigma=scale, status=status)
 
 
-def _gain_at(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
-    """Modes and minimum-energy gain at the factor that is `share` of the way (in log r) to the
-    frontier, and that factor."""
+def _gain_at_share(problem: Problem, share: float) -> tuple[Modes, FastGain, float]:
+    """Modes, minimum-energy gain and contraction factor at a given share of the way to the rate
+    limit."""
     ball = problem.ball
     r = problem.contraction
     contraction_limit = frontier(problem.a, problem.b, ball).contraction_limit
     limit = max(contraction_limit, FASTEST * r)
     faster = float(r * (limit / r) ** share)
     modes = split_modes(problem.a, problem.b, faster)
-    return modes, fast_gain(modes, ball, faster), faster
+    return modes, minimum_energy_gain(modes, ball, faster), faster
 
 
 @dataclass(frozen=True, kw_only=True)

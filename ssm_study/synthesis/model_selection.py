@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class LargestCertifiableRate:
-    """Selection of the model with the largest certifiable rate among those within `within_percent`
-    of the best validation fit.
+    """Selection of the model with the largest certifiable rate among those that fit about equally
+    well.
 
     One layer, and `rate_enough`: docs/models.md, "Structured models". Of the rate: docs/theory.md,
     "The frontier".
@@ -67,20 +67,19 @@ class LargestCertifiableRate:
         return near[int(np.argmax(rates))]
 
     def largest_rate(self, model: Any) -> float:
-        """Largest rate of a certified state feedback for one model. Zero where there is none."""
+        """Largest certifiable rate of any state feedback for a model. Zero where there is none."""
         ball = certified_balls(model).input
-        return max(0.0, largest_rate_of(model.system, ball))
+        return max(0.0, largest_certifiable_rate(model.system, ball))
 
     def _within(self, model: Any) -> float:
-        """Difference in fit that counts as equal, in percentage points, by kind of model."""
+        """Difference in fit, in percentage points, that counts as equal for a kind of model."""
         if isinstance(model.system, StateSpace):
             return self.one_layer_within_percent
         return self.within_percent
 
 
-def largest_rate_of(system: System, ball: JacobianBall) -> float:
-    """Largest rate of any state feedback: exact for a linear recurrence, by bisection with
-    neurons."""
+def largest_certifiable_rate(system: System, ball: JacobianBall) -> float:
+    """Largest certifiable rate of any state feedback for a system."""
     if isinstance(system, StateSpace):
         return controller_frontier(system, ball).rate_limit
     from ssm_study.synthesis.structured_lmi import (

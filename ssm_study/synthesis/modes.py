@@ -11,7 +11,7 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.frontier import energy_root
-from ssm_study.certificates.problem import NoSolution, Problem, symmetric
+from ssm_study.certificates.problem import NoSolution, Problem, symmetric_part
 from ssm_study.certificates.riccati import least_metric
 from ssm_study.certificates.theorem import smallest_eigenvalue
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
@@ -28,8 +28,7 @@ ON_CIRCLE = "a slow mode lies on the circle |lambda| = r"
 
 @dataclass(frozen=True, kw_only=True)
 class Modes:
-    """Decoupled fast and slow modes: `x = right [z_fast; z_slow]` and `[z_fast; z_slow] =
-    left x`."""
+    """Fast and slow modes of a linear system in decoupled coordinates."""
 
     right: Float[np.ndarray, "n n"]
     left: Float[np.ndarray, "n n"]
@@ -46,7 +45,7 @@ class Modes:
 
 @dataclass(frozen=True, kw_only=True)
 class FastGain:
-    """Minimum-energy gain `k`, in x, and its metric `p` on `z_fast`, with sigma = 1."""
+    """Minimum-energy gain of the fast modes, and its metric."""
 
     k: Float[np.ndarray, "m n"]
     p: Float[np.ndarray, "k k"]
@@ -55,8 +54,8 @@ class FastGain:
 def split_modes(
     a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n m"], contraction: float
 ) -> Modes:
-    """Separate the modes outside the circle of radius `contraction` (fast) from the others, by an
-    ordered real Schur form of `A^T` and a Sylvester equation.
+    """Separate the modes outside a circle (fast) from those inside (slow), in decoupled
+    coordinates.
 
     Raises `NoSolution` where an eigenvalue is so close to the circle of radius r that the parts
     cannot be told apart.
@@ -83,22 +82,24 @@ def split_modes(
     return Modes(right=right, left=left, a_fast=a_fast, b_fast=b_fast, a_slow=a_slow, b_slow=b_slow)
 
 
-def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.ndarray, "n n"]:
-    """Metric `P = right diag(P_fast, P_slow / w) right^T`, with the largest weight w that keeps
-    `GOOD_SHARE` of the best margin.
+def weighted_block_metric(
+    problem: Problem, modes: Modes, fast: FastGain
+) -> Float[np.ndarray, "n n"]:
+    """Metric of the whole system from those of fast and slow modes, with the slow ones weighted as
+    much as the margin allows.
 
     `P_slow` is the inverse of the Lyapunov metric of the slow modes, `S = Ah^T S Ah + I`.
     """
     if modes.fast == len(modes.left):
         matrix = modes.right @ fast.p @ modes.right.T
-        return symmetric(matrix)
+        return symmetric_part(matrix)
     ah = modes.a_slow / problem.contraction
     eigenvalues = np.linalg.eigvals(ah)
     spectral_radius = np.abs(eigenvalues).max()
     if not spectral_radius < 1:
         raise NoSolution(ON_CIRCLE)
     lyapunov_metric = scipy.linalg.solve_discrete_lyapunov(ah.T, np.eye(len(ah)))
-    slow = symmetric(np.linalg.inv(lyapunov_metric))
+    slow = symmetric_part(np.linalg.inv(lyapunov_metric))
     k = fast.k @ modes.right
     a = modes.left @ problem.a @ modes.right
     b = modes.left @ problem.b
@@ -115,30 +116,28 @@ def with_slow_modes(problem: Problem, modes: Modes, fast: FastGain) -> Float[np.
     good = [
         p for p, reached in zip(candidates, margins, strict=True) if reached >= best * GOOD_SHARE
     ]
-    return symmetric(modes.right @ good[0] @ modes.right.T)
+    return symmetric_part(modes.right @ good[0] @ modes.right.T)
 
 
-def whole_metric(
+def full_metric(
     problem: Problem, modes: Modes, fast: FastGain, faster: float
 ) -> Float[np.ndarray, "n n"]:
-    """Least metric `P` of the gain built at `r = faster` for fast and slow modes together, where
-    the diagonal one needs too many digits.
+    """Least metric of a minimum-energy gain for fast and slow modes together.
 
     The equation is that of `least_metric`; docs/theory.md, "When digits run out", says why. Raises
     `NoSolution` without fast modes, or without a solution in floats.
     """
     if modes.fast == 0:
         raise NoSolution("no fast modes: nothing to couple")
-    scale = _scale(problem, modes, faster)
+    scale = _state_scales(problem, modes, faster)
     between = float(faster * (problem.contraction / faster) ** BETWEEN)
     right = modes.right @ scale
     left = np.linalg.solve(scale, modes.left)
     return least_metric(problem, fast.k, between, right, left)
 
 
-def _scale(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
-    """Scale of each state: square roots of the minimum energy of the fast modes and of the Gramian
-    of the slow ones."""
+def _state_scales(problem: Problem, modes: Modes, faster: float) -> Float[np.ndarray, "n n"]:
+    """Scale of each state, from the energies of fast and slow modes."""
     a = modes.a_fast / faster
     root = energy_root(a, modes.b_fast / faster)
     slow = len(modes.left) - modes.fast

@@ -6,7 +6,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
-from ssm_study.certificates.theorem import Blocks, full
+from ssm_study.certificates.theorem import Blocks, symmetric_from_upper
 
 Goal = tuple[cp.Expression, list[cp.Constraint]]
 
@@ -14,15 +14,15 @@ Goal = tuple[cp.Expression, list[cp.Constraint]]
 def goal_and_constraints(
     objective: str, upper: Blocks, p: cp.Expression, at: int, performance: list[cp.Expression]
 ) -> Goal:
-    """Goal and constraints of an inequality. It is given by its upper triangle, linear in P and
-    other unknowns.
+    """Objective and constraints of a program that solves one matrix inequality. It is given by its
+    upper triangle, linear in P and other unknowns.
 
     `feasibility`: any solution. `largest_margin`: `max t` with the matrix `>= t I` at fixed trace,
     deepest inside. `guaranteed_cost`: `min trace Z`, `Z >= P^{-1}`, with rows of `performance`
     coupled to block `at`. Source: [Z26]; docs/theory.md, "With neurons".
     """
     if objective != "guaranteed_cost":
-        matrix = cp.bmat(full(upper))
+        matrix = cp.bmat(symmetric_from_upper(upper))
         t = cp.Variable()
         one = np.eye(matrix.shape[0])
         if objective == "feasibility":
@@ -30,15 +30,15 @@ def goal_and_constraints(
             return constant, [matrix >> one]
         has_fixed_trace = cp.trace(matrix) == len(one)
         return -t, [matrix >> t * one, has_fixed_trace]
-    blocks = _bordered(upper, at, performance)
-    bordered = cp.bmat(full(blocks))
+    blocks = _append_performance_rows(upper, at, performance)
+    bordered = cp.bmat(symmetric_from_upper(blocks))
     one = np.eye(p.shape[0])
     z = cp.Variable(p.shape, symmetric=True)
     exceeds_inverse = cp.bmat([[z, one], [one, p]]) >> 0
     return cp.trace(z), [bordered >> 0, exceeds_inverse]
 
 
-def _bordered(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
+def _append_performance_rows(upper: Blocks, at: int, performance: list[cp.Expression]) -> Blocks:
     """Extend a block matrix, given by its upper triangle, by the rows of a performance measure.
     They are coupled to block `at`."""
     zeros: list[Any] = [0] * len(performance)

@@ -15,17 +15,17 @@ from ssm_study.robustness.sine_trials import (
     SineMismatch,
     measure_sine_mismatch,
     peak_lines,
-    with_sines,
+    add_sines,
 )
 from ssm_study.systems import Balls
 
 
-def design_lines(
+def test_lines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Frequencies, as lines of a period, at which the design is to be tested. None for a law that
-    inverts the input map, nor where the noise is unknown."""
-    if not design.feasible or design.inverts or not mismatch.noise:
+    """Frequencies, as lines of a period, at which a design is to be tested with single sines. None
+    for a law that inverts the input map, nor where the noise is unknown."""
+    if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     return peak_lines(model, design.pair, balls, period)
 
@@ -33,22 +33,22 @@ def design_lines(
 def simulated_sines(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, data: Any, plant: Any, seed: int
 ) -> list[SineMismatch]:
-    """Mismatch measured with single sines on the simulated plant, for this design."""
+    """Mismatch at the design's critical frequencies, measured with single sines on the simulated
+    plant."""
     from ssm_study.data.simulated import PERIOD
 
-    lines = design_lines(design, model, balls, mismatch, PERIOD)
+    lines = test_lines(design, model, balls, mismatch, PERIOD)
     records = data.simulate_sines(plant, seed, lines)
     return measure_sine_mismatch(model, records, mismatch, PERIOD)
 
 
-def sine_facts(
+def sine_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Columns of the margin with the sines among the records, and of the prediction from both. None
-    without sines."""
+    """Columns of the stability margin with the single-sine tests included. None without sines."""
     if not sines:
         return {}
     without = predict(model, design.pair, balls, mismatch)
-    prediction = predict(model, design.pair, balls, with_sines(mismatch, sines))
+    prediction = predict(model, design.pair, balls, add_sines(mismatch, sines))
     both = without.predicts_stability() and prediction.predicts_stability()
     return {"sine_margin": prediction.resolved_margin, "predicted_stable": both}

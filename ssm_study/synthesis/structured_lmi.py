@@ -18,12 +18,12 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import LETTERS, Side
-from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric_part
 from ssm_study.certificates.semidefinite import solve_program
 from ssm_study.certificates.theorem import Blocks
 from ssm_study.certificates.theorems import structured_observer, structured_state_feedback
 from ssm_study.synthesis.objectives import goal_and_constraints
-from ssm_study.synthesis.structured_riccati import logs_of, multiplier_without_ball
+from ssm_study.synthesis.structured_riccati import log_multipliers, multiplier_without_ball
 
 Rows = Float[np.ndarray, "_ _"]
 
@@ -33,7 +33,7 @@ RATE_STEPS = 12  # halvings of the interval of rates: to 1/4096
 
 
 class StructuredLmi:
-    """Inequality of one problem with neurons, compiled so that it can be solved at any rate.
+    """Matrix inequality of a problem with neurons, compiled once and solved at any rate.
 
     `objective` as in `objectives.goal_and_constraints`; a state feedback's cost stands beside the
     state, an observer's noise where the step arrives. With `fixed` the gains are that solution's,
@@ -60,7 +60,7 @@ class StructuredLmi:
         self.program = cp.Problem(a, constraints)
 
     def _unknowns(self, neurons: Neurons) -> SimpleNamespace:
-        """Variables and parameters by the letters of the theorem, with the numbers of the ball."""
+        """Variables and parameters of the program, by the letters of the theorem."""
         n, m = self.problem.b.shape
         ball = self.problem.ball
         of = SimpleNamespace(alpha=ball.alpha, beta=ball.beta)
@@ -74,7 +74,7 @@ class StructuredLmi:
         return of
 
     def _inequality(self, of: Any, neurons: Neurons) -> tuple[Blocks, list[int]]:
-        """Block matrix of the theorem with the rows of the ball's multiplier."""
+        """Block matrix of the theorem, and the indices of the rows of the ball's multiplier."""
         q, m = neurons.g.shape
         t = cp.diag(of.t)
         a = self.problem.a
@@ -84,40 +84,40 @@ class StructuredLmi:
             named = SimpleNamespace(**vars(of), **data, y=of.p)
             blocks = structured_state_feedback.inequality(named, (np.eye(q), t, t))
             return blocks, [1, 4]
-        of.n = cp.Variable((q, m)) if neurons.injects else np.zeros((q, m))
+        of.n = cp.Variable((q, m)) if neurons.allows_injection else np.zeros((q, m))
         if self.fixed is not None and self.fixed.k_w is not None:
             k_w = self.fixed.k_w
-            injected = k_w / self.problem.required_neurons.units
+            injected = k_w / self.problem.required_neurons.neuron_scales
             of.n = t @ injected.T
         turned = {LETTERS[letter]: matrix.T for letter, matrix in data.items()}
         named = SimpleNamespace(**vars(of), **turned, q=of.p, u=of.p, v=of.x.T, eta=of.sigma)
         return structured_observer.inequality(named, t, of.n), [1]
 
     def solve(self, rate: float, solver: str = "CLARABEL") -> Solution:
-        """Matrices that satisfy the inequality at a rate. Raises `NoSolution` with the solver's
-        status when it returns none."""
+        """Matrices that satisfy the inequality at a given rate. Raises `NoSolution` with the
+        solver's status when it returns none."""
         of = self.of
         fixed = self.fixed
         neurons = self.problem.required_neurons
         of.rate.value = rate
         status = solve_program(self.program, solver)
-        p = symmetric(of.p.value)
+        p = symmetric_part(of.p.value)
         k = of.k.value
         if fixed is None:
             k = scipy.linalg.solve(p, of.x.value.T, assume_a="sym").T
         weights = of.t.value if neurons.observes else 1 / of.t.value
         k_w = np.zeros((len(k), len(of.t.value)))
-        if fixed is None and neurons.injects:
+        if fixed is None and neurons.allows_injection:
             k_w = (of.n.value / weights[:, None]).T
         has_ball = self.problem.ball.beta > 0
         sigma = float(of.sigma.value) if has_ball else multiplier_without_ball(self.problem, p, k)
         scaled = Solution(p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status=status)
-        solution = scaled.of_neurons(neurons)
+        solution = scaled.undo_neuron_scaling(neurons)
         return solution if fixed is None else replace(solution, k_w=fixed.k_w)
 
     @classmethod
-    def of_gains(cls, problem: Problem) -> "StructuredLmi":
-        """Program with the gains given, for gains that do not act on the neurons."""
+    def for_fixed_gains(cls, problem: Problem) -> "StructuredLmi":
+        """Program that proves rates for fixed gains which do not act on the neurons."""
         n, m = problem.b.shape
         one = np.eye(n)
         required_neurons_e = problem.required_neurons.e
@@ -126,11 +126,12 @@ class StructuredLmi:
         fixed = Solution(p=one, y=one, k=k, sigma=1.0, status="", k_w=none)
         return cls(problem=problem, objective="largest_margin", fixed=fixed)
 
-    def proved(self, k: Rows) -> Solution:
-        """Matrices that prove the problem's rate for this gain. Raises `NoSolution` without any."""
+    def prove_gain(self, k: Rows) -> Solution:
+        """Matrices that prove the problem's rate for a given gain. Raises `NoSolution` without
+        any."""
         self.of.k.value = k
         solution = self.solve(self.problem.rate)
-        if not is_confirmed(self.problem, solution):
+        if not is_confirmed_exactly(self.problem, solution):
             raise NoSolution(f"not certified for all slopes at rate {self.problem.rate:.6g}")
         return solution
 
@@ -141,7 +142,7 @@ def _without_rows(upper: Blocks, left_out: list[int]) -> Blocks:
     return [[upper[i][j - i] for j in rows if j >= i] for i in rows]
 
 
-def is_confirmed(problem: Problem, solution: Solution) -> bool:
+def is_confirmed_exactly(problem: Problem, solution: Solution) -> bool:
     """Whether exact arithmetic confirms the theorem for this solution."""
     theorem: type[Side] = structured_state_feedback.StructuredStateFeedback
     if problem.required_neurons.observes:
@@ -150,7 +151,7 @@ def is_confirmed(problem: Problem, solution: Solution) -> bool:
 
 
 def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
-    """Largest rate over all gains (or for `fixed` ones) that the solver finds. 0 if there is
+    """Largest contraction rate that the solver finds for a problem with neurons. 0 if there is
     none."""
     return fastest_solution(problem, fixed)[0]
 
@@ -158,33 +159,33 @@ def largest_rate(problem: Problem, fixed: Solution | None = None) -> float:
 def fastest_solution(
     problem: Problem, fixed: Solution | None = None
 ) -> tuple[float, Solution | None]:
-    """Largest rate by bisection on the exact verdict, and its matrices, from which a search may
-    start."""
+    """Largest rate that exact arithmetic confirms, by bisection, and the matrices that prove it."""
     program = StructuredLmi(problem=problem, objective="largest_margin", fixed=fixed)
     low = 0.0
     high = 1.0
     best = None
     for _ in range(RATE_STEPS):
         rate = (low + high) / 2
-        solution = _solution_that_holds(program, problem, rate)
+        solution = _confirmed_solution(program, problem, rate)
         if solution is None:
             high = rate
         else:
             low = rate
             best = solution
-    return low, best and replace(best, logs=logs_of(problem.at(low), best))
+    return low, best and replace(best, logs=log_multipliers(problem.at_rate(low), best))
 
 
-def _solution_that_holds(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
-    """Matrices that prove a rate. None where the solver returns none that do."""
+def _confirmed_solution(program: StructuredLmi, problem: Problem, rate: float) -> Solution | None:
+    """Matrices that prove a rate in exact arithmetic; None if the solver finds none. None where the
+    solver returns none that do."""
     try:
         solution = program.solve(rate)
-        return solution if is_confirmed(problem.at(rate), solution) else None
+        return solution if is_confirmed_exactly(problem.at_rate(rate), solution) else None
     except NoSolution:
         return None
 
 
-def at_largest_rate(part: Any) -> Side | None:
+def certify_largest_rate(part: Any) -> Side | None:
     """Certificate of the same gain of a model with neurons at the largest rate that is proved for
     it. None where that is no larger than certified already."""
     started = time.perf_counter()
@@ -192,7 +193,7 @@ def at_largest_rate(part: Any) -> Side | None:
     rate = largest_rate(problem, gains) * (1 - INSIDE)
     if rate <= part.rate:
         return None
-    faster = problem.at(rate)
+    faster = problem.at_rate(rate)
     program = StructuredLmi(problem=faster, objective="largest_margin", fixed=gains)
     try:
         solution = program.solve(rate)

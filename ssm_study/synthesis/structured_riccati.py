@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric
+from ssm_study.certificates.problem import Neurons, NoSolution, Problem, Solution, symmetric_part
 from ssm_study.synthesis.game_kernel import saddle_point
 
 Matrix = Float[np.ndarray, "_ _"]
@@ -57,7 +57,7 @@ FLAT = 1e-3  # a descent ends when a step gains less of the logarithm of its goa
 
 @dataclass(frozen=True, kw_only=True)
 class Game:
-    """Game Riccati problem with neurons at a contraction factor `r` of its own. The search starts
+    """Game Riccati equation of a problem with neurons at one contraction factor. The search starts
     from slower factors, also above one."""
 
     problem: Problem
@@ -70,8 +70,7 @@ class Game:
 
     @cached_property
     def data(self) -> tuple[Any, ...]:
-        """Arguments of `saddle_point`: `A, B` of the equation with inputs `(u, p, v)`, how u and p
-        enter the neurons, and the weights.
+        """Arguments of the compiled solver `saddle_point` except the multipliers.
 
         `w = (z + v) / 2`, so half of each neuron is linear; without a radius of the ball there is
         no p.
@@ -90,12 +89,11 @@ class Game:
         contiguous = (np.ascontiguousarray(matrix, dtype=float) for matrix in matrices)
         input_weight = float(of.input_weight)
         self_r = float(self.r)
-        return *contiguous, input_weight, of.b.shape[1], self_r, neurons.injects
+        return *contiguous, input_weight, of.b.shape[1], self_r, neurons.allows_injection
 
 
 class Saddle(NamedTuple):
-    """Saddle point at admissible multipliers: the goal, its gradient, `X`, `H = R + B'X B` and `B'X
-    A + S'`."""
+    """Saddle point of the game: the goal, its gradient and the Riccati solution."""
 
     goal: float
     gradient: Vector
@@ -105,8 +103,8 @@ class Saddle(NamedTuple):
 
 
 def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
-    """Saddle point at the log multipliers (`Lambda`, then `lambda_p`). Its goal is infinite where
-    they are inadmissible.
+    """Saddle point of the game at given log multipliers. Its goal is infinite where they are
+    inadmissible.
 
     The goal is `log trace X - barrier log det(-T'H T / D)`, `D = diag(lambda_p, Lambda)`: the
     second term keeps the search off the edge of what is admissible, where the gradient of the first
@@ -121,8 +119,8 @@ def evaluate_saddle(game: Game, logs: Vector, barrier: float) -> Saddle:
 
 
 def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) -> Vector:
-    """Best log multipliers that BFGS finds from admissible `logs`. A step to an inadmissible point
-    is shortened."""
+    """Log multipliers that minimise the goal, by BFGS from admissible ones. A step to an
+    inadmissible point is shortened."""
     at = evaluate_saddle(game, logs, barrier)
     metric = np.eye(len(logs))
     left = evaluations
@@ -154,7 +152,7 @@ def minimise_goal(game: Game, logs: Vector, barrier: float, evaluations: int) ->
 
 
 def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
-    """Gain with the least guaranteed cost and the matrices of the theorem. Raises `NoSolution`
+    """Gain with the least guaranteed cost, and the matrices that prove it. Raises `NoSolution`
     where the search stops before the requested rate.
 
     It starts from the multipliers of `near` where they hold: as they must, scaled up, if that is a
@@ -179,8 +177,7 @@ def least_cost(problem: Problem, near: Solution | None = None) -> Solution:
 def continue_to_rate(
     game: Game, centred: float, per_rate: int, shortest: float
 ) -> tuple[Vector, float]:
-    """Log multipliers found by continuation from a slow rate to the requested one, re-centred on
-    the way, and the factor at which they hold."""
+    """Admissible log multipliers at the requested rate, by continuation from a slower one."""
     # a neuron counts as much as its step is worth in the state's weight; the ball as its centre's
     # step
     of = game.problem
@@ -200,26 +197,26 @@ def continue_to_rate(
             return logs, slow.r
     while slow.r > game.r:
         logs = minimise_goal(slow, logs, centred, per_rate)
-        while np.isinf(evaluate_saddle(_game_between(game, slow, share), logs, 0.0).goal):
+        while np.isinf(evaluate_saddle(_interpolate_games(game, slow, share), logs, 0.0).goal):
             share /= 2
             if share < shortest:
                 return logs, slow.r
-        slow = _game_between(game, slow, share)
+        slow = _interpolate_games(game, slow, share)
         share = min(1.0, 4 * share)
     return least_cost_multipliers(game, logs), game.r
 
 
 def least_cost_multipliers(game: Game, logs: Vector) -> Vector:
-    """Log multipliers of least guaranteed cost, found by a search from these admissible ones."""
+    """Log multipliers with the least guaranteed cost, by a search from admissible ones."""
     for barrier, evaluations in LAST:
         logs = minimise_goal(game, logs, barrier, evaluations)
     return logs
 
 
-def logs_of(problem: Problem, found: Solution) -> Vector:
-    """Log multipliers of given matrices of the inequality; inverse of `solution`."""
+def log_multipliers(problem: Problem, found: Solution) -> Vector:
+    """Logarithms of the multipliers in a solution of the inequality."""
     assert found.multipliers is not None
-    units = problem.required_neurons.units
+    units = problem.required_neurons.neuron_scales
     r2 = 1 - problem.rate
     beta = problem.ball.beta
     observes = problem.required_neurons.observes
@@ -228,13 +225,14 @@ def logs_of(problem: Problem, found: Solution) -> Vector:
     return np.log(np.append(weights, bound))
 
 
-def _game_between(game: Game, slow: Game, share: float) -> Game:
-    """Game at a factor between those of two games."""
+def _interpolate_games(game: Game, slow: Game, share: float) -> Game:
+    """Game at a contraction factor between those of two games."""
     return game if share == 1.0 else replace(game, r=slow.r * (game.r / slow.r) ** share)
 
 
 def theorem_matrices(game: Game, logs: Vector) -> Solution:
-    """Matrices of the theorem at these multipliers. Raises `NoSolution` where they do not hold."""
+    """Gain and matrices of the theorem at given log multipliers. Raises `NoSolution` where they do
+    not hold."""
     saddle = evaluate_saddle(game, logs, 0.0)
     problem = game.problem
     neurons = game.neurons
@@ -245,7 +243,7 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     toward = saddle.toward
     m = problem.b.shape[1]
     q = neurons.e.shape[1]
-    if neurons.injects:
+    if neurons.allows_injection:
         inputs = len(h) - q
         known = np.linalg.solve(
             h[:inputs, :inputs], np.hstack([toward[:inputs], h[:inputs, inputs:]])
@@ -256,7 +254,7 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
         k = -np.linalg.solve(h, toward)[:m]
         k_w = np.zeros((m, q))
     matrix = np.linalg.inv(x)
-    p = symmetric(matrix)
+    p = symmetric_part(matrix)
     weights = np.exp(logs[:q])
     beta = problem.ball.beta
     sigma = float(np.exp(-logs[-1])) if beta > 0 else multiplier_without_ball(problem, p, k)
@@ -270,14 +268,14 @@ def theorem_matrices(game: Game, logs: Vector) -> Solution:
     found = Solution(
         p=p, y=p, k=k, k_w=k_w, sigma=sigma, multipliers=weights, status="game", logs=logs
     )
-    return found.of_neurons(problem.required_neurons)
+    return found.undo_neuron_scaling(problem.required_neurons)
 
 
 def multiplier_without_ball(
     problem: Problem, p: Float[np.ndarray, "n n"], k: Float[np.ndarray, "m n"]
 ) -> float:
-    """Multiplier sigma (of an observer eta) for a ball without radius. It is so large (so small)
-    that it hardly reduces P.
+    """Multiplier of the Jacobian ball when its radius is zero. It is so large (so small) that it
+    hardly reduces P.
 
     What it takes is `X^T X / sigma` of P, `eta C^T C` of Q.
     """

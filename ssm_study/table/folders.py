@@ -40,21 +40,29 @@ def _remedy_for_no_folder(path: Path) -> str:
     return "give the folder that holds the run folders"
 
 
-def run_folder(path: Path) -> Path:
-    """Folder of the one run that `path` means. It is the path itself, or a run whose name begins or
-    ends with it.
+def study_or_run_folder(path: Path) -> Path:
+    """Folder of the study that `path` means, or else of the run.
 
-    `results/paper/1a2b3c4d5e`, or `results/paper/order8-width32-seed3`. The study itself stands for
-    its only run. Raises `BadRequest` where no run or several are meant.
+    Raises `BadRequest` where neither is there.
+    """
+    is_run = (path / RECORD).is_file()
+    may_be_part = not path.is_dir() and bool(_run_names(path.parent))
+    return run_folder(path) if is_run or may_be_part else study_folder(path)
+
+
+def run_folder(path: Path) -> Path:
+    """Folder of the one run that `path` means. It is the path itself, or a run whose name, or the
+    digits at its end, begin or end with it.
+
+    `results/paper/1a2b3c4d5e`, `results/paper/1a2b`, or `results/paper/order8-width32-seed3`. The
+    study itself stands for its only run. Raises `BadRequest` where no run or several are meant.
     """
     if (path / RECORD).is_file():
         return path
     study = path if path.is_dir() else path.parent
     part = "" if path.is_dir() else path.name
     names = _run_names(study)
-    matches = [name for name in names if name.endswith(part)]
-    if not matches:
-        matches = [name for name in names if name.startswith(part)]
+    matches = _matching_names(names, part)
     if len(matches) == 1:
         return study / matches[0]
     problem = f"{len(matches)} runs are there" if matches else f"there is no {RECORD}"
@@ -63,6 +71,14 @@ def run_folder(path: Path) -> Path:
         which = "name one" if matches else "name one of its study"
         remedy = f"{which}: {_list_names(matches or names)}"
     raise BadRequest("run", path, problem, remedy)
+
+
+def _matching_names(names: list[str], part: str) -> list[str]:
+    """Names that end with a part, else those that begin with it, else those whose digits do."""
+    ending = [name for name in names if name.endswith(part)]
+    beginning = [name for name in names if name.startswith(part)]
+    digits = [name for name in names if name.rpartition("-")[2].startswith(part)]
+    return ending or beginning or digits
 
 
 def _run_names(study: Path) -> list[str]:

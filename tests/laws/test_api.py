@@ -3,6 +3,7 @@
 import doctest
 import json
 from importlib import import_module
+from inspect import isfunction, signature
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,21 @@ def test_docstrings_run(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     result = doctest.testmod(import_module(f"ssm_study.api.{name}"))
     assert result.failed == 0
     assert result.attempted > 0
+
+
+LONGEST_SIGNATURE = 440  # characters: `fit` has fourteen arguments with their types
+
+
+def test_help_prints_short_signatures_and_nothing_foreign() -> None:
+    public = [getattr(st, name) for name in dir(st)]
+    functions = [value for value in public if isfunction(value)]
+    assert {function.__name__ for function in functions} >= {"fit", "control", "certify", "look"}
+    for function in functions:
+        printed = str(signature(function))
+        assert len(printed) <= LONGEST_SIGNATURE, printed
+        assert "jaxtyping" not in printed
+    classes_and_functions = [value for value in public if value is not st.study]
+    assert all(value.__module__.startswith("ssm_study.") for value in classes_and_functions)
 
 
 def test_a_saved_design_is_the_run_of_the_command(design: Design, tmp_path: Path) -> None:
@@ -244,6 +260,7 @@ def test_models_and_designs_say_what_they_are(design: Design) -> None:
     figures += [design.margin_plot(), design.coverage_plot()]
     for figure in figures:
         assert isinstance(figure, Figure)
+        assert figure._repr_png_()[0].startswith(b"\x89PNG"), "a notebook shows it"
 
 
 def test_the_continuous_model_is_what_was_sampled(design: Design) -> None:

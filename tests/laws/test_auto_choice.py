@@ -16,7 +16,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Infeasible
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution
-from ssm_study.certificates.theorems.integral_action import with_modes
+from ssm_study.certificates.theorems.integral_action import append_internal_model
 from ssm_study.loop.metrics import behaviour_columns, certificate_columns
 from ssm_study.loop.regulation import Loop
 from ssm_study.models.structured import StructuredSSM
@@ -121,8 +121,8 @@ def test_gains_at_frozen_slopes_are_taken_where_they_are_proved_for_every_slope(
     actual = design.state_feedback.k
     expected = candidates.ks[frozen[0]]
     np.testing.assert_array_equal(actual, expected)
-    problem = candidates.feedback[frozen[0]].problem(stand.system, balls.input).at(0.999)
-    structured_lmi = StructuredLmi.of_gains(problem)
+    problem = candidates.feedback[frozen[0]].problem(stand.system, balls.input).at_rate(0.999)
+    structured_lmi = StructuredLmi.for_fixed_gains(problem)
     with pytest.raises(NoSolution):
         structured_lmi.proved(candidates.ks[frozen[0]])
 
@@ -379,7 +379,7 @@ def test_with_integral_action_an_impossible_request_says_why():
     design = asked.design(motor_model(), BALLS, (motor_record(),))
     assert design.state_feedback.proved
     assert design.state_feedback.rate == 0.9
-    system = with_modes(motor_model())
+    system = append_internal_model(motor_model())
     frontier = controller_frontier(system, INPUT_BALL)
     limit = frontier.rate_limit
     rate_limit = design.state_feedback.rate_limit

@@ -1,6 +1,7 @@
 """The terminal's offers: defaults, names by a part, questions, the page, progress."""
 
 import io
+import re
 import sys
 import webbrowser
 from pathlib import Path
@@ -70,6 +71,22 @@ def test_an_export_asks_before_it_overwrites(
     assert "controller.h" in questions[0]
 
 
+def test_show_prints_one_run_by_its_first_digits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("order4-seed0-1a2b3c4d5e", "order4-seed1-9f8e7d6c5b"):
+        record = {"status": "ok", "run": name, "resolved_margin": 0.99996, "pid": 7}
+        (tmp_path / name).mkdir()
+        write_record(tmp_path / name, record | {"fit_test_percent": None})
+    assert main(["show", str(tmp_path / "1a2b")]) == DONE
+    printed = capsys.readouterr().out
+    assert "order4-seed0-1a2b3c4d5e" in printed
+    assert re.search(r"Stability margin \(–\) +0.99996", printed), "not rounded across one"
+    assert "Fit on test record" not in printed
+    assert main(["show", str(tmp_path / "1a2b"), "--by", "seed"]) == WRONG_REQUEST
+    assert "one run is no table" in capsys.readouterr().err
+
+
 def test_what_is_not_confirmed_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -110,7 +127,7 @@ def test_progress_is_a_line_a_stage_on_a_terminal_alone(
         run = Run(path=root)
         stages = RunStages(root / ".store", run, announces)
         for _ in range(2):  # what is there already is not announced
-            stages.keyed("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
+            stages.stage_with_key("model", "a" * 64, {}, lambda folder: (folder / "x").touch())
         assert terminal.getvalue().count("model ...") == 1
     string_io = io.StringIO()
     monkeypatch.setattr(sys, "stderr", string_io)

@@ -20,7 +20,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     coverage_by_frequency,
     prefer_covered,
 )
-from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -47,7 +47,9 @@ def test_the_certificate_has_the_coverage_that_the_frequencies_promise() -> None
     known = premise(scaled_model(0.2))
     for one in (FAST, SLOW):
         promised = coverage_by_frequency(one, SSM_MODEL, BALLS, known)
-        facts = coverage_facts(with_coverage(one, SSM_MODEL, BALLS, known), SSM_MODEL, known)
+        facts = coverage_columns(
+            add_coverage_certificate(one, SSM_MODEL, BALLS, known), SSM_MODEL, known
+        )
         assert 0.94 * promised < facts["coverage"] <= 1.001 * promised
 
 

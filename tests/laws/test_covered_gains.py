@@ -21,7 +21,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     coverage_by_frequency,
     prefer_covered,
 )
-from ssm_study.synthesis.measured_discs_run import coverage_facts, with_coverage
+from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 SHARE = 0.2  # by which the plant answers more than its model
@@ -63,8 +63,8 @@ def test_gains_around_the_grid_cover_more_and_are_certified(improved, coverage_o
     assert improved.certified
     by_frequency = coverage_by_frequency(improved, SSM_MODEL, BALLS, PREMISE)
     assert by_frequency >= TARGET_SHARE * coverage_of_grid  # as the certificate does, below
-    proved = with_coverage(improved, SSM_MODEL, BALLS, PREMISE)
-    facts = coverage_facts(proved, SSM_MODEL, PREMISE)
+    proved = add_coverage_certificate(improved, SSM_MODEL, BALLS, PREMISE)
+    facts = coverage_columns(proved, SSM_MODEL, PREMISE)
     assert facts["coverage"] >= TARGET_SHARE * coverage_of_grid
 
 
@@ -87,7 +87,7 @@ def test_covered_gains_are_made_faster_and_stay_covered(search, coverage_of_grid
     target = 0.8 * coverage_of_grid
     slow = design(input_weight=30.0)
     faster = search.improve(slow, target, rounds=2, largest_area=AREA_TOO_LARGE)
-    assert search.area_of(faster.pair) < search.area_of(slow.pair)
+    assert search.response_area(faster.pair) < search.response_area(slow.pair)
     assert coverage_by_frequency(faster, SSM_MODEL, BALLS, PREMISE) >= target
 
 

@@ -22,7 +22,7 @@ from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.mismatch import measure_mismatch
-from ssm_study.robustness.return_to_rest import is_return
+from ssm_study.robustness.return_to_rest import is_return_to_rest
 from ssm_study.signals import DataSet, Scale
 from ssm_study.study.run_files import RunFiles
 from ssm_study.systems import StateSpace
@@ -107,13 +107,13 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     for view in shown.views:
         actual = np.abs(view.linear[1:5])
         np.testing.assert_allclose(actual, 1 / 3, rtol=0.15)
-    assert shown.rests
+    assert shown.comes_to_rest
 
 
 def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
     data_set = log_of(tmp_path, 0.5, 2.0, 1.5)
     trials = data_set.mismatch_records
-    kept = [trial for trial in trials if not is_return(trial)]
+    kept = [trial for trial in trials if not is_return_to_rest(trial)]
     assert kept == []
 
 

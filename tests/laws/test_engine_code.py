@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from ssm_study.engine import fingerprint as code
-from ssm_study.engine.fingerprint import Code, code_version, symbol_of
+from ssm_study.engine.fingerprint import Code, code_version, find_symbol
 from ssm_study.study.stages.bounds import BOUNDS
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
@@ -49,11 +49,11 @@ def versions(folder: Path) -> dict[str, str]:
     sources = Code({"ssm_study": folder})
     found = {}
     for stage in STAGES:
-        targets = [symbol_of(target) for target in TARGETS.get(stage.name, ())]
-        symbol = symbol_of(stage.compute)
-        found[stage.name] = sources.version(symbol, *targets)
-        symbol = symbol_of(stage.measure)
-        found[f"{stage.name} measured"] = sources.version(symbol)
+        targets = [find_symbol(target) for target in TARGETS.get(stage.name, ())]
+        symbol = find_symbol(stage.compute)
+        found[stage.name] = sources.code_digest(symbol, *targets)
+        symbol = find_symbol(stage.measure)
+        found[f"{stage.name} measured"] = sources.code_digest(symbol)
     return found
 
 
@@ -212,12 +212,12 @@ def test_every_symbol_that_is_reached_counts_and_no_other(
     for name, text in TOY.items():
         (tmp_path / name).write_text(text)
     folders = {"toy": tmp_path}
-    before = Code(folders).version(("toy.a", "root"))
+    before = Code(folders).code_digest(("toy.a", "root"))
     file, old, new = edit
     assert old in TOY[file]
     (tmp_path / file).write_text(TOY[file].replace(old, new, 1))
     folders = {"toy": tmp_path}
-    assert (Code(folders).version(("toy.a", "root")) != before) is counts
+    assert (Code(folders).code_digest(("toy.a", "root")) != before) is counts
 
 
 def test_a_library_counts_by_its_version_where_it_is_used(
@@ -229,7 +229,7 @@ def test_a_library_counts_by_its_version_where_it_is_used(
 
     def seen(root: str) -> str:
         folders = {"toy": tmp_path}
-        return Code(folders).version(("toy.b", root))
+        return Code(folders).code_digest(("toy.b", root))
 
     before = seen("used"), seen("unused")
     monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")

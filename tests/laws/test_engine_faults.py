@@ -17,8 +17,8 @@ import pytest
 
 from ssm_study.durable import read_sealed_json, write_json_atomically
 from ssm_study.engine.records import RECORD, read_record
-from ssm_study.engine.runs import Run, execute
-from ssm_study.engine.settings import digest
+from ssm_study.engine.runs import Run, execute_run
+from ssm_study.engine.settings import digest_of_value
 from ssm_study.engine.store import Store, intact_manifest
 from ssm_study.table.gather import PARQUET, gather
 
@@ -153,14 +153,14 @@ def test_a_stage_is_whole_or_absent(
 
     def act(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
-        store.keyed("model", digest(1), {}, compute)
+        store.stage_with_key("model", digest_of_value(1), {}, compute)
 
     def judge(nth: int) -> None:
         store = Store(tmp_path / f"{nth}")
         model_path = tmp_path / f"{nth}" / "model"
         for folder in (model_path).glob("[!.]*"):
             assert intact_manifest(folder) is not None
-        stage = store.keyed("model", digest(1), {}, compute)
+        stage = store.stage_with_key("model", digest_of_value(1), {}, compute)
         a_path = stage.path / "inner" / "a.json"
         text = a_path.read_text()
         assert text == "12345"
@@ -183,7 +183,7 @@ def test_a_run_is_never_half_finished(
         return {"fit_test_percent": 90.0}
 
     def act(nth: int) -> None:
-        execute(tmp_path / "study" / f"{nth}", {"seed": nth}, work)
+        execute_run(tmp_path / "study" / f"{nth}", {"seed": nth}, work)
 
     def judge(nth: int) -> None:
         folder = tmp_path / "study" / f"{nth}"
@@ -191,7 +191,7 @@ def test_a_run_is_never_half_finished(
         assert record is None or record["status"] in ("ok", "failed", "lost")
         if record is not None and record["status"] == "ok":
             assert intact_manifest(folder) is not None
-        status = execute(folder, {"seed": nth}, work).status
+        status = execute_run(folder, {"seed": nth}, work).status
         assert status == "ok"  # the same command finishes it
         assert intact_manifest(folder) is not None
         paths = folder.glob("*.tmp")
@@ -208,10 +208,10 @@ def test_a_failed_gathering_keeps_the_old_table(
     import pandas as pd
 
     a_path = tmp_path / "study" / "a"
-    execute(a_path, {}, lambda _: {})
+    execute_run(a_path, {}, lambda _: {})
     gather(tmp_path / "study")
     b_path = tmp_path / "study" / "b"
-    execute(b_path, {}, lambda _: {})
+    execute_run(b_path, {}, lambda _: {})
 
     def judge(_: int) -> None:
         table = pd.read_parquet(tmp_path / "study" / PARQUET)
@@ -242,8 +242,11 @@ def no_file_longer_than(size: int) -> Iterator[None]:
 def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size: int) -> None:
     def work(run: Run) -> dict[str, float]:
         store = Store(tmp_path / "store")
-        stage = store.keyed(
-            "model", digest(1), {}, lambda folder: (folder / "m").write_bytes(bytes(1200)) and None
+        stage = store.stage_with_key(
+            "model",
+            digest_of_value(1),
+            {},
+            lambda folder: (folder / "m").write_bytes(bytes(1200)) and None,
         )
         model_path = run.path / "model.json"
         m_path = stage.path / "m"
@@ -253,13 +256,13 @@ def test_files_that_cannot_grow_are_not_taken_for_finished(tmp_path: Path, size:
     folder = tmp_path / "study" / "run"
     with no_file_longer_than(size):
         try:
-            outcome = execute(folder, {}, work).status
+            outcome = execute_run(folder, {}, work).status
         except OSError:
             outcome = "raised"
     assert outcome in ("failed", "raised")
     paths = (tmp_path / "store" / "model").glob("[!.]*")
     assert not list(paths)
-    status = execute(folder, {}, work).status
+    status = execute_run(folder, {}, work).status
     assert status == "ok"
     assert len((folder / "model.json").read_bytes()) == 1200
 
@@ -281,9 +284,9 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
     def work(run: Run) -> dict[str, float]:
         number = int(run.path.name)
         store = Store(small_disk / "store")
-        stage = store.keyed(
+        stage = store.stage_with_key(
             "model",
-            digest(number),
+            digest_of_value(number),
             {},
             lambda folder: (folder / "m").write_bytes(bytes([number]) * 9000) and None,
         )
@@ -296,7 +299,9 @@ def test_a_study_on_a_full_disk_is_finished_once_there_is_room(small_disk: Path)
         outcomes = []
         for number in range(6):
             try:
-                status = execute(small_disk / "study" / f"{number}", {"seed": number}, work).status
+                status = execute_run(
+                    small_disk / "study" / f"{number}", {"seed": number}, work
+                ).status
                 outcomes.append(status)
             except OSError as error:
                 if error.errno != errno.ENOSPC:

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from ssm_study.durable import add_digest, json_bytes, link_or_copy
-from ssm_study.engine.jobs import Job, kill_group, note_death
+from ssm_study.engine.jobs import Job, kill_job, record_death
 from ssm_study.engine.records import LOCK, RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, error_facts, execute
+from ssm_study.engine.runs import Run, error_columns, execute_run
 from ssm_study.engine.server import SERVER_DIED, UNBORN, Child, Server
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.stages import Stage
@@ -45,7 +45,7 @@ def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_pat
         record = {"status": "running"}
         write_record(folder, record)
         noted: list[Any] = []
-        other = Thread(target=lambda: noted.append(note_death(folder, DEATH, "")))
+        other = Thread(target=lambda: noted.append(record_death(folder, DEATH, "")))
         other.start()
         time.sleep(0.3)
         record = {"status": "ok", "fit_test_percent": 90.0}
@@ -56,7 +56,7 @@ def test_a_death_seen_from_another_sweep_does_not_replace_a_finished_run(tmp_pat
     assert noted[0].status == "ok"
     # The negative control: nobody has finished that one.
     never_path = tmp_path / "study" / "never"
-    note_death(never_path, DEATH, "text")
+    record_death(never_path, DEATH, "text")
     record = read_record(tmp_path / "study" / "never")
     status = (record or {})["status"]
     assert status == "failed"
@@ -70,10 +70,10 @@ def test_a_run_that_a_killed_sweep_left_is_lost_and_not_failed(tmp_path: Path) -
     for pid, status in ((4711, "lost"), (4712, "failed")):  # of the process that began the run
         record = {"status": "running", "pid": pid}
         write_record(folder, record)
-        outcome = note_death(folder, DEATH, "", pid=4712)
+        outcome = record_death(folder, DEATH, "", pid=4712)
         assert outcome.status == status
         assert (read_record(folder) or {})["status"] == status
-    assert execute(folder, {}, lambda _: {}, retry_failed=True).status == "ok"
+    assert execute_run(folder, {}, lambda _: {}, retry_failed=True).status == "ok"
 
 
 def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,24 +84,24 @@ def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.Monk
     for pid in (UNBORN, 12345):
         job = Job(overrides=[], settings=Settings(), folder=Path("x"))
         job.process = Child(pid=pid, listen=lambda _: None, exitcode=SERVER_DIED)
-        kill_group(job)
+        kill_job(job)
     assert killed == [12345]
 
 
 def test_a_server_that_is_killed_is_started_again() -> None:
     tasks = [lambda: time.sleep(60), lambda: None]
     server = Server(tasks, preload=lambda: None, threads=1)
-    first = server.fork(0)
+    first = server.fork_job(0)
     os.kill(server.pid, signal.SIGKILL)
     first.join(10.0)
     assert first.exitcode == SERVER_DIED
-    second = server.fork(1)
+    second = server.fork_job(1)
     second.join(10.0)
     assert second.exitcode == 0
     os.kill(server.pid, signal.SIGKILL)
     os.waitid(os.P_PID, server.pid, os.WEXITED | os.WNOWAIT)
     # The broken pipe is a death, not an error of the sweep.
-    exitcode = server.fork(1).exitcode
+    exitcode = server.fork_job(1).exitcode
     assert exitcode == SERVER_DIED
     server.close()
 
@@ -205,11 +205,11 @@ def test_what_the_machine_has_caused_is_tried_again(tmp_path: Path, cause: str) 
         filename = str(error.filename)
         error = FileNotFoundError(2, "No such file", filename.replace("RESULTS", str(tmp_path)))
     folder = tmp_path / "study" / "run"
-    facts = error_facts(error, folder)
+    facts = error_columns(error, folder)
     assert facts["failure_transient"] is transient
     wrapped = ValueError("in between")
     wrapped.__cause__ = error
-    failure_transient = error_facts(wrapped, folder)["failure_transient"]
+    failure_transient = error_columns(wrapped, folder)["failure_transient"]
     assert failure_transient is transient
 
 
@@ -236,11 +236,11 @@ def test_a_store_that_is_removed_under_a_run_is_no_fault_of_the_run(
         return {}
 
     folder = tmp_path / "study" / "run"
-    status = execute(folder, {}, work).status
+    status = execute_run(folder, {}, work).status
     assert status == "failed"
     failure_transient = (read_record(folder) or {})["failure_transient"]
     assert failure_transient is True
-    status = execute(folder, {}, work).status
+    status = execute_run(folder, {}, work).status
     assert status == "ok"
     text = (folder / "number.json").read_text()
     assert text == "1"
@@ -248,14 +248,14 @@ def test_a_store_that_is_removed_under_a_run_is_no_fault_of_the_run(
 
 def test_a_full_disk_names_its_folder(tmp_path: Path) -> None:
     error = OSError(errno.ENOSPC, "No space left on device")
-    message = error_facts(error, tmp_path)["error_message"]
+    message = error_columns(error, tmp_path)["error_message"]
     assert str(tmp_path) in message
 
 
 def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path) -> None:
     study = tmp_path / "study"
-    execute(study / "good", {"seed": 1}, lambda _: {})
-    execute(study / "huge", {"seed": 1}, lambda _: {})
+    execute_run(study / "good", {"seed": 1}, lambda _: {})
+    execute_run(study / "huge", {"seed": 1}, lambda _: {})
     body = {"record_version": 1, "status": "ok", "seed": 10**30}
     huge = json_bytes(add_digest(body))
     (study / "huge" / RECORD).write_bytes(huge)
@@ -264,7 +264,7 @@ def test_a_record_with_a_number_that_fits_no_table_spoils_nothing(tmp_path: Path
     status = gather(study).set_index("run")["status"]
     expected = {"good": "ok", "huge": "corrupt"}
     assert status.to_dict() == expected
-    outcome = execute(study / "noted", {"seed": 1}, lambda _: {"count": 10**30})
+    outcome = execute_run(study / "noted", {"seed": 1}, lambda _: {"count": 10**30})
     assert outcome.status == "failed"
     count = -(1 << 63)
     record = {"count": count}

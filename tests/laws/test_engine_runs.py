@@ -14,9 +14,9 @@ from omegaconf import OmegaConf
 from ssm_study.engine import settings as naming
 from ssm_study.engine.provenance import provenance
 from ssm_study.engine.records import RECORD, parse_record, read_record, write_record
-from ssm_study.engine.runs import Run, execute, run_status
+from ssm_study.engine.runs import Run, execute_run, run_status
 from ssm_study.engine.store import intact_manifest
-from ssm_study.engine.task import folder_of
+from ssm_study.engine.task import run_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.model import with_null_gaps
@@ -45,13 +45,13 @@ def snapshot(folder: Path) -> dict[str, bytes]:
 def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "run"
     configuration = {"config.yaml": "seed: 3\n", "overrides.yaml": "[]\n"}
-    outcome = execute(folder, {"seed": 3}, good, configuration=configuration)
+    outcome = execute_run(folder, {"seed": 3}, good, configuration=configuration)
     assert outcome.status == "ok"
     assert outcome.did == "ran"
     before = snapshot(folder)
     assert before[".hydra/config.yaml"] == b"seed: 3\n"
     for retry in (False, True):
-        did = execute(folder, {"seed": 4}, unreachable, retry_failed=retry).did
+        did = execute_run(folder, {"seed": 4}, unreachable, retry_failed=retry).did
         assert did == "found"
     assert snapshot(folder) == before
     assert intact_manifest(folder) is not None
@@ -60,7 +60,7 @@ def test_a_finished_run_is_recorded_and_never_touched_again(tmp_path: Path) -> N
 def test_the_record_is_flat_strict_json_with_provenance(tmp_path: Path) -> None:
     about = provenance(("torch", "no-such-library"), Path(__file__))
     run_path = tmp_path / "study" / "run"
-    execute(run_path, {"seed": 3}, good, provenance=about)
+    execute_run(run_path, {"seed": 3}, good, provenance=about)
     text = (run_path / RECORD).read_text()
     record = json.loads(text, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
     signals = record.values()
@@ -85,7 +85,7 @@ def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: 
         run.note(fit_test_percent=50.0)
         raise RuntimeError("the solver\ngave up")
 
-    status = execute(folder, {"seed": 1}, bad).status
+    status = execute_run(folder, {"seed": 1}, bad).status
     assert status == "failed"
     record = read_record(folder)
     assert record is not None
@@ -95,9 +95,9 @@ def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: 
     assert record["fit_test_percent"] == 50.0
     text = (folder / "traceback.txt").read_text()
     assert "in bad" in text
-    did = execute(folder, {}, unreachable).did
+    did = execute_run(folder, {}, unreachable).did
     assert did == "left"
-    status = execute(folder, {"seed": 1}, good, retry_failed=True).status
+    status = execute_run(folder, {"seed": 1}, good, retry_failed=True).status
     assert status == "ok"
     again = read_record(folder)
     assert again is not None
@@ -110,7 +110,7 @@ def test_a_failure_is_a_record_with_its_traceback_and_waits_for_retry(tmp_path: 
 
 def test_retrying_failures_starts_nothing_new(tmp_path: Path) -> None:
     run_path = tmp_path / "study" / "run"
-    outcome = execute(run_path, {}, unreachable, retry_failed=True)
+    outcome = execute_run(run_path, {}, unreachable, retry_failed=True)
     assert outcome.status == "absent"
     assert outcome.did == "left"
 
@@ -131,8 +131,8 @@ def test_what_the_machine_did_is_tried_again_by_the_same_command(
         raise error
 
     r_path = tmp_path / "s" / "r"
-    execute(r_path, {}, bad)
-    did = execute(r_path, {}, good).did
+    execute_run(r_path, {}, bad)
+    did = execute_run(r_path, {}, good).did
     assert did == ("ran" if transient else "left")
 
 
@@ -145,11 +145,11 @@ def test_a_run_that_is_stopped_is_lost_and_then_done(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        execute(folder, {"seed": 1}, stopped)
+        execute_run(folder, {"seed": 1}, stopped)
     record = read_record(folder)
     assert record is not None
     assert record["status"] == "lost"
-    status = execute(folder, {"seed": 1}, good).status
+    status = execute_run(folder, {"seed": 1}, good).status
     assert status == "ok"
     assert not (folder / "half.json").exists()
 
@@ -175,7 +175,7 @@ def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
         assert living.stdout.readline() == "working\n"
         status = (read_record(folder) or {})["status"]
         assert status == "running"
-        did = execute(folder, {}, unreachable).did
+        did = execute_run(folder, {}, unreachable).did
         assert did == "elsewhere"
     finally:
         living.kill()
@@ -186,9 +186,9 @@ def test_a_living_run_is_left_to_its_process(tmp_path: Path) -> None:
 
 def test_infeasible_is_a_result(tmp_path: Path) -> None:
     r_path = tmp_path / "s" / "r"
-    status = execute(r_path, {}, lambda _: {"status": "infeasible"}).status
+    status = execute_run(r_path, {}, lambda _: {"status": "infeasible"}).status
     assert status == "infeasible"
-    did = execute(r_path, {}, unreachable).did
+    did = execute_run(r_path, {}, unreachable).did
     assert did == "found"
 
 
@@ -211,15 +211,15 @@ def test_no_flipped_bit_in_a_record_is_silent(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [RECORD, "model.json", "manifest.json"])
 def test_a_damaged_run_is_done_again_by_the_same_command(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "study" / "run"
-    execute(folder, {"seed": 1}, good)
+    execute_run(folder, {"seed": 1}, good)
     (folder / name).write_text('{"status": "ok"}')
     status = (run_status(folder) or {})["status"]
     assert status == "corrupt"
-    did = execute(folder, {"seed": 1}, good).did
+    did = execute_run(folder, {"seed": 1}, good).did
     assert did == "ran"
     text = (folder / "attempts" / "1" / name).read_text()
     assert text == '{"status": "ok"}'
-    did = execute(folder, {"seed": 1}, unreachable).did
+    did = execute_run(folder, {"seed": 1}, unreachable).did
     assert did == "found"
 
 
@@ -293,7 +293,7 @@ def test_a_saved_configuration_reads_back_to_the_same_values() -> None:
 def test_a_run_cannot_leave_the_results_folder(tmp_path: Path, study: str, name: str) -> None:
     settings = {"results_dir": str(tmp_path), "study": study, "run": name}
     with pytest.raises(BadRequest, match=r"no name|plain folder name"):
-        folder_of(settings)
+        run_folder(settings)
 
 
 def test_a_record_takes_no_nested_values(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hydra.core.utils import JobReturn, JobStatus
 
 from ssm_study.engine.jobs import Job
 from ssm_study.engine.records import read_record
-from ssm_study.engine.runs import Run, execute
+from ssm_study.engine.runs import Run, execute_run
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.task import RunStages
 from ssm_study.table.gather import gather
@@ -36,7 +36,7 @@ def begun(folder: Path, how: str) -> JobReturn:
         return {"fit_test_percent": 50.0}
 
     returned = JobReturn(status=JobStatus.COMPLETED)
-    returned.return_value = execute(folder, {"seed": 1}, work)
+    returned.return_value = execute_run(folder, {"seed": 1}, work)
     return returned
 
 
@@ -156,7 +156,7 @@ class Requeued(SlurmLauncher):  # type: ignore[misc]
 
         returned = JobReturn(status=JobStatus.COMPLETED)
         run_path = folder / "study" / "run"
-        returned.return_value = execute(run_path, {"seed": 1}, work)
+        returned.return_value = execute_run(run_path, {"seed": 1}, work)
         return returned
 
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from ssm_study.durable import is_locked
 from ssm_study.engine import plan as planning
 from ssm_study.engine.plan import PlannedStages, plan_lines
-from ssm_study.engine.settings import canonical_json, digest
+from ssm_study.engine.settings import canonical_json, digest_of_value
 from ssm_study.engine.stages import Stage
 from ssm_study.engine.store import MANIFEST, Store, intact_manifest
 from ssm_study.refusal import BadRequest
 
-KEY = digest("a key")
+KEY = digest_of_value("a key")
 CONTENT = {"model.json": b'{"a": 1}', "inner/weights.bin": bytes(range(256)) * 4}
 
 
@@ -48,8 +48,8 @@ def content_of(folder: Path) -> dict[str, bytes]:
 
 def test_a_stage_is_computed_once_and_then_found(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    first = store.keyed("model", KEY, {}, write_content)
-    again = store.keyed("model", KEY, {}, refuse_to_compute)
+    first = store.stage_with_key("model", KEY, {}, write_content)
+    again = store.stage_with_key("model", KEY, {}, refuse_to_compute)
     assert first.reused is False
     assert again.reused is True
     assert again.path == first.path
@@ -61,7 +61,7 @@ def test_equal_meanings_have_equal_keys() -> None:
     c = [1, 2.5]
     a = {"c": c, "d": 2}
     c = (1, 2.5)
-    assert digest({"b": 2, "a": a}) == digest({"a": {"d": 2.0, "c": c}, "b": 2.0})
+    assert digest_of_value({"b": 2, "a": a}) == digest_of_value({"a": {"d": 2.0, "c": c}, "b": 2.0})
     assert canonical_json(True) != canonical_json(1)
     assert canonical_json("1") != canonical_json(1)
 
@@ -89,11 +89,11 @@ def test_the_canonical_text_does_not_depend_on_the_order_of_keys(value: object) 
 @pytest.mark.parametrize("name", [*CONTENT, MANIFEST])
 def test_damage_is_never_silent(tmp_path: Path, name: str, damage: str) -> None:
     store = Store(tmp_path)
-    stage = store.keyed("model", KEY, {}, write_content)
+    stage = store.stage_with_key("model", KEY, {}, write_content)
     path = stage.path / name
     harm(path, damage)
     assert intact_manifest(stage.path) is None
-    again = store.keyed("model", KEY, {}, write_content)
+    again = store.stage_with_key("model", KEY, {}, write_content)
     assert not again.reused
     assert content_of(again.path) == CONTENT
     paths = list((tmp_path / ".corrupt").iterdir())
@@ -112,7 +112,7 @@ def harm(path: Path, damage: str) -> None:
 
 
 def test_no_flipped_bit_anywhere_in_a_stage_is_silent(tmp_path: Path) -> None:
-    stage = Store(tmp_path).keyed("model", KEY, {}, write_content)
+    stage = Store(tmp_path).stage_with_key("model", KEY, {}, write_content)
     rng = np.random.default_rng(0)
     silent = []
     for name in [*CONTENT, MANIFEST]:
@@ -135,10 +135,10 @@ def test_a_computation_that_raises_leaves_nothing(tmp_path: Path) -> None:
         raise RuntimeError("the solver gave up")
 
     with pytest.raises(RuntimeError, match="gave up"):
-        Store(tmp_path).keyed("model", KEY, {}, halfway)
+        Store(tmp_path).stage_with_key("model", KEY, {}, halfway)
     paths = list((tmp_path / "model").iterdir())
     assert paths == []
-    stage_result = Store(tmp_path).keyed("model", KEY, {}, write_content)
+    stage_result = Store(tmp_path).stage_with_key("model", KEY, {}, write_content)
     assert not stage_result.reused
 
 
@@ -227,7 +227,7 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
     def overtaken(folder: Path) -> None:
         (folder / "last.ckpt").write_text("half way")
         monkeypatch.setattr(module.socket, "gethostname", lambda: "elsewhere")
-        Store(tmp_path).keyed(
+        Store(tmp_path).stage_with_key(
             "model",
             KEY,
             {},
@@ -236,7 +236,7 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
         write_content(folder)
         (folder / "last.ckpt").unlink()
 
-    stage = Store(tmp_path).keyed("model", KEY, {}, overtaken)
+    stage = Store(tmp_path).stage_with_key("model", KEY, {}, overtaken)
     assert content_of(stage.path) == CONTENT
     paths = (tmp_path / "model").iterdir()
     names = [path.name for path in paths]
@@ -245,16 +245,16 @@ def test_what_another_node_is_at_stays_and_what_it_saved_is_shared(
 
 def test_leftovers_of_the_killed_are_removed_by_the_next(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    folder = store.folder("model", KEY)
+    folder = store.stage_folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
     leftover.mkdir(parents=True)
-    store.keyed("model", KEY, {}, write_content)
+    store.stage_with_key("model", KEY, {}, write_content)
     assert not leftover.exists()
 
 
 def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    folder = store.folder("model", KEY)
+    folder = store.stage_folder("model", KEY)
     leftover = folder.with_name(f".tmp-{folder.name}-deadbeef")
     (leftover / "start_1").mkdir(parents=True)
     for name in ("last.ckpt", "start_1/last.ckpt", "half.json"):
@@ -271,8 +271,8 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        store.keyed("model", KEY, {}, stopped)
-    stage_result = store.keyed("model", KEY, {}, going_on)
+        store.stage_with_key("model", KEY, {}, stopped)
+    stage_result = store.stage_with_key("model", KEY, {}, going_on)
     path = stage_result.path
     assert content_of(path)["model.json"] == b"more"
     assert not leftover.exists()
@@ -345,7 +345,9 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
     monkeypatch.setattr(planning, "mean_stage_seconds", lambda _, stage: known.get(stage))
 
     def walk(name: str, number: int) -> object:
-        return lambda stages: stages.keyed(name, digest([name, number]), {}, write_content)
+        return lambda stages: stages.stage_with_key(
+            name, digest_of_value([name, number]), {}, write_content
+        )
 
     walks = [walk("model", k) for k in range(3)]
     assert plan_lines(store, walks, 3, 0, 2)[-1] == "estimated time: about 21 s with 2 at a time"
@@ -369,7 +371,7 @@ def test_a_plan_reckons_with_the_mean_of_what_was_timed(
 @pytest.mark.parametrize("name", ["../model", "a/b", "", ".hidden"])
 def test_a_stage_name_cannot_leave_the_store(tmp_path: Path, name: str) -> None:
     with pytest.raises(BadRequest, match="stage"):
-        Store(tmp_path).keyed(name, KEY, {}, write_content)
+        Store(tmp_path).stage_with_key(name, KEY, {}, write_content)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), object(), {1, 2}])

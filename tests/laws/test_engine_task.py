@@ -13,7 +13,7 @@ from engine_study import Badly
 
 from ssm_study.engine import fingerprint as code
 from ssm_study.engine.jobs import Job
-from ssm_study.engine.launcher import preload
+from ssm_study.engine.launcher import preload_for_jobs
 from ssm_study.engine.records import read_record
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.store import Store
@@ -93,7 +93,7 @@ def test_a_job_finds_the_versions_of_the_code_that_its_server_has_read(tmp_path:
     r_path = tmp_path / "s" / "r"
     job = Job(overrides=[], settings=settings, folder=r_path)
     code.code_version.cache_clear()
-    preload(task, [job])
+    preload_for_jobs(task, [job])
     read = code.code_version.cache_info().misses
     stages = Store(tmp_path / ".store")
     task.stages(settings, stages)
@@ -116,12 +116,12 @@ def test_what_several_jobs_compute_is_imported_for_all_of_them(tmp_path: Path) -
         job_folder = tmp_path / "s" / run
         return Job(overrides=[], settings=made, folder=job_folder)
 
-    preload(Asked(), [job("a", 1, 1), job("b", 1, 2)])
-    preload(Asked(), [job("a", 1, 1), job("c", 2, 1)])
+    preload_for_jobs(Asked(), [job("a", 1, 1), job("b", 1, 2)])
+    preload_for_jobs(Asked(), [job("a", 1, 1), job("c", 2, 1)])
     first = job("a", 1, 1)
     stages = Store(tmp_path / ".store")
     Asked().stages(first.settings, stages)
-    preload(Asked(), [first, job("c", 2, 1)])
+    preload_for_jobs(Asked(), [first, job("c", 2, 1)])
     expected = [{"model"}, {"data", "model"}, set()]
     assert asked == expected
 

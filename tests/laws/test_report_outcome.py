@@ -72,6 +72,12 @@ def test_every_number_of_the_argument_is_there() -> None:
         assert words in text, words
 
 
+def test_where_nothing_settles_uncontrolled_the_settling_time_is_still_printed() -> None:
+    record = a_run("ok") | {"settling_time_mean_s": 6.9, "settling_time_open_loop_s": None}
+    assert "6.900 s, uncontrolled none settles" in printed(record)
+    assert "Mean settling time" not in printed(record | {"settling_time_mean_s": None})
+
+
 def test_it_says_who_chose_each_rate() -> None:
     record = a_run("ok") | {
         "synthesis_method": "auto",

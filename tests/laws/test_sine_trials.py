@@ -22,10 +22,10 @@ from ssm_study.robustness.sine_trials import (
     SineMismatch,
     measure_sine_mismatch,
     peak_lines,
-    with_sines,
+    add_sines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import design_lines, sine_facts
+from ssm_study.synthesis.sine_judgement import test_lines, sine_columns
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -79,21 +79,21 @@ def test_a_sine_that_shows_more_than_the_records_refutes_the_prediction() -> Non
     loop = sensitivity(SSM_MODEL.linear, FAST.pair, 1.0, 1.0)
     peak = abs(frequency_response(loop, np.array([angle]))[0, 0, 0])
     harmful = SineMismatch(angle=angle, amplitude=0.3, gain=1.2 / peak)
-    facts = sine_facts(FAST, SSM_MODEL, BALLS, MISMATCH, [harmful])
+    facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmful])
     assert facts["predicted_stable"] is False
     assert facts["sine_margin"] < 1
     harmless = replace(harmful, gain=1e-6)
-    facts = sine_facts(FAST, SSM_MODEL, BALLS, MISMATCH, [harmless])
+    facts = sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, [harmless])
     expected = {"predicted_stable": True, "sine_margin": before.resolved_margin}
     assert facts == expected
-    assert sine_facts(FAST, SSM_MODEL, BALLS, MISMATCH, []) == {}
+    assert sine_columns(FAST, SSM_MODEL, BALLS, MISMATCH, []) == {}
 
 
 def test_a_sine_below_every_record_has_a_view_of_its_own() -> None:
     smallest = MISMATCH.views[0]
     amplitude = smallest.amplitude / 10
     tiny = SineMismatch(angle=0.3, amplitude=amplitude, gain=5.0)
-    mismatch = with_sines(MISMATCH, [tiny])
+    mismatch = add_sines(MISMATCH, [tiny])
     views = mismatch.views
     expected = len(MISMATCH.views) + 1
     assert len(views) == expected
@@ -118,8 +118,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
     unknown = replace(MISMATCH, noise=())
-    assert design_lines(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
-    assert len(design_lines(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
+    assert test_lines(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
+    assert len(test_lines(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
 
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:

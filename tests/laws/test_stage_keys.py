@@ -17,8 +17,8 @@ from hydra import compose, initialize_config_dir
 
 from ssm_study.engine import fingerprint
 from ssm_study.engine import stages as engine_stages
-from ssm_study.engine.fingerprint import Code, symbol_of
-from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, measure_key
+from ssm_study.engine.fingerprint import Code, find_symbol
+from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages, columns_key
 from ssm_study.study.line import STUDY
 from ssm_study.study.specification import Specification
 from ssm_study.study.stages.evidence import EVIDENCE
@@ -64,13 +64,13 @@ class KeysOfStages(Stages):
     keys: dict[str, str] = field(default_factory=dict)
     folder: Path = Path("nowhere")
 
-    def keyed(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
+    def stage_with_key(self, name: str, key: str, note: Facts, compute: Compute) -> StageResult:  # noqa: ARG002
         self.keys[name] = key
         path = self.folder / name
         return StageResult(path=path, key=key, seconds=0.0, reused=False, name=name)
 
-    def measured(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
-        self.keys[kept.stage.name + COLUMNS] = measure_key(kept, before)
+    def stage_columns(self, kept: StageOutput[Any], before: Sequence[StageOutput[Any]]) -> Facts:
+        self.keys[kept.stage.name + COLUMNS] = columns_key(kept, before)
         return {}
 
 
@@ -100,7 +100,7 @@ def keys_of(
     sources = Code({"ssm_study": package})
 
     def version(*roots: Callable[..., Any] | type | str) -> str:
-        symbols = sorted({symbol_of(root) for root in roots})
+        symbols = sorted({find_symbol(root) for root in roots})
         return sources.version(*symbols)
 
     stages = KeysOfStages(folder=folder)
@@ -169,7 +169,7 @@ MEASURES = {
     "dataset": ("data/metrics.py", r"^def input_coverage\((.*)\) -> float:$",
                 r"def input_coverage(\1):\n    del EDITED"),
     "loop": ("loop/metrics.py", r'"stable_count": len', '"stable_count": 1 + len'),
-    "synthesis": ("synthesis/metrics.py", r"^def opinion_facts\(", "@edited\ndef opinion_facts("),
+    "synthesis": ("synthesis/metrics.py", r"^def second_opinion_columns\(", "@edited\ndef second_opinion_columns("),
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
-from ssm_study.synthesis.model_selection import LargestCertifiableRate, largest_rate_of
+from ssm_study.synthesis.model_selection import LargestCertifiableRate, largest_certifiable_rate
 from ssm_study.systems import JacobianBall, StructuredSystem
 from tests.structured_cases import drawn, model
 
@@ -75,9 +75,9 @@ def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:
     assert isinstance(idle, StructuredSystem)
     slopes = np.zeros(idle.neurons)
     system = idle.linearise_at_slopes(slopes)
-    exact = largest_rate_of(system, BALL)
-    assert largest_rate_of(idle, BALL) == pytest.approx(exact, abs=2e-3)
-    assert largest_rate_of(idle, BALL) <= exact
+    exact = largest_certifiable_rate(system, BALL)
+    assert largest_certifiable_rate(idle, BALL) == pytest.approx(exact, abs=2e-3)
+    assert largest_certifiable_rate(idle, BALL) <= exact
 
 
 def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
@@ -86,7 +86,9 @@ def test_of_those_that_are_fast_enough_the_best_fit_is_kept() -> None:
     best = trained(slow, 98.0)
     first = trained(fast, 97.8)
     second = trained(fast, 97.9)
-    limits = [largest_rate_of(one.system, certified_balls(one).input) for one in (slow, fast)]
+    limits = [
+        largest_certifiable_rate(one.system, certified_balls(one).input) for one in (slow, fast)
+    ]
     assert limits[0] < limits[1]
     found = [best, first, second]
     assert LargestCertifiableRate(rate_enough=0.5 * sum(limits))(found) is second

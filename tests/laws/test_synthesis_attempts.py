@@ -10,7 +10,7 @@ import scipy.linalg
 from ssm_study.certificates.frontier import Frontier, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.design import REPAIRS
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, solve_at_tau, guaranteed_cost
 from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 
@@ -95,8 +95,8 @@ def test_the_smallest_tau_itself_is_not_admissible() -> None:
     asked = Problem(
         a=0.5 * one, b=one, ball=BALLS[0], rate=0.1, state_weight=0.1 * one, input_weight=1.0
     )
-    assert at_tau(asked, 1.0) is None
-    assert at_tau(asked, 2.0) is not None
+    assert solve_at_tau(asked, 1.0) is None
+    assert solve_at_tau(asked, 2.0) is not None
 
 
 def test_without_a_radius_the_weights_give_the_linear_quadratic_regulator() -> None:

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssm_study.bounds.gramians import gramian, local_property
+from ssm_study.bounds.gramians import controllability_gramian, bound_local_controllability
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier
-from ssm_study.certificates.problem import dual
+from ssm_study.certificates.problem import dual_system
 from ssm_study.loop.certified_bound import count_bound_violations, distance_bound, metric_distances
 from ssm_study.models.identified import SSM
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
@@ -52,7 +52,7 @@ def certified_design(model: SSM, method: type = RiccatiSynthesis) -> Design:
     balls = certified_balls(model)
     frontier = controller_frontier(model.linear, balls.input)
     controller = frontier.rate_limit
-    system = dual(model.linear)
+    system = dual_system(model.linear)
     frontier = controller_frontier(system, balls.output)
     observer = frontier.rate_limit
     design = method(rate_controller=0.5 * controller, rate_observer=0.5 * observer).design(
@@ -226,16 +226,16 @@ def test_gramians_along_trajectories_stay_between_their_bounds(seed: int, channe
     a = model.linear.a
     b = model.linear.b
     c = model.linear.c
-    assert_between(w, gramian(a, b, steps), balls.input)
-    assert_between(o, gramian(a.T, c.T, steps), balls.output)
-    local = local_property(a, b, balls.input)
+    assert_between(w, controllability_gramian(a, b, steps), balls.input)
+    assert_between(o, controllability_gramian(a.T, c.T, steps), balls.output)
+    local = bound_local_controllability(a, b, balls.input)
     assert local.holds
     eigenvalues = np.linalg.eigvalsh(w)
     upper_limit = eigenvalues[0] + 1e-9
     assert local.lower <= upper_limit
     upper_limit = local.upper * (1 + 1e-9)
     assert eigenvalues[-1] <= upper_limit
-    assert local_property(a.T, c.T, balls.output).holds
+    assert bound_local_controllability(a.T, c.T, balls.output).holds
 
 
 @pytest.mark.parametrize(
@@ -249,6 +249,6 @@ def test_local_controllability_is_not_claimed_without_authority(
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=np.array([[b], [1.0]]), c=c, d=d)
     ball = JacobianBall.from_slopes(*slopes)
-    local = local_property(linear.a, linear.b, ball)
+    local = bound_local_controllability(linear.a, linear.b, ball)
     assert not local.holds
     assert local.lower == 0.0

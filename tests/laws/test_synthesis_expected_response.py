@@ -12,7 +12,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis import expected_response
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, decays_of, slowest_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, simulate_decays, largest_decay_ratios
 from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, compared_indices
 from ssm_study.systems import Gains
 
@@ -78,7 +78,7 @@ def test_a_plant_that_does_not_rest_is_offered_nothing(response):
 def test_a_pair_that_only_stirs_up_a_decay_comes_after_the_others(response, monkeypatch):
     """The fast pair settles no sooner than the plant does by itself from where it was recorded."""
     ratios = np.array([1.2, 0.5, 0.5, 0.5])
-    monkeypatch.setattr(expected_response, "slowest_ratios", lambda *_: ratios)
+    monkeypatch.setattr(expected_response, "largest_decay_ratios", lambda *_: ratios)
     monkeypatch.setattr(expected_response, "relative_areas", lambda *_: 0.5 * AREAS)
     peaks = np.zeros((4, 1))
     rankeds = response.ordered_pairs(peaks, (), None)
@@ -111,12 +111,12 @@ def test_a_decay_is_answered_by_the_model_alone():
     u = input_equilibrium + rng
     y = np.zeros((400, len(linear.c)))
     excited = Trajectory(u=u, y=y, step_s=model.step_s)
-    decays = decays_of(model, (trial,), (excited,))
+    decays = simulate_decays(model, (trial,), (excited,))
     assert len(decays) == 1
     k = np.zeros((1, 1, model.order))
     none = Gains(k=k, l=np.zeros((1, model.order, 1)))
-    assert slowest_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
-    assert not slowest_ratios(model, none, NO_DECAYS, 0.05).any()
+    assert largest_decay_ratios(model, none, decays, 0.05) == pytest.approx([1.0])
+    assert not largest_decay_ratios(model, none, NO_DECAYS, 0.05).any()
     u = trial.u + 1.0
     moving = replace(trial, u=u)
-    assert not len(decays_of(model, (moving,), (excited,)))
+    assert not len(simulate_decays(model, (moving,), (excited,)))

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.certificates.certificate import Design, StateFeedback, digest
-from ssm_study.certificates.theorem import theorem_named
+from ssm_study.certificates.certificate import Design, StateFeedback, certificate_digest
+from ssm_study.certificates.theorem import find_theorem
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
@@ -133,7 +133,7 @@ def test_a_theorem_written_with_the_names_of_version_0_1_answers_by_those_of_tod
 def test_a_name_that_is_no_theorem_is_refused() -> None:
     for name in ("certificate", "_template", "os", "../lmi", ""):
         with pytest.raises(ValueError, match="not a theorem"):
-            theorem_named(name)
+            find_theorem(name)
 
 
 # One file with matrices of its own: `|M^{1/2} (A + J B K) v| <= r |M^{1/2} v|` for every `J` of the
@@ -279,5 +279,5 @@ def test_tampering_with_it_is_found_though_no_code_elsewhere_knows_it(
     claims = failed_checks(content, PLANT, BALLS)
     assert any("digest" in claim or "certificate." in claim for claim in claims)
     content["state_feedback"]["certified_rate"] = content["state_feedback"]["rate"]
-    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
     assert any(found in claim for claim in failed_checks(content, PLANT, BALLS))

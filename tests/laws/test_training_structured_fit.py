@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.models.contracting import RecurrenceMatrices, find_contraction_metric
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured import StructuredSSM
@@ -159,7 +159,7 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     eigenvalues = np.linalg.eigvals(model.a)
     spectral_radius = np.abs(eigenvalues).max()
     assert spectral_radius == pytest.approx(1.0)
-    assert "hankel_largest" not in bound_facts(
+    assert "hankel_largest" not in model_bound_columns(
         model
     )  # no infinite-horizon Gramian: withheld, and no refusal
     y = fit.problem.output(fit.theta)[0]

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 import worst_case
 
-from ssm_study.bounds.gramians import balance, hankel_singular_values, local_property
-from ssm_study.bounds.network import Network, PortableMap, inverse_of, slope_interval
+from ssm_study.bounds.gramians import (
+    balanced_realization,
+    hankel_singular_values,
+    bound_local_controllability,
+)
+from ssm_study.bounds.network import Network, PortableMap, invert_map, slope_interval
 from ssm_study.bounds.slopes import spectral_norm_bound
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
@@ -77,9 +81,9 @@ def test_the_refusal_names_the_value_of_the_last_state_that_was_to_be_kept() -> 
     upper_limit = 1e-8 * values[0]
     assert values[2] < upper_limit < values[1]
     with pytest.raises(BadRequest, match="at most 2") as refused:
-        balance(linear)
+        balanced_realization(linear)
     assert refused.value.value == pytest.approx(values[2], rel=1e-3)
-    order = balance(linear, 2).order
+    order = balanced_realization(linear, 2).order
     assert order == 2
 
 
@@ -105,7 +109,7 @@ def test_local_gramians_lie_between_the_squares_of_the_slopes() -> None:
     a = np.array([[0.5]])
     b = np.array([[2.0]])
     ball = JacobianBall.from_slopes(0.2, 0.5)
-    local = local_property(a, b, ball)
+    local = bound_local_controllability(a, b, ball)
     assert local.holds
     expected = (0.16, 1.0)
     assert (local.lower, local.upper) == pytest.approx(expected)
@@ -116,7 +120,7 @@ def test_a_falling_map_has_an_inverse() -> None:
     breakpoints = np.array([[-1.0, 1.0]])
     slopes = np.array([[-2.0, -1.0, -0.5]])
     falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    inverse = inverse_of(falling.portable())
+    inverse = invert_map(falling.portable())
     assert inverse is not None
     scaffold = np.array([[5.0], [0.5], [-2.0]])
     actual = inverse(scaffold)
@@ -138,4 +142,4 @@ def test_a_map_that_couples_its_channels_has_no_inverse_by_channel() -> None:
     )
     linear = np.eye(2)
     portable = PortableMap(linear=linear, network=net)
-    assert inverse_of(portable) is None
+    assert invert_map(portable) is None

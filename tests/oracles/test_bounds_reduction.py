@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssm_study.bounds.gramians import balance, gramian, hankel_singular_values
+from ssm_study.bounds.gramians import (
+    balanced_realization,
+    controllability_gramian,
+    hankel_singular_values,
+)
 from ssm_study.bounds.network import Network
 from ssm_study.bounds.reduction import Reduction
 from ssm_study.bounds.slopes import certified_balls, jacobian_ball
@@ -151,14 +155,17 @@ def test_balanced_coordinates_and_the_truncation_bound(seed: int, order: int) ->
     upper_limit = 1e-6 * hankel[0]
     if hankel[-1] < upper_limit:
         return
-    balanced = balance(linear)
+    balanced = balanced_realization(linear)
     np.testing.assert_allclose(hankel_singular_values(balanced), hankel, rtol=1e-5)
     b = balanced.c.T
-    for w in (gramian(balanced.a, balanced.b), gramian(balanced.a.T, b)):
+    for w in (
+        controllability_gramian(balanced.a, balanced.b),
+        controllability_gramian(balanced.a.T, b),
+    ):
         expected = np.diag(hankel)
         atol = 1e-5 * hankel[0]
         np.testing.assert_allclose(w, expected, atol=atol)
-    reduced = balance(linear, order - 1)
+    reduced = balanced_realization(linear, order - 1)
     z = np.exp(1j * np.linspace(0, np.pi, 200))
     gaps = [abs(response(linear, point) - response(reduced, point)) for point in z]
     upper_limit = 2 * hankel[-1] * (1 + 1e-6) + 1e-9
@@ -192,7 +199,7 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
     d = np.zeros((1, 1))
     unstable = StateSpace(a=a, b=b, c=c, d=d)
     with pytest.raises(BadRequest, match="spectral_radius"):
-        balance(unstable)
+        balanced_realization(unstable)
     a = np.diag([0.9, 0.5])
     b = np.array([[1.0], [1e-12]])
     c = np.ones((1, 2))
@@ -200,7 +207,7 @@ def test_balancing_refuses_what_has_no_gramian_and_drops_what_carries_nothing() 
     dead = StateSpace(a=a, b=b, c=c, d=d)
     largest = f"{hankel_singular_values(dead)[0]:.3g}"
     with pytest.raises(BadRequest, match=rf"of the largest \({largest}\).*truncate_to"):
-        balance(dead)
+        balanced_realization(dead)
 
     linear = Reduction().reduce(Model(dead)).linear
     order = linear.order

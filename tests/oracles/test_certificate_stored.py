@@ -8,7 +8,7 @@ import pytest
 from loop_cases import BALLS as MOTOR_BALLS
 from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
 
-from ssm_study.certificates.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.synthesis.deployed import with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -116,7 +116,7 @@ def test_tampering_is_found(
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     content[part][name] = change(content[part].get(name))
-    content[part]["digest"] = digest(content[part])
+    content[part]["certificate_digest"] = certificate_digest(content[part])
     broken = failed_checks(content, linear, MOTOR_BALLS)
     assert broken == [] if found is None else any(found in claim for claim in broken), broken
 
@@ -131,7 +131,7 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     design = Design.from_json(content)
     expected = {"noise", "tolerance_by_frequency"}
     assert set(design.withdrawn) == expected
-    assert not set(design.withdrawn) & set(design.content)
+    assert not set(design.withdrawn) & set(design.parts_by_name)
     assert design.to_json() == content
     assert failed_checks(content, linear, MOTOR_BALLS) == []
     content["tolerance"]["s"] *= 1.01  # what is still claimed is still checked beside it

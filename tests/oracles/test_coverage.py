@@ -18,7 +18,7 @@ from ssm_study.robustness.coverage import (
     Premise,
     Weights,
     measure_premise,
-    running_sum,
+    running_constraint_sum,
 )
 from ssm_study.robustness.coverage_items import requirements_from_periods
 from ssm_study.robustness.coverage_spectra import MismatchSpectrum
@@ -26,7 +26,11 @@ from ssm_study.robustness.coverage_table import coverage_table
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_run import coverage_facts, weights_of, with_coverage
+from ssm_study.synthesis.measured_discs_run import (
+    coverage_columns,
+    certificate_weights,
+    add_coverage_certificate,
+)
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 ONE = np.ones((1, 1))
@@ -92,7 +96,7 @@ def design(linear_model: StateSpace = MODEL, input_weight: float = 0.3) -> Desig
 def covered(answer, **options) -> dict:
     known = premise(answer, **options)
     model = SSM.from_linear(MODEL, 0.01)
-    return coverage_facts(with_coverage(design(), model, BALLS, known), model, known)
+    return coverage_columns(add_coverage_certificate(design(), model, BALLS, known), model, known)
 
 
 @pytest.mark.parametrize("share", [0.3, -0.4])
@@ -173,13 +177,13 @@ def test_running_sums_grow_over_a_period_by_what_the_lines_say() -> None:
     plant = StateSpace(a=MODEL.a, b=MODEL.b, c=c, d=ZERO)
     response = plant.simulate(u)
     e = response[0] - m
-    sums = running_sum(weights, centre, kappa, u, m, e)
+    sums = running_constraint_sum(weights, centre, kappa, u, m, e)
     growth = sums[3 * PERIOD - 1] - sums[2 * PERIOD - 1]
     made = premise(linear(plant), amplitudes=(1.0,), shape=one)
     total = next(item for item in made.items(centre) if item.where.endswith("in total"))
-    powers = weights.on_output(total.angles)
+    powers = weights.output_weight(total.angles)
     reference = powers @ total.model_power
-    powers = weights.on_input(total.angles)
+    powers = weights.input_weight(total.angles)
     reference += powers @ total.input_power
     difference = total.seen - kappa**2 * reference
     expected = difference / PERIOD
@@ -270,9 +274,9 @@ def test_the_table_of_bands_is_the_premise_beside_the_proof() -> None:
     """A gain that is wrong by a tenth is measured as that in every band."""
     known = premise(scaled_model(0.1))
     model = SSM.from_linear(MODEL, 0.01)
-    extra_certificates = with_coverage(design(), model, BALLS, known).extra_certificates
+    extra_certificates = add_coverage_certificate(design(), model, BALLS, known).extra_certificates
     part = extra_certificates["coverage"]
-    weights = weights_of(part)
+    weights = certificate_weights(part)
     rows = coverage_table(known, weights, part.centre, part.kappa)
     expected = 2 * len(ANGLES)
     assert len(rows) == expected
@@ -324,9 +328,11 @@ def test_an_empty_premise_is_refused() -> None:
     assert nothing.missing(0.0) == EMPTY
     assert premise(scaled_model(0.0)).missing(0.0) == NO_MISMATCH
     model = SSM.from_linear(MODEL, 0.01)
-    extra_certificates = with_coverage(design(), model, BALLS, nothing).extra_certificates
+    extra_certificates = add_coverage_certificate(
+        design(), model, BALLS, nothing
+    ).extra_certificates
     assert extra_certificates == {}
-    coverage = coverage_facts(design(), model, nothing)["coverage"]
+    coverage = coverage_columns(design(), model, nothing)["coverage"]
     assert coverage is None
 
 
@@ -335,7 +341,7 @@ def test_stored_weights_are_not_trusted() -> None:
     none, and a premise that is emptied takes the number away."""
     known = premise(scaled_model(0.1))
     model = SSM.from_linear(MODEL, 0.01)
-    made = with_coverage(design(), model, BALLS, known)
+    made = add_coverage_certificate(design(), model, BALLS, known)
     part = made.extra_certificates["coverage"]
     assert part.holds(**part.variables)
 
@@ -353,10 +359,10 @@ def test_stored_weights_are_not_trusted() -> None:
     same = replace(wider, kappa=kappa)
     extra_certificates = {"coverage": same}
     forged = replace(made, extra_certificates=extra_certificates)
-    honest = coverage_facts(made, model, known)
-    coverage = coverage_facts(forged, model, known)["coverage"]
+    honest = coverage_columns(made, model, known)
+    coverage = coverage_columns(forged, model, known)["coverage"]
     assert coverage == pytest.approx(honest["coverage"])
-    emptied = coverage_facts(made, model, Premise(repeating=(), averaged=()))
+    emptied = coverage_columns(made, model, Premise(repeating=(), averaged=()))
     expected = {"coverage": None, "coverage_reason": EMPTY}
     assert emptied == expected
 
@@ -364,9 +370,9 @@ def test_stored_weights_are_not_trusted() -> None:
 def test_a_certificate_reads_back_to_the_same_numbers() -> None:
     known = premise(scaled_model(0.1))
     model = SSM.from_linear(MODEL, 0.01)
-    made = with_coverage(design(), model, BALLS, known)
+    made = add_coverage_certificate(design(), model, BALLS, known)
     again = Design.from_json(made.to_json())
-    assert coverage_facts(again, model, known) == coverage_facts(made, model, known)
+    assert coverage_columns(again, model, known) == coverage_columns(made, model, known)
     assert again.to_json() == made.to_json()
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import scipy.io
+import scipy.signal
 
 from ssm_study.cli.main import main
 from ssm_study.data.log_dynamics import (
@@ -19,6 +20,7 @@ from ssm_study.data.log_dynamics import (
 )
 from ssm_study.data.look import look
 from ssm_study.refusal import BadRequest
+from ssm_study.report.figure_of_a_log import draw_log
 from ssm_study.signals import Trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -68,6 +70,47 @@ def test_a_closed_loop_is_called_one(tmp_path: Path) -> None:
     table.to_csv(tmp_path / "log.csv", index=False)
     log_look = str(look(tmp_path / "log.csv", step_s=0.1))
     assert "a closed loop?" in log_look
+
+
+def test_no_command_is_printed_that_a_run_would_refuse(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    kind_named("direction").log(0, samples=500).to_csv(path, index=False)
+    for stated in ({"step_s": 0.3}, {"input": "time_s", "output": "y"}, {"input": "v"}):
+        seen = look(path, **stated)
+        assert "- not read yet" in str(seen)
+        assert "ssm-study run" not in str(seen)
+    assert "ssm-study run" in str(look(path, input="u"))
+
+
+def test_a_measured_disturbance_is_in_command_and_picture(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    log = kind_named("direction").log(0, samples=500)
+    log.assign(load=np.sin(np.arange(500) / 30)).to_csv(path, index=False)
+    assert "measured too: load" in str(look(path))
+    seen = look(path, disturbance="load")
+    assert "measured too" not in str(seen)
+    assert seen.command.endswith("data.disturbance=load")
+    assert [axes.get_ylabel() for axes in draw_log(seen).axes] == ["y", "u", "load"]
+
+
+def test_an_output_that_never_changes_with_the_input_is_no_integrator() -> None:
+    u = np.zeros(3000)
+    u[0] = 1.0
+    y = np.full(3000, 5.0)
+    y[-1] = 5.1
+    assert input_shares(u, y).change == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_heater_behind_a_dead_time_is_no_integrator(seed: int) -> None:
+    """Within the dead time and the first lag it loses nothing; it does over a minute."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.choice([0.0, 50.0, 100.0], 15), 200)
+    late = np.concatenate([np.zeros(15), u])[: len(u)]
+    heater = scipy.signal.lfilter([0.05], [1, -0.95], late)
+    y = scipy.signal.lfilter([0.3 / 150], [1, -np.exp(-1 / 150)], heater)
+    y = np.round(20 + y + 0.02 * rng.standard_normal(len(u)), 2)
+    assert not input_shares(u, y).is_integrator
 
 
 def test_a_sweep_of_sines_is_no_closed_loop() -> None:

@@ -247,6 +247,41 @@ def test_a_slow_sweep_of_a_static_characteristic_has_no_false_reason():
     assert "integrator" not in seen
 
 
+def short_log(pole: float) -> Case:
+    """A short log of a lag, or of a sum, with a model that integrates."""
+    rng = np.random.default_rng(1)
+    u = np.repeat(rng.uniform(-1, 1, 60), 10)
+    y = scipy.signal.lfilter([0, 0.1], [1, -pole], u) + 0.001 * rng.standard_normal(600)
+    model = case(WHITE, WHITE, slow=1.0).model
+    return with_runs(blocks(u, y, [360, 480]), model, 0.01)
+
+
+def test_an_integrating_model_speaks_for_the_output_only_where_the_log_does():
+    """A yaw rate returns slowly; the model that was chosen holds it for ever."""
+    (returns,) = records._judge_length(short_log(0.95))
+    assert "The chosen model integrates its input, and the log does not show" in returns
+    (sums,) = records._judge_length(short_log(1.0))
+    assert "The output integrates its input" in sums
+
+
+def test_an_integrator_is_not_blamed_for_a_position_it_has_not_been_at():
+    drifting = short_log(1.0)
+    beyond = replace(
+        drifting, data=replace(drifting.data, test=tuple(
+            replace(one, y=one.y + 100.0) for one in drifting.data.test))
+    )  # fmt: skip
+    assert not [sentence for sentence in records._judge_range(beyond) if "output" in sentence]
+    lag = replace(beyond, model=case(WHITE, WHITE, slow=0.9).model)
+    assert [sentence for sentence in records._judge_range(lag) if "output is beyond" in sentence]
+
+
+def test_an_output_that_follows_its_input_is_not_told_to_integrate():
+    u = np.repeat(RNG.uniform(-1, 1, 30), 40)
+    level = blocks(u, u + 0.01 * RNG.standard_normal(1200), [720, 960])
+    assert records.follows_level(level)
+    assert not records.follows_level(short_log(1.0).data)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_position_behind_a_dead_zone_integrates_whatever_the_seed(tmp_path: Path, seed: int):
     """An operator turns the motor round at its ends, so that a mode alone does not show the sum."""

@@ -19,8 +19,8 @@ from ssm_study.robustness.return_to_rest import (
     AT_REST,
     SURE,
     _distances_from_rest,
-    _tail,
-    after_returns,
+    _last_quarter,
+    offsets_after_returns,
 )
 from ssm_study.signals import Scale, Trajectory
 
@@ -141,7 +141,7 @@ def test_a_plant_that_does_not_return_is_told_so_by_the_same_log(tmp_path, wrong
     _, shown, told = fitted_log(tmp_path, EXCITED, wrong(EXCITED))
     assert said in told
     assert UNKNOWN not in told
-    assert not shown.rests or shown.offset > 1
+    assert not shown.comes_to_rest or shown.offset > 1
 
 
 @pytest.mark.parametrize("hunts", [0.0, 0.01])
@@ -158,7 +158,7 @@ def test_a_faint_swing_is_a_doubt_and_no_refusal(hunts):
     validation = log.data.validation
     trajectory = Trajectory(u=0.0 * k, y=y, step_s=0.1)
     shown = measure_mismatch(log.model, validation, 0, (trajectory,))
-    assert shown.rests
+    assert shown.comes_to_rest
     assert shown.left_at_rest == pytest.approx(hunts, rel=0.1, abs=1e-3)
     told = " ".join(found.sentence for found in judge_records(log, shown))
     assert ("a small limit cycle, or a slow decay" in told) == (hunts > 0)
@@ -199,7 +199,7 @@ def test_a_short_return_shows_a_rest_where_it_comes_from_far(start, said):
     y = start * np.eye(41, 1, -1)
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
-    still, offsets = after_returns(scale, [record], 1000)
+    still, offsets = offsets_after_returns(scale, [record], 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -212,7 +212,7 @@ def test_what_counts_as_far_is_counted_from_where_the_return_ends(start, said):
     record = Trajectory(u=u, y=y, step_s=0.1)
     scale = Scale.identity(1, 1)
     records = [record, record]
-    still, offsets = after_returns(scale, records, 1000)
+    still, offsets = offsets_after_returns(scale, records, 1000)
     assert still == pytest.approx(said)
     assert offsets == []
 
@@ -276,8 +276,8 @@ def test_noise_is_taken_off_a_return_and_off_the_mean_of_the_others(count):
     noise = 0.01 * white_noise
     levels = rng.uniform(-1, 1, count)
     outputs = [level + noise for level in levels]
-    tail, variance = _tail(outputs[0])
-    means = np.array([_tail(y)[0].mean() for y in outputs])
+    tail, variance = _last_quarter(outputs[0])
+    means = np.array([_last_quarter(y)[0].mean() for y in outputs])
     others = np.array([np.delete(means, i).mean() for i in range(count)])
     doubt = SURE * np.sqrt(float(variance[0]) / len(tail) * (1 + 1 / (count - 1)))
     difference = np.abs(means - others)

@@ -14,7 +14,7 @@ from export_cases import compiled, device, products, written
 from report_runs import KINDS, random_scaffold
 
 import ssm_study as st
-from ssm_study.bounds.network import inverse_of
+from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import Design
 from ssm_study.cli.main import main
 from ssm_study.export.c import escape_comment, render_c_files
@@ -165,7 +165,7 @@ def test_the_inverse_undoes_the_map(kind: str, channels: int) -> None:
     rng = np.random.default_rng(4)
     scaffold = random_scaffold(rng, kind, channels)
     portable = scaffold.as_portable()
-    inverse = inverse_of(portable)
+    inverse = invert_map(portable)
     portable_map = portable(np.linspace(-9, 9, 5000)[:, None] * np.ones(channels))
     slopes = np.diff(portable_map, axis=0)
     if kind in ("mlp", "residual") and (channels == 2 or slopes.min() * slopes.max() < 0):
@@ -188,7 +188,7 @@ def test_a_map_with_a_flat_piece_has_no_inverse() -> None:
     slopes = scaffold.slopes * (np.arange(6) != 2)
     flat = replace(scaffold, slopes=slopes)
     portable = flat.portable()
-    assert inverse_of(portable) is None
+    assert invert_map(portable) is None
 
 
 @pytest.fixture(scope="module")

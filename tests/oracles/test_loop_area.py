@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from loop_cases import motor_design, motor_model, motor_record, random_model
 
-from ssm_study.certificates.theorems.integral_action import output_gain
+from ssm_study.certificates.theorems.integral_action import linear_output_gain
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.integrated_error import relative_areas, release
+from ssm_study.synthesis.integrated_error import relative_areas, comparison_scenario
 from ssm_study.systems import Gains, StateSpace
 
 PAIR = np.zeros((1, 2), dtype=int)
@@ -41,7 +41,7 @@ def visited(model: SSM, records: tuple[Trajectory, ...]) -> np.ndarray:
 def test_twelve_states_of_the_records_evenly_spaced() -> None:
     model = random_model(3, inputs=2, outputs=2)
     records = record(model), record(model, 110, 1)
-    x0, load, _ = release(model, records, loaded=False)
+    x0, load, _ = comparison_scenario(model, records, loaded=False)
     states = visited(model, records)
     found = [int(np.abs(states - x).max(axis=1).argmin()) for x in x0]
     np.testing.assert_allclose(x0, states[found], atol=1e-12)
@@ -65,7 +65,10 @@ def test_the_horizon_is_four_time_constants_between_50_and_150_samples(
     c = model.linear.c
     d = model.linear.d
     linear = StateSpace(a=a, b=b, c=c, d=d)
-    assert release(model.with_linear(linear), (motor_record(),), loaded=False)[2] == samples
+    assert (
+        comparison_scenario(model.with_linear(linear), (motor_record(),), loaded=False)[2]
+        == samples
+    )
 
 
 def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_acts() -> None:
@@ -75,7 +78,7 @@ def test_loads_hold_a_quarter_and_half_of_an_output_scale_on_every_channel_that_
     linear = replace(model.linear, b=idle)
     model = model.with_linear(linear)
     validation = (record(model),)
-    x0, load, _ = release(model, validation, loaded=True)
+    x0, load, _ = comparison_scenario(model, validation, loaded=True)
     loads = load[12:]
     states = x0[12:]
     assert not load[:12].any()
@@ -134,7 +137,7 @@ def test_the_area_is_the_loop_written_out(integrators: int) -> None:
     pairs = np.array([[1, 0], [0, 1]])
     given = record(model)
     given.u[60:] = model.scale.input_equilibrium  # where the record rests
-    x0s, loads, horizon = release(model, (given,), loaded=integrators > 0)
+    x0s, loads, horizon = comparison_scenario(model, (given,), loaded=integrators > 0)
     k = ks[pairs[:, 0]]
     gains = Gains(k=k, l=ls[pairs[:, 1]])
     found = relative_areas(model, gains, (given,))
@@ -169,4 +172,4 @@ def test_no_control_is_one_and_a_design_that_diverges_is_huge_and_finite() -> No
 def test_the_output_gain_is_the_maps_own() -> None:
     model = random_model(1, inputs=2, outputs=2)
     expected = np.eye(2)
-    np.testing.assert_array_equal(output_gain(model), expected)
+    np.testing.assert_array_equal(linear_output_gain(model), expected)

@@ -11,7 +11,7 @@ from loop_cases import motor_model, motor_record
 from structured_cases import model as with_neurons
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.export.portable import convert_controller
 from ssm_study.loop.controller import ObserverFeedback
@@ -49,17 +49,17 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
 ) -> None:
     stand, balls, design = made
     assert design.certified
-    assert design.inverts
+    assert design.inverts_input_map
     plain = replace(ASKED, invert_input=False).design(stand, balls).state_feedback
     assert design.state_feedback.rate_limit > plain.rate_limit
     text = json.dumps(design.to_json())
     content = json.loads(text)
     controlled = controlled_system(stand, design.state_feedback)
     assert failed_checks(content, stand.system, balls, controlled) == []
-    assert Design.from_json(content).inverts
+    assert Design.from_json(content).inverts_input_map
     theorem = content["state_feedback"]["theorem"]
     content["state_feedback"]["theorem"] = theorem.replace("inverted_input", "state_feedback")
-    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
     claims = failed_checks(content, stand.system, balls, controlled)
     assert any("the model's Jacobians fill the ball" in claim for claim in claims)
 
@@ -121,7 +121,7 @@ def test_limits_keep_their_order_behind_a_falling_map(monkeypatch: pytest.Monkey
     asked = Auto(stretch_shares=(0.3,), observer_rates=(0.3,), invert_input=True)
     lower = np.array([-0.4])
     upper = np.array([0.1])
-    asked = asked.within(lower, upper)
+    asked = asked.with_input_limits(lower, upper)
     assert asked.design(falling, certified_balls(falling), (motor_record(),)).certified
     expected = [[[-0.1], [0.4]]]
     np.testing.assert_array_equal(scored, expected)

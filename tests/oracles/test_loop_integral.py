@@ -8,9 +8,9 @@ import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, motor_record, random_model
 from synthesis_ratio import ratio_limit
 
-from ssm_study.bounds.frequency import gains
+from ssm_study.bounds.frequency import largest_gains
 from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.certificates.theorems.integral_action import controlled_system, with_modes
+from ssm_study.certificates.theorems.integral_action import controlled_system, append_internal_model
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback
@@ -52,7 +52,7 @@ def design() -> Design:
 
 def test_the_augmented_pair_is_the_equations_written_out():
     model = random_model(1, inputs=2, outputs=2)
-    system = with_modes(model)
+    system = append_internal_model(model)
     rng = np.random.default_rng(0)
     x = rng.standard_normal(4)
     z = rng.standard_normal(2)
@@ -105,7 +105,7 @@ def test_an_integrator_costs_rate_as_the_frontier_says():
 
 
 def _pair(model):
-    system = with_modes(model)
+    system = append_internal_model(model)
     return system.a, system.b
 
 
@@ -196,7 +196,7 @@ def test_the_margin_with_integrators_by_two_routes(design):
     gain = design.observer.l
     angles = np.geomspace(1e-3, np.pi, 200)
     by_space = max(
-        gains(sensitivity(model.linear, Gains(k=k, l=gain), i, 1.0), angles).max()
+        largest_gains(sensitivity(model.linear, Gains(k=k, l=gain), i, 1.0), angles).max()
         for i in (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     )
     by_factors = peaks_on_grid(model.linear, k[None], gain[None], BALLS, angles)[0, 0]
@@ -230,7 +230,7 @@ def test_auto_chooses_with_integral_action():
 def test_more_outputs_than_inputs_are_refused():
     model = random_model(0, inputs=1, outputs=2)
     with pytest.raises(BadRequest, match="an input is needed for every controlled output"):
-        with_modes(model)
+        append_internal_model(model)
 
 
 def test_a_gain_of_the_wrong_width_is_refused():
@@ -252,7 +252,7 @@ def test_the_weight_is_the_cost_of_the_integrators_beside_the_output():
     rng = np.random.default_rng(0)
     x = rng.standard_normal(4)
     z = rng.standard_normal(2)
-    system = with_modes(model, weight=0.09)
+    system = append_internal_model(model, weight=0.09)
     cost = (system.c @ np.concatenate([x, z])) ** 2
     ubar = np.zeros(2)
     scaled = model.scaled_output_at(x, ubar)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 
-from ssm_study.bounds.frequency import frequency_response, gains
+from ssm_study.bounds.frequency import frequency_response, largest_gains
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import (
     controlled_system,
     internal_model,
-    with_modes,
+    append_internal_model,
 )
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quote_sines
@@ -84,7 +84,7 @@ def test_the_certificate_is_the_theorem_on_the_augmented_pair(words):
     design = made(*words)
     model = motor_model()
     part_ = design.state_feedback
-    system = with_modes(model, words)
+    system = append_internal_model(model, words)
     np.testing.assert_array_equal(part_.a, system.a)
     names = ("rate", "p", "y", "k", "sigma")
     numbers = {name: getattr(part_, name) for name in names}
@@ -155,7 +155,7 @@ def test_the_margin_by_two_routes():
     angles = np.geomspace(1e-3, np.pi, 200)
     slopes = (INPUT_BALL.lower, INPUT_BALL.alpha, INPUT_BALL.upper)
     by_space = max(
-        gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
+        largest_gains(sensitivity(model.linear, pair, slope, 1.0), angles).max() for slope in slopes
     )
     ks = pair.k[None]
     ls = pair.l[None]
@@ -226,12 +226,12 @@ def test_a_mode_at_a_zero_of_the_model_is_refused():
     d = np.zeros((1, 1))
     linear = StateSpace(a=a, b=b, c=numerator, d=d)
     model = replace(random_model(0), linear=linear, step_s=STEP_S)
-    system = with_modes(model, ["sine(2.1Hz)"])
+    system = append_internal_model(model, ["sine(2.1Hz)"])
     order = system.order
     assert order == 5
     words = ["step", "sine(2Hz)"]
     with pytest.raises(BadRequest, match=r"at 2 Hz the model passes .* leave this mode out"):
-        with_modes(model, words)
+        append_internal_model(model, words)
 
 
 def test_a_gain_of_another_internal_model_is_refused():

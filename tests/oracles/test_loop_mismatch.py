@@ -16,7 +16,7 @@ from loop_cases import (
     random_model,
 )
 
-from ssm_study.bounds.frequency import gains, hinf_norm
+from ssm_study.bounds.frequency import largest_gains, hinf_norm
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.bands import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
@@ -56,7 +56,7 @@ def test_resonance_is_found(radius, angle):
     d = np.zeros((1, 1))
     system = StateSpace(a=turn, b=b, c=c, d=d)
     near = angle + np.linspace(-1, 1, 20001) * 20 * (1 - radius)
-    reference = gains(system, np.concatenate([near, ANGLES])).max()
+    reference = largest_gains(system, np.concatenate([near, ANGLES])).max()
     assert hinf_norm(system) == pytest.approx(reference, rel=1e-6)
 
 
@@ -73,7 +73,7 @@ def test_no_frequency_exceeds_the_norm(seed, n, m, p, feedthrough):
     c = rng.standard_normal((p, n))
     d = rng.standard_normal((p, m)) if feedthrough else np.zeros((p, m))
     system = StateSpace(a=a, b=b, c=c, d=d)
-    on_grid = gains(system, ANGLES).max()
+    on_grid = largest_gains(system, ANGLES).max()
     upper_limit = hinf_norm(system) * (1 + 1e-9)
     assert on_grid <= upper_limit
     assert hinf_norm(system) <= on_grid * 1.05
@@ -136,7 +136,7 @@ def test_the_factors_agree_with_the_state_space_for_several_channels():
     balls = Balls(input=jacobian_ball, output=output)
     angles = np.linspace(0.01, np.pi, 50)
     by_space = max(
-        gains(sensitivity(linear, Gains(k=k, l=gain), i, o), angles).max()
+        largest_gains(sensitivity(linear, Gains(k=k, l=gain), i, o), angles).max()
         for i in (0.4, 0.7, 1.0)
         for o in (0.8, 0.95, 1.1)
     )
@@ -170,7 +170,7 @@ def test_the_sensitivity_is_the_loops_own_response_to_output_error():
     amplitude = np.abs(np.array(u[-1500:]) @ np.exp(-1j * angle * np.arange(1500))) * 2 / 1500
     pair = Gains(k=k, l=gain)
     state_space = sensitivity(model.linear, pair, slope, 1.0)
-    expected = gains(state_space, np.array([angle]))[0]
+    expected = largest_gains(state_space, np.array([angle]))[0]
     assert amplitude == pytest.approx(expected, rel=0.01)
 
 
@@ -254,7 +254,7 @@ def test_a_mismatch_that_hangs_on_the_frequency_is_resolved(records):
     np.testing.assert_allclose(shown.by_frequency, expected, atol=0.06)
     between = (BANDS[3] + BANDS[4]) / 2
     expected = shown.by_frequency[3:5].mean()
-    assert shown.at(np.array([between]))[0] == pytest.approx(expected)
+    assert shown.gain_at(np.array([between]))[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("period", [64.0731, 2000 / 31], ids=["once", "repeated"])

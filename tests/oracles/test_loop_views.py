@@ -240,7 +240,7 @@ def test_a_plant_that_does_not_rest_has_a_mismatch_without_bound():
                                                       True)):  # fmt: skip
         trajectory = Trajectory(u=still, y=left + noise, step_s=0.01)
         shown = measure_mismatch(model, (record,), 0, (trajectory,))
-        assert shown.rests == rests
+        assert shown.comes_to_rest == rests
         pair = motor_design().pair
         margin = predict(model, pair, BALLS, shown).resolved_margin
         assert (margin > 0) == rests

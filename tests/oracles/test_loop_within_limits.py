@@ -26,14 +26,14 @@ from ssm_study.signals import Scale
 from ssm_study.study.design_claims import stored_starts
 from ssm_study.synthesis.deployed import (
     WithinLimits,
-    outputs_of,
-    rest_corners,
-    starts_at_rest,
-    with_limits,
-    within_limits,
+    output_range,
+    equilibrium_corners,
+    equilibrium_starts,
+    certify_input_limits,
+    limits_proof,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.metrics import limit_facts
+from ssm_study.synthesis.metrics import limit_columns
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 LIMIT = np.array([0.6])
@@ -76,7 +76,7 @@ def inputs(model: SSM, design: Design, y0: float) -> np.ndarray:
 
 
 def test_inside_no_limit_acts_and_far_outside_one_does(pair: tuple[SSM, Design]) -> None:
-    found = within_limits(*pair, -LIMIT, LIMIT)
+    found = limits_proof(*pair, -LIMIT, LIMIT)
     assert found.lower[0] < 0 < found.upper[0]
     for y0 in np.linspace(found.lower[0], found.upper[0], 9):
         largest = np.abs(inputs(*pair, y0)).max()
@@ -89,7 +89,7 @@ def test_the_set_scales_with_the_limits_and_the_tighter_one_decides(
     pair: tuple[SSM, Design],
 ) -> None:
     one, two, skew = (
-        within_limits(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1))
+        limits_proof(*pair, low * LIMIT, high * LIMIT) for low, high in ((-1, 1), (-2, 2), (-9, 1))
     )
     assert np.allclose(two.upper, 2 * one.upper)
     assert np.allclose(skew.upper, one.upper)
@@ -163,7 +163,7 @@ def test_the_range_is_nearly_the_largest_there_is(pair: tuple[SSM, Design]) -> N
     """No range can be larger than the one whose end asks for the limit at once, or for some slope
     later."""
     model, design = pair
-    found = within_limits(model, design, -LIMIT, LIMIT)
+    found = limits_proof(model, design, -LIMIT, LIMIT)
     feedback = design.state_feedback
     y = np.array([1.0])
     x = scaled_equilibrium(model, y)[0][:, None]
@@ -186,7 +186,7 @@ def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
     rates = ("synthesis=riccati", "synthesis.rate_controller=0.2", "synthesis.rate_observer=0.4")
     design = st.control(plant, *rates)
     assert design.certificate.certified
-    found = within_limits(design.model, design.certificate, -LIMIT, LIMIT)
+    found = limits_proof(design.model, design.certificate, -LIMIT, LIMIT)
     assert found.everywhere is None
     upper_limit = found.upper[0]
     assert 0 < upper_limit < 10
@@ -194,12 +194,12 @@ def test_a_gain_that_needs_its_input_has_no_global_certificate() -> None:
 
 def test_refusals(pair: tuple[SSM, Design]) -> None:
     with pytest.raises(BadRequest, match="do not enclose the input at rest"):
-        within_limits(*pair, LIMIT, 2 * LIMIT)
+        limits_proof(*pair, LIMIT, 2 * LIMIT)
     model, design = pair
     feedback = replace(design.state_feedback, certified=False)
     changed_design = replace(design, state_feedback=feedback)
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        within_limits(model, changed_design, -LIMIT, LIMIT)
+        limits_proof(model, changed_design, -LIMIT, LIMIT)
 
 
 def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Design]) -> None:
@@ -209,9 +209,9 @@ def test_where_no_input_holds_an_output_there_is_no_range(pair: tuple[SSM, Desig
     c = 0 * model.linear.c
     linear = replace(model.linear, c=c)
     blind = model.with_linear(linear)
-    assert set(with_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
+    assert set(certify_input_limits(blind, design, -LIMIT, LIMIT)) == {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        within_limits(blind, design, -LIMIT, LIMIT)
+        limits_proof(blind, design, -LIMIT, LIMIT)
 
 
 def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
@@ -237,9 +237,9 @@ def test_where_the_input_moves_the_output_at_once_there_is_no_range() -> None:
     wanted = RiccatiSynthesis(rate_controller=0.8, rate_observer=0.4, input_weight=1e-3)
     balls = Balls(input=ball, output=ball)
     design = wanted.design(model, balls)
-    assert set(with_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
+    assert set(certify_input_limits(model, design, -LIMIT, LIMIT)) <= {"state_feedback_limited"}
     with pytest.raises(BadRequest, match="nothing is proved within them"):
-        within_limits(model, design, -LIMIT, LIMIT)
+        limits_proof(model, design, -LIMIT, LIMIT)
 
 
 def test_the_header_says_both(tmp_path: Path, smoke_run: Path) -> None:
@@ -277,10 +277,10 @@ def test_one_range_of_two_outputs_is_what_both_have(apart: float, shared: bool) 
     balls = Balls(input=ball, output=ball)
     design = wanted.design(model, balls)
     ends = np.full(2, -0.6), np.full(2, 0.6)
-    each = within_limits(model, design, *ends)
-    extra_certificates = with_limits(model, design, *ends)
+    each = limits_proof(model, design, *ends)
+    extra_certificates = certify_input_limits(model, design, *ends)
     changed_design = replace(design, extra_certificates=extra_certificates)
-    facts = limit_facts(changed_design, model)
+    facts = limit_columns(changed_design, model)
     upper_limit = [0.0, apart]
     assert (each.lower < upper_limit).all()
     lower_limit = [0.0, apart]
@@ -336,7 +336,7 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     model, design = coupled_pair(np.array([[1.0, coupling], [coupling, 1.0]]))
     assert design.certified
     ends = np.full(2, -0.6), np.full(2, 0.6)
-    found = within_limits(model, design, *ends)
+    found = limits_proof(model, design, *ends)
     corners = [np.array([s, t]) * found.upper for s, t in product((-1, 1), repeat=2)]
     requests = [largest_request(model, design, corner) for corner in corners]
     assert 0.4 < max(requests) <= 0.6
@@ -349,13 +349,13 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     parts = [design.state_feedback]
     old = certify_unlimited_start(parts, mapped, limits)
     assert old is not None
-    bounding = outputs_of(model, old.starts)[1] * np.array([1.0, -1.0])
+    bounding = output_range(model, old.starts)[1] * np.array([1.0, -1.0])
     assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)
-    part = with_limits(model, design, *ends)["state_feedback_unlimited"]
-    starts = starts_at_rest(model, part.starts)
+    part = certify_input_limits(model, design, *ends)["state_feedback_unlimited"]
+    starts = equilibrium_starts(model, part.starts)
     checked = stored_starts(part, starts)
     assert checked.holds
-    starts = starts_at_rest(model, old.starts)
+    starts = equilibrium_starts(model, old.starts)
     checked = stored_starts(old, starts)
     holds = checked.holds
     assert holds == (coupling == 0)
@@ -369,7 +369,7 @@ def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
     d = np.zeros((1, 2))
     lags = StateSpace(a=a, b=b, c=c, d=d)
     model = SSM.from_linear(lags, 0.1)
-    assert rest_corners(model) is None
+    assert equilibrium_corners(model) is None
     breakpoints = np.zeros((1, 1))
     slopes = np.array([[1.0, -1.0]])
     bent = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
@@ -380,4 +380,4 @@ def test_outputs_that_do_not_tell_the_state_at_rest_have_no_range() -> None:
     state_space = StateSpace(a=a, b=b, c=c, d=d)
     ssm = SSM.from_linear(state_space, 0.1)
     folded = replace(ssm, scaffold_out=bent)
-    assert rest_corners(folded) is None
+    assert equilibrium_corners(folded) is None

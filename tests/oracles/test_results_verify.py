@@ -22,7 +22,7 @@ from ssm_study.study.findings import Checked, Derived
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import _short, compare_column, judge_column, verify
-from ssm_study.synthesis.metrics import design_facts
+from ssm_study.synthesis.metrics import design_columns
 from ssm_study.table.columns import declaration_of
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
@@ -315,7 +315,7 @@ def test_a_part_without_certificate_is_recorded_with_its_reason(
     shown = measure_mismatch(run.model, kept.records, kept.start_up_samples)
     for made, reason in ((run.design, None), (missed, f"observer: {told}")):
         balls = certified_balls(run.model)
-        facts = design_facts(made, run.model, balls, shown)
+        facts = design_columns(made, run.model, balls, shown)
         assert facts.get("uncertified_reason") == reason
 
 

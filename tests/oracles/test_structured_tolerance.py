@@ -12,13 +12,13 @@ from structured_cases import drawn, model
 
 from ssm_study.bounds.frequency import hinf_norm
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
 from ssm_study.robustness.sensitivity import sensitivity
-from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates, within_reach
+from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates, none_if_unsolved
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.structured_lmi import largest_rate
@@ -198,7 +198,7 @@ def test_a_forged_number_is_found(
     content["tolerance"][name] = (
         value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
     )
-    content["tolerance"]["digest"] = digest(content["tolerance"])
+    content["tolerance"]["certificate_digest"] = certificate_digest(content["tolerance"])
     claims = broken(content, controlled)
     assert any(said in claim for claim in claims)
 
@@ -234,4 +234,4 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     balls = Balls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
     find = partial(largest_tolerance, known, one)
-    assert within_reach(find) is None
+    assert none_if_unsolved(find) is None

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.riccati import solve_riccati, solve_riccati_by_doubling
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, solve_at_tau, guaranteed_cost
 from ssm_study.synthesis.lmi import CompiledLmi
 from ssm_study.systems import JacobianBall
 
@@ -91,11 +91,11 @@ def test_the_tau_search_finds_the_cheapest_admissible_tau() -> None:
     problem = cost_problem()
     best = np.inf
     for tau in np.geomspace(1e-2, 1e6, 400):
-        point = at_tau(problem, tau)
+        point = solve_at_tau(problem, tau)
         best = min(best, np.inf if point is None else point.cost)
     status = guaranteed_cost(problem).status
     tau = float(status.split()[1])
-    found = at_tau(problem, tau)
+    found = solve_at_tau(problem, tau)
     assert found is not None
     upper_limit = best * (1 + 1e-3)
     assert found.cost <= upper_limit
@@ -108,8 +108,8 @@ def test_the_smallest_tau_is_where_the_gain_of_the_equation_changes_sign() -> No
     difference = 2.0**2 - 0.5**2
     smallest = problem.input_weight / difference
     tau = smallest * (1 - 1e-6)
-    assert at_tau(problem, tau) is None
-    assert at_tau(problem, smallest * 1e9) is not None
+    assert solve_at_tau(problem, tau) is None
+    assert solve_at_tau(problem, smallest * 1e9) is not None
 
 
 def test_the_cost_is_of_output_state_and_input() -> None:

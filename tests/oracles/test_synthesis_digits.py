@@ -14,8 +14,8 @@ from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.exact import Exact
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, fast_gain
-from ssm_study.synthesis.modes import _scale, split_modes
+from ssm_study.synthesis.minimum_energy import ClosedFormSynthesis, minimum_energy_gain
+from ssm_study.synthesis.modes import _state_scales, split_modes
 from ssm_study.systems import StateSpace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
@@ -46,7 +46,7 @@ def longer(matrix: np.ndarray) -> arb_mat:
 
 
 def least_metric(problem: Problem, k: np.ndarray, contraction: float, scale: np.ndarray) -> arb_mat:
-    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.whole_metric`), by doubling in
+    """`P = A_K (P^-1 - beta^2 K^T K)^-1 A_K^T + B B^T + E` (`modes.full_metric`), by doubling in
     400 bits."""
     r = arb(contraction)
     n = len(problem.a)
@@ -100,9 +100,9 @@ def test_its_gain_is_right_and_its_metric_lacks_a_few_bits(long_numbers: None) -
     limit = frontier(problem.a, problem.b, problem.ball).contraction_limit
     faster = float(problem.contraction * (limit / problem.contraction) ** 0.5)
     modes = split_modes(problem.a, problem.b, faster)
-    k = fast_gain(modes, problem.ball, faster).k
+    k = minimum_energy_gain(modes, problem.ball, faster).k
     between = float(faster * (problem.contraction / faster) ** 0.2)
-    metric = least_metric(problem, k, between, modes.right @ _scale(problem, modes, faster))
+    metric = least_metric(problem, k, between, modes.right @ _state_scales(problem, modes, faster))
     assert certified(problem, k, metric, 62)
     assert not certified(problem, k, metric, MANTISSA)
 

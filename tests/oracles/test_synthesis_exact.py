@@ -147,7 +147,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
         ]
     )
     asked = {"alpha": 0.7, "beta": 0.2, "rate": 0.4}
-    exactly = StateFeedbackOfBall.exactly(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
+    exactly = StateFeedbackOfBall.exact_conditions(a=a, b=b, p=p, y=y, k=k, sigma=1.3, **asked)
     actual = exactly["inequality"].to_floats()
     np.testing.assert_allclose(actual, one, atol=1e-13)
     c = b.T.copy()
@@ -162,7 +162,7 @@ def test_the_exact_blocks_are_the_theorems_blocks() -> None:
             [zero.T, border.T, 1.3 * np.eye(2)],
         ]
     )
-    exactly = ObserverOfBall.exactly(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
+    exactly = ObserverOfBall.exact_conditions(a=a, c=c, q=p, u=y, l=gain, eta=1.3, **asked)
     actual = exactly["inequality"].to_floats()
     np.testing.assert_allclose(actual, two, atol=1e-13)
 

@@ -16,7 +16,7 @@ from synthesis_ratio import ratio_limit
 from ssm_study.certificates.certificate import Infeasible, StateFeedback
 from ssm_study.certificates.frontier import energy_root, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.theorem import condition
+from ssm_study.certificates.theorem import scaled_condition_number
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.synthesis import modes
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -24,9 +24,9 @@ from ssm_study.synthesis.lmi import LmiSynthesis, paper_lmi
 from ssm_study.synthesis.minimum_energy import (
     SHARES,
     ClosedFormSynthesis,
-    fast_gain,
+    minimum_energy_gain,
     minimum_energy_solution,
-    whole_solution,
+    solution_with_full_metric,
 )
 from ssm_study.synthesis.modes import split_modes
 from ssm_study.systems import JacobianBall, StateSpace
@@ -83,7 +83,7 @@ def asked(case: Instance) -> Problem:
 @given(SEEDS, st.integers(1, 2))
 def test_the_metric_of_the_whole_model_holds_at_one_percent(seed: int, inputs: int) -> None:
     problem = asked(instance(seed, 0.01, inputs=inputs))
-    solution = whole_solution(problem, 0.5, 1.0)
+    solution = solution_with_full_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
 
 
@@ -104,7 +104,7 @@ def test_the_gain_is_built_between_the_asked_rate_and_the_frontier(radius: float
     problem = cost_problem(ball=ball)
     limit = frontier(problem.a, problem.b, problem.ball).rate_limit
     said = []
-    for found in (minimum_energy_solution(problem), whole_solution(problem, 0.5, 1.0)):
+    for found in (minimum_energy_solution(problem), solution_with_full_metric(problem, 0.5, 1.0)):
         assert holds(problem, found)
         said.append(found.status.split("at rate ")[1].split(",")[0])
     assert said[0] == said[1]
@@ -120,9 +120,9 @@ def test_the_metric_of_the_whole_model_needs_fewer_digits_than_the_block_diagona
     ]
     assert missed, "every model is easy: this test has nothing to show"
     for problem in missed:
-        whole = whole_solution(problem, 0.5, 1.0)
+        whole = solution_with_full_metric(problem, 0.5, 1.0)
         apart = minimum_energy_solution(problem)
-        assert condition(whole.p) < condition(apart.p) / 100
+        assert scaled_condition_number(whole.p) < scaled_condition_number(apart.p) / 100
         method = ClosedFormSynthesis(rate_controller=problem.rate, rate_observer=0.5)
         c = np.ones((1, 8))
         d = np.zeros((1, 1))
@@ -136,21 +136,21 @@ def test_a_slow_mode_out_of_reach_joins_the_metric_and_one_on_the_circle_does_no
     b = np.array([[1.0], [0.0]])
     state_weight = np.eye(2)
     problem = Problem(a=a, b=b, ball=ball, rate=0.2, state_weight=state_weight, input_weight=1.0)
-    solution = whole_solution(problem, 0.5, 1.0)
+    solution = solution_with_full_metric(problem, 0.5, 1.0)
     assert holds(problem, solution)
     a = np.diag([1.1, problem.contraction])
     on = replace(problem, a=a)
     contraction = on.contraction * (1 + 1e-12)
     apart = split_modes(on.a, on.b, contraction)
-    fast = fast_gain(apart, ball, on.contraction)
+    fast = minimum_energy_gain(apart, ball, on.contraction)
     with pytest.raises(NoSolution, match="on the circle"):
-        modes.whole_metric(on, apart, fast, 0.9)
+        modes.full_metric(on, apart, fast, 0.9)
 
 
 def test_without_fast_modes_there_is_nothing_to_couple() -> None:
     problem = replace(cost_problem(), a=0.1 * np.eye(len(cost_problem().a)))
     with pytest.raises(NoSolution, match="no fast modes"):
-        whole_solution(problem, 0.5, 1.0)
+        solution_with_full_metric(problem, 0.5, 1.0)
     for found in (
         minimum_energy_solution(problem),
         solve_on_fast_modes(problem, 0.5, "feasibility", "SCS"),
@@ -275,7 +275,7 @@ def test_the_gain_explicit_in_modes_is_the_gain_from_schur_coordinates(seed: int
     b = solution[:, 0]
     inverse = np.linalg.inv(vectors)
     k = modal_gain(values, b, ball, r) @ inverse
-    schur = fast_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
+    schur = minimum_energy_gain(split_modes(linear.a, linear.b, r), ball, r, widen=False).k[0]
     atol = 1e-8 * np.abs(schur).max(initial=1e-9)
     np.testing.assert_allclose(k.real, schur, rtol=1e-6, atol=atol)
     atol = 1e-8 * np.abs(schur).max(initial=1e-9)
@@ -300,7 +300,7 @@ def test_the_gain_mirrors_the_fast_modes_at_the_circle() -> None:
     rng = np.random.default_rng(5)
     linear = random_model(rng, 6, "unstable", mixed=True)
     ball = JacobianBall(alpha=2.0, beta=0.0)
-    gain = fast_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
+    gain = minimum_energy_gain(split_modes(linear.a, linear.b, 0.8), ball, 0.8, widen=False).k
     before = np.linalg.eigvals(linear.a)
     after = np.linalg.eigvals(linear.a + 2.0 * linear.b @ gain)
     mirrored = np.where(

@@ -15,7 +15,7 @@ from ssm_study.robustness.mismatch import Mismatch, measure_mismatch
 from ssm_study.robustness.sine_trials import measure_sine_mismatch, peak_lines
 from ssm_study.signals import Scale
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.sine_judgement import sine_facts
+from ssm_study.synthesis.sine_judgement import sine_columns
 from ssm_study.systems import StateSpace
 
 STEEP = Titration(lag_s=1.0, height=0.3, width=0.03)
@@ -95,7 +95,7 @@ def judged(
     rng = np.random.default_rng([0, 13])
     records = simulate_sine_records(plant, rng, NOISE, lines)
     sines = measure_sine_mismatch(model, records, mismatch, PERIOD)
-    facts = sine_facts(design, model, balls, mismatch, sines)
+    facts = sine_columns(design, model, balls, mismatch, sines)
     return facts["predicted_stable"], swing_of(plant, model, design)
 
 
@@ -107,7 +107,7 @@ def outcomes(request) -> tuple[Titration, list[tuple[bool, float]]]:
     trials = simulate_mismatch_records(plant, rng, NOISE)
     full = tuple(trial for trial in trials if trial.name == "trial_at_1")
     mismatch = measure_mismatch(model, full, 0, trials)
-    assert mismatch.rests
+    assert mismatch.comes_to_rest
     weights = [(0.1, 0.1), (1.0, 1.0)]
     return plant, [judged(plant, model, mismatch, *pair) for pair in weights]
 

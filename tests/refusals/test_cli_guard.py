@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssm_study.certificates.certificate import digest
+from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.cli.main import main
 from ssm_study.cli.parser import ACTIONS
 from ssm_study.engine.records import read_record, write_record
@@ -171,7 +171,7 @@ def test_a_certificate_that_lies_is_not_exported(
     content = json.loads(text)
     part = content["state_feedback"]
     part["k"] = [[5 * number for number in row] for row in part["k"]]
-    part["digest"] = digest(part)
+    part["certificate_digest"] = certificate_digest(part)
     text = json.dumps(content)
     (run / "certificate.json").write_text(text)
     seal_run(run)

@@ -36,6 +36,9 @@ INDEX = pd.date_range("2026-01-01", periods=T, freq="10ms")
         (np.stack([U, Y]), Y, r"has more channels than samples; transpose it: u.T"),
         (pd.Series(U, name="u", index=INDEX), pd.Series(Y, name="y", index=INDEX[::-1]), "differ"),
         (pd.Series(U, name="u", index=INDEX), Y, "step_s = 0.1: the index of u shows 0.01 s"),
+        (pd.Series(0.1 * np.arange(T), name="time"), Y, "time: is the clock: it increases"),
+        (np.stack([U, U], axis=1), Y, r"u_2: holds the numbers of u_1"),
+        (U, U, r"u, y \(column\) = y: holds the numbers of u"),
     ],
 )
 def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # type: ignore[no-untyped-def]
@@ -44,8 +47,8 @@ def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # ty
 
 
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    by_time = pd.Series(U, name="power", index=INDEX)
-    for u in (U, U[:, None], np.ma.masked_array(U), by_time, by_time.to_frame()):
+    split_by_time = pd.Series(U, name="power", index=INDEX)
+    for u in (U, U[:, None], np.ma.masked_array(U), split_by_time, split_by_time.to_frame()):
         logged_arrays = write_log_files(u, Y, tmp_path, 0.01)
         paths = logged_arrays.paths
         table = pd.read_parquet(paths[0])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ssm_study.certificates.certificate import digest
+from ssm_study.certificates.certificate import certificate_digest
 from ssm_study.cli.main import main
 from ssm_study.export.targets import describe_origin
 from ssm_study.table import gather
@@ -31,7 +31,7 @@ def forged(study: Path) -> None:
     text = path.read_text()
     content = json.loads(text)
     content["state_feedback"]["k"][0][0] *= 1.5
-    content["state_feedback"]["digest"] = digest(content["state_feedback"])
+    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
     text = json.dumps(content)
     path.write_text(text)
 

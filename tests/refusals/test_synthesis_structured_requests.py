@@ -9,7 +9,7 @@ import pytest
 from structured_cases import model
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import Design, digest
+from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.synthesis.deployed import at_largest_rate
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -31,7 +31,7 @@ def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
     content = json.loads(text)
     content[side][name] = value
     content[side]["certified_rate"] = content[side]["rate"]
-    content[side]["digest"] = digest(content[side])
+    content[side]["certificate_digest"] = certificate_digest(content[side])
     system = model().system
     balls = certified_balls(model())
     return failed_checks(content, system, balls)
@@ -99,7 +99,7 @@ def test_a_theorem_without_neurons_proves_nothing_of_a_model_with_them_and_the_r
     }
     for part, limit, beside in ((other[side], "stored", stored), (stored[side], "plain", other)):
         forged = part | {"rate_limit": limits[limit]}
-        content = beside | {side: forged | {"digest": digest(forged)}}
+        content = beside | {side: forged | {"digest": certificate_digest(forged)}}
         system = (stand if beside is stored else alone).system
         claims = failed_checks(content, system, certified_balls(stand))
         assert f"{side}: the matrices do not fit the model" in claims

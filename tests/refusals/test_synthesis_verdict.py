@@ -12,10 +12,14 @@ import numpy as np
 import pytest
 
 from ssm_study import exact
-from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, digest
+from ssm_study.certificates.certificate import Design, Infeasible, StateFeedback, certificate_digest
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
-from ssm_study.certificates.theorem import VerificationContext, smallest_eigenvalue, unit_diagonal
+from ssm_study.certificates.theorem import (
+    VerificationContext,
+    smallest_eigenvalue,
+    scale_to_unit_diagonal,
+)
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest
 from ssm_study.synthesis.design import DesignAttempt, failed_checks
@@ -62,7 +66,7 @@ def test_an_attempt_without_matrices_is_followed_by_the_next() -> None:
 
 def test_margins_are_of_a_unit_diagonal() -> None:
     matrix = np.array([[4.0, 1.0], [1.0, 9.0]])
-    scaled = unit_diagonal(matrix)
+    scaled = scale_to_unit_diagonal(matrix)
     expected = [[1, 1 / 6], [1 / 6, 1]]
     np.testing.assert_allclose(scaled, expected)
     assert smallest_eigenvalue(scaled) == pytest.approx(5 / 6)
@@ -73,7 +77,7 @@ def test_what_the_frontier_excludes_is_a_claim_that_holds() -> None:
     assert content["state_feedback"]["proved"]
     assert failed_checks(content, PLANT, BALLS) == []
     inside = content["state_feedback"] | {"rate": 0.1}
-    content["state_feedback"] = inside | {"digest": digest(inside)}
+    content["state_feedback"] = inside | {"digest": certificate_digest(inside)}
     claims = failed_checks(content, PLANT, BALLS)
     assert any("inside the frontier" in claim for claim in claims)
 
@@ -91,7 +95,7 @@ def test_a_certificate_of_another_order_does_not_fit() -> None:
 
 def test_the_digest_is_of_the_numbers_and_not_of_their_order() -> None:
     part = stored(0.3)["observer"]
-    assert digest(dict(reversed(part.items()))) == part["digest"]
+    assert certificate_digest(dict(reversed(part.items()))) == part["certificate_digest"]
 
 
 def test_a_malformed_part_says_what_is_wrong_with_it() -> None:
@@ -182,7 +186,7 @@ def test_one_unit_in_the_last_place_of_a_stored_number_is_found(
     def claims(value: float) -> list[str]:
         part = content["state_feedback"] | EDGE | {name: value}
         part |= {"certified_rate": part["rate"], **{key: [[part[key]]] for key in "py"}}
-        state_feedback = part | {"digest": digest(part)}
+        state_feedback = part | {"digest": certificate_digest(part)}
         said = failed_checks(content | {"state_feedback": state_feedback}, linear, BALLS)
         return [claim for claim in said if claim.startswith("state_feedback")]
 
@@ -204,7 +208,7 @@ def test_a_rate_of_one_or_more_is_no_certificate_though_the_inequality_may_hold(
     forged = replace(
         state_feedback, a=zero, b=one, p=-one, y=zero, k=zero, x=zero, sigma=0.1, rate=rate
     )
-    conditions = StateFeedbackOfBall.exactly(**forged.variables)
+    conditions = StateFeedbackOfBall.exact_conditions(**forged.variables)
     assert exact.is_positive_definite(conditions["inequality"]) is (rate > 1)
     text = json.dumps(replace(designed(), state_feedback=forged).to_json())
     content = json.loads(text)
@@ -222,12 +226,12 @@ def test_a_rate_at_the_frontier_is_refused_and_just_below_it_is_not() -> None:
         method="any",
         started=0.0,
     )
-    refused = request.refused()
+    refused = request.refuse_beyond_limit()
     assert isinstance(refused, Infeasible)
     assert refused.proved
     rate = float(np.nextafter(limit.rate_limit, 0))
     changed_request = replace(request, rate=rate)
-    assert changed_request.refused() is None
+    assert changed_request.refuse_beyond_limit() is None
 
 
 @pytest.mark.parametrize(
@@ -249,9 +253,10 @@ def test_the_margin_is_that_of_the_exact_inequality() -> None:
     numbers = part.variables | {"y": y}
     as_floats = type(part).as_floats
     ours, exactly = (
-        conditions(**numbers)["inequality"] for conditions in (as_floats, type(part).exactly)
+        conditions(**numbers)["inequality"]
+        for conditions in (as_floats, type(part).exact_conditions)
     )
-    expected = unit_diagonal(exactly.to_floats())
+    expected = scale_to_unit_diagonal(exactly.to_floats())
     np.testing.assert_allclose(ours, expected, atol=1e-13)
     known = {"method": "", "status": "", "rate_limit": 1.0, "started": 0.0}
     margin = type(part).proved(numbers, **known).margin

@@ -8,7 +8,7 @@ from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.coverage import Premise
 from ssm_study.robustness.coverage_table import CoverageBand, coverage_table
-from ssm_study.synthesis.measured_discs_run import weights_of
+from ssm_study.synthesis.measured_discs_run import certificate_weights
 
 HIGHEST = 100.0  # a band that is covered so often says no more than "far"
 
@@ -26,7 +26,7 @@ def coverage_picture(design: Design, premise: Premise, step_s: float) -> Picture
     missing = premise.missing(part.centre)
     if missing is not None:
         raise NothingToShow(f"Nothing is covered: {missing}.")
-    weights = weights_of(part)
+    weights = certificate_weights(part)
     rows = [row for row in coverage_table(premise, weights, part.centre, part.kappa) if row.need]
     if not rows:
         raise NothingToShow("The records show no model error in any band.")

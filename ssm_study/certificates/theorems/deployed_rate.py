@@ -78,6 +78,8 @@ def largest_rate(
         return 1 - smallest**2
 
     def excess(log_r: float) -> float:
+        """Contraction factor that a metric proves, minus the factor it was built for, at one
+        logarithm of that factor."""
         r = float(np.exp(log_r))
         none = np.zeros((len(k), b.shape[1]))
         norm = (
@@ -122,7 +124,7 @@ def at_largest_rate(part: Any) -> Side | None:
             continue
         status = f"{inside:.1%} inside the largest rate {limit:.6g}"
         numbers = part.numbers_of(
-            problem.at(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status)
+            problem.at_rate(rate), Solution(p=p, y=p, k=found.k, sigma=1.0, status=status)
         )
         told = {"rate_limit": part.rate_limit, "method": part.method}
         proved: Side = part.proved(numbers, status=status, started=started, **told)

@@ -61,9 +61,10 @@ NUDGE = 1e-9  # a pole on the circle has a gain, too
 SINE = re.compile(r"sine\((\d+(?:\.\d*)?(?:e-?\d+)?) ?Hz\)")
 
 
-def frequencies(words: Sequence[str]) -> dict[float, int]:
-    """Read how many modes an internal model has at each frequency. How many modes there are at each
-    frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at 0.5.
+def parse_frequencies(words: Sequence[str]) -> dict[float, int]:
+    """Read the words `step`, `ramp` and `sine:f` as the number of modes at each frequency. How many
+    modes there are at each frequency (Hz): `step` one at zero, `ramp` two, `sine(0.5Hz)` one at
+    0.5.
 
     Raises `BadRequest` for other words, and for the frequency zero.
     """
@@ -85,11 +86,12 @@ def frequencies(words: Sequence[str]) -> dict[float, int]:
 
 
 def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[np.ndarray, "z z"]:
-    """State matrix of the internal model of a reference or disturbance. `A_z`: the modes of one
-    output, each state repeated for every output. Raises `BadRequest` for too fast ones."""
+    """State matrix of the internal model that generates the given references or disturbances.
+    `A_z`: the modes of one output, each state repeated for every output. Raises `BadRequest` for
+    too fast ones."""
     blocks = []
     nyquist = 0.5 / step_s
-    for hertz, count in frequencies(words).items():
+    for hertz, count in parse_frequencies(words).items():
         problem = (
             f"half the sampling rate is {nyquist:g} Hz, and a model knows nothing from there on"
         )
@@ -106,20 +108,22 @@ def internal_model(words: Sequence[str], step_s: float, outputs: int) -> Float[n
     return np.kron(scipy.linalg.block_diag(*blocks), np.eye(outputs))
 
 
-def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1.0) -> System:
-    """Append an internal model to the identified model, with state `(x, z)`.
+def append_internal_model(
+    model: Model, words: Sequence[str] = ("step",), weight: float = 1.0
+) -> System:
+    """Append an internal model to the identified model, with joint state `(x, z)`.
 
     Raises `BadRequest` for a nonlinear output map, for more outputs than inputs, which could not
     steer them all, and where the inputs do not move every output at a mode.
     """
-    gain = output_gain(model)
+    gain = linear_output_gain(model)
     inputs = model.linear.b.shape[1]
     linear = linearise_at_equilibrium(model)
     linear = replace(linear, a=linear.a * (1 - NUDGE))
     problem = "an input is needed for every controlled output"
     remedy = "use a synthesis without an internal model"
     require(len(gain) <= inputs, FIELD, f"{len(gain)} outputs, {inputs} inputs", problem, remedy)
-    hertz = np.array(list(frequencies(words)))
+    hertz = np.array(list(parse_frequencies(words)))
     modes = internal_model(words, model.step_s, len(gain))
     moved = gain @ frequency_response(
         linear, np.concatenate([2 * np.pi * hertz * model.step_s, ANGLES])
@@ -133,17 +137,17 @@ def with_modes(model: Model, words: Sequence[str] = ("step",), weight: float = 1
     )
     remedy = "leave this mode out: no controller holds the output there"
     require(bool(shares.min() > BLOCKED), FIELD, list(words), problem, remedy)
-    return augmented(model.system, gain, modes, weight)
+    return augmented_system(model.system, gain, modes, weight)
 
 
-def augmented(
+def augmented_system(
     system: System,
     gain: Float[np.ndarray, "p k"],
     modes: Float[np.ndarray, "z z"],
     weight: float = 1.0,
 ) -> System:
-    """The recurrence of `(x, z)`; its output is what a cost weighs. Neurons drive both and see x
-    alone."""
+    """Recurrence of the model together with its internal model, whose output is what the cost
+    weighs. Neurons drive both and see x alone."""
     (n, m), p, z = system.b.shape, len(gain), len(modes)
     fed = error_input_matrix(modes, p) @ gain
     linear = {
@@ -165,9 +169,9 @@ def augmented(
     )
 
 
-def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
-    """Gain of a linear output map, required for an internal model. `G` of `S_y(v) = G v`. Raises
-    `BadRequest` for any other output map."""
+def linear_output_gain(model: Model) -> Float[np.ndarray, "p k"]:
+    """Gain of the model's output map, which has to be linear for an internal model. `G` of `S_y(v)
+    = G v`. Raises `BadRequest` for any other output map."""
     found = model.scaffold_out.as_portable()
     problem = "it needs a linear output map, so that it is part of the recurrence"
     remedy = "use scaffold@model.scaffold_out=linear"
@@ -176,12 +180,11 @@ def output_gain(model: Model) -> Float[np.ndarray, "p k"]:
 
 
 def controlled_system(model: Model, feedback: StateFeedback) -> System:
-    """System that a state feedback is certified for: the model's recurrence, with the internal
-    model that it states, if any.
+    """System for which a state feedback is certified: the model with its internal model, if any.
 
     The verifier holds this statement beside what was asked for.
     """
     n = model.order
     if feedback.a.shape[0] <= n:
         return model.system
-    return augmented(model.system, output_gain(model), feedback.a[n:, n:])
+    return augmented_system(model.system, linear_output_gain(model), feedback.a[n:, n:])

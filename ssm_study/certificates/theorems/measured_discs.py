@@ -69,7 +69,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.problem import DUAL
-from ssm_study.certificates.theorem import Blocks, Theorem, VerificationContext, diagonal, stacked
+from ssm_study.certificates.theorem import (
+    Blocks,
+    Theorem,
+    VerificationContext,
+    multiplier_matrix,
+    assemble_blocks,
+)
 from ssm_study.systems import JacobianBall, error_input_matrix
 
 OF_THE_OUTPUT = ("c", "d", "h")  # read from the model, the others from what is controlled
@@ -115,7 +121,7 @@ class MeasuredDiscs(Theorem):
         disc = of.kappa * of.kappa * of.floor * of.floor - of.centre * of.centre
         positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "kappa", "floor")}
         if of.lambda_out.shape[1]:
-            positive["lambda_out"] = [[diagonal(of.lambda_out)]]
+            positive["lambda_out"] = [[multiplier_matrix(of.lambda_out)]]
         return {"inequality": [[form]], "model inside the disc": [[disc]], **positive}
 
     @staticmethod
@@ -146,22 +152,21 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def inputs_of(cls, of: Any) -> dict[str, int]:
-        """Number of entries of each free signal, in the order of the columns."""
+        """Number of entries of each free signal of the loop, in the order of the columns."""
         (_, m), (p, _) = of.b.shape, of.c.shape
         bent = {"r1": p, "r2": p} if of.lambda_out.shape[1] else {}
         return {"p": m, "e": p, **bent}
 
     @classmethod
     def signals(cls, of: Any) -> SimpleNamespace:
-        """Rows over `(xi, p, e, ...)` that give every signal of the theorem's statement, from the
-        fields of `of`."""
+        """Matrices that give every signal of the theorem from the states and the free signals."""
         (s, m), (p, n) = of.b.shape, of.c.shape
         filters = {
-            "x_w": (len_of(of.weight_output) - 1) * p,
-            "x_v": (len_of(of.weight_input) - 1) * m,
+            "x_w": (count_rows(of.weight_output) - 1) * p,
+            "x_v": (count_rows(of.weight_input) - 1) * m,
         }
         states = {"x": s, "eps": n, **filters}
-        rows = SimpleNamespace(**selectors(states | cls.inputs_of(of)))
+        rows = SimpleNamespace(**selection_matrices(states | cls.inputs_of(of)))
         rows.xi = np.vstack([getattr(rows, name) for name in states])
         rows.u = of.k @ rows.x + of.k[:, :n] @ rows.eps
         rows.drive = of.alpha * rows.u + rows.p
@@ -173,10 +178,10 @@ class MeasuredDiscs(Theorem):
         fed = np.vstack([np.zeros((n, p)), error_input_matrix(np.eye(s - n), p)])
         moved = of.a @ rows.x + of.b @ rows.drive + fed @ rows.e
         error = of.a[:n, :n] @ rows.eps + of.l @ rows.injected
-        next_w, rows.w_m = filter_rows(of.weight_output, rows.x_w, rows.m, p)
-        next_v, rows.v_u = filter_rows(of.weight_input, rows.x_v, rows.u, m)
+        next_w, rows.w_m = apply_filter(of.weight_output, rows.x_w, rows.m, p)
+        next_v, rows.v_u = apply_filter(of.weight_input, rows.x_v, rows.u, m)
         moved, error = cls.neurons_at_states(of, rows, moved, error)
-        rows.step = stacked(
+        rows.step = assemble_blocks(
             [[moved], [error], *([part] for part in (next_w, next_v) if part.shape[0])]
         )
         return rows
@@ -189,8 +194,8 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def neurons_at_states(cls, of: Any, rows: Any, moved: Any, error: Any) -> tuple[Any, Any]:
-        """Add what the neurons contribute to the next states. The next states with what neurons
-        add to them; unchanged of one layer."""
+        """Add the neurons' contribution to the next states of model and observer. The next states
+        with what neurons add to them; unchanged of one layer."""
         del of, rows
         return moved, error
 
@@ -204,7 +209,7 @@ class MeasuredDiscs(Theorem):
 
     @classmethod
     def loop_of(cls, context: VerificationContext) -> dict[str, Any]:
-        """Matrices of the loop, from the model and the gains of the design."""
+        """Matrices of the closed loop, from the model and the gains of the design."""
         names = [field.name for field in fields(cls) if field.name in DUAL]
         loop = {
             name: getattr(context.system if name in OF_THE_OUTPUT else context.controlled, name)
@@ -222,12 +227,12 @@ class MeasuredDiscs(Theorem):
         """Return None, as this theorem claims no rate."""
 
 
-def len_of(matrix: Any) -> int:
-    """Number of rows of a matrix, in floats or exact numbers."""
+def count_rows(matrix: Any) -> int:
+    """Number of rows of a matrix of floats or of exact numbers."""
     return int(matrix.shape[0])
 
 
-def selectors(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
+def selection_matrices(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
     """Selection matrices that pick each named part out of a stacked vector."""
     ends = np.cumsum(list(sizes.values()))
     identity = np.eye(int(ends[-1]))
@@ -235,10 +240,9 @@ def selectors(sizes: dict[str, int]) -> dict[str, Float[np.ndarray, "_ N"]]:
     return dict(zip(sizes, pieces, strict=True))
 
 
-def filter_rows(weight: Any, state: Any, signal: Any, channels: int) -> tuple[Any, Any]:
-    """The next state and the output of a filter of one channel, applied to each channel of a
-    signal."""
-    order = len_of(weight) - 1
+def apply_filter(weight: Any, state: Any, signal: Any, channels: int) -> tuple[Any, Any]:
+    """Next state and output of a single-channel filter, applied to each channel of a signal."""
+    order = count_rows(weight) - 1
     a = weight[:order, :order]
     b = weight[:order, order:]
     c = weight[order:, :order]
@@ -252,4 +256,4 @@ def filter_rows(weight: Any, state: Any, signal: Any, channels: int) -> tuple[An
         entering = signal[i : i + 1, :]
         steps.append([a @ own + b @ entering])
         outputs.append([c @ own + direct * entering])
-    return stacked(steps), stacked(outputs)
+    return assemble_blocks(steps), assemble_blocks(outputs)

@@ -50,7 +50,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
+from ssm_study.certificates.theorem import Blocks, VerificationContext, multiplier_matrix
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 
 
@@ -70,7 +70,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:
         found = super().conditions(of)
-        return found | {"lambda": [[diagonal(of.lambda_)]]}
+        return found | {"lambda": [[multiplier_matrix(of.lambda_)]]}
 
     @classmethod
     def inputs_of(cls, of: Any) -> dict[str, int]:
@@ -101,7 +101,7 @@ class StructuredMeasuredDiscs(MeasuredDiscs):
         forms = super().static_map_forms(of, signals)
         q = of.g.shape[0]
         for i, (given, seen) in enumerate(cls.neuron_pairs(of, signals)):
-            weights = diagonal(of.lambda_[:, i * q : (i + 1) * q])
+            weights = multiplier_matrix(of.lambda_[:, i * q : (i + 1) * q])
             weighted = weights @ (given - seen)
             forms.append((1, given.T @ weighted + weighted.T @ given))
         return forms

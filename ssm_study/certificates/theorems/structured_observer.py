@@ -43,7 +43,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import Observer, ProblemCertificate
-from ssm_study.certificates.theorem import Blocks, VerificationContext, diagonal
+from ssm_study.certificates.theorem import Blocks, VerificationContext, multiplier_matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,24 +65,24 @@ class StructuredObserver(ProblemCertificate, Observer):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         """Blocks of the theorem's inequality with the multipliers of the certificate."""
-        weights = diagonal(of.lambda_)
+        weights = multiplier_matrix(of.lambda_)
         return inequality(of, weights, weights @ of.l_z)
 
     @classmethod
     def holds(cls, **numbers: Any) -> bool:
-        """The conditions, and the hypothesis on `L_z`."""
-        return not _looped(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
+        """Whether the conditions of the theorem hold, and its hypothesis on `L_z`."""
+        return not _closes_algebraic_loop(numbers["h"], numbers["l_z"]) and super().holds(**numbers)
 
     def failed_checks(self, context: VerificationContext) -> list[str]:
         """Checks that fail: those of every theorem, and the hypothesis on `L_z`."""
-        looped = _looped(self.h, self.l_z) and self.certified
+        looped = _closes_algebraic_loop(self.h, self.l_z) and self.certified
         return [
             ".l_z: must be zero, for neurons stand in the output (H)"
         ] * looped + super().failed_checks(context)
 
 
-def _looped(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:
-    """Whether injection into the neurons closes an algebraic loop, because they enter the
+def _closes_algebraic_loop(h: Float[np.ndarray, "p q"], l_z: Float[np.ndarray, "q p"]) -> bool:
+    """Whether injection into the neurons closes an algebraic loop, because neurons enter the
     output."""
     return bool(np.any(h) and np.any(l_z))
 

@@ -48,7 +48,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.certificates.certificate import ProblemCertificate, StateFeedback
-from ssm_study.certificates.theorem import Blocks, diagonal
+from ssm_study.certificates.theorem import Blocks, multiplier_matrix
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +69,7 @@ class StructuredStateFeedback(ProblemCertificate, StateFeedback):
     @staticmethod
     def inequality(of: Any) -> Blocks:
         """Blocks of the theorem's inequality with the multipliers of the certificate."""
-        weights = diagonal(of.lambda_)
+        weights = multiplier_matrix(of.lambda_)
         return inequality(of, (weights, np.eye(weights.shape[0]), weights))
 
 

@@ -54,7 +54,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.theorem import VerificationContext, stacked
+from ssm_study.certificates.theorem import VerificationContext, assemble_blocks
 from ssm_study.certificates.theorems.tolerance import Candidates, Tolerance
 
 
@@ -73,8 +73,7 @@ class StructuredTolerance(Tolerance):
 
     @staticmethod
     def matrices(of: Any) -> Any:
-        """Matrices `[A_xi B_p B_e B_w B_d]`, `C_u` and `Z` of the theorem's statement, from the
-        fields of `of`."""
+        """Matrices of the loop in the theorem's statement, from the fields of the certificate."""
         (s, m), (p, n), q = of.b.shape, of.c.shape, of.g.shape[0]
         (linear, into_u), filtered = Tolerance.matrices(of), of.weight.shape[0] - m
         inside = of.e[:n, :] + of.alpha_out * (of.l @ of.h)
@@ -93,7 +92,11 @@ class StructuredTolerance(Tolerance):
             np.zeros((q, m)),
             -1.0 * of.l_z,
         ]
-        return stacked([[linear, stacked(steps)]]), into_u, stacked([first, second])
+        return (
+            assemble_blocks([[linear, assemble_blocks(steps)]]),
+            into_u,
+            assemble_blocks([first, second]),
+        )
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
         looped = context.system.h.any() and self.l_z.any()
@@ -103,8 +106,9 @@ class StructuredTolerance(Tolerance):
     def candidates(
         cls, into_w: Any, beta: float, loop: Any, into_u: Any, seen: Any = None
     ) -> Candidates:
-        """Candidates like those of `Tolerance`, with `lambda_`. A semidefinite program maximises
-        `s^2`; each candidate lies a little inside, with room to round."""
+        """Candidate values of the tolerance with metric and neuron multipliers, the largest
+        tolerance first. A semidefinite program maximises `s^2`; each candidate lies a little
+        inside, with room to round."""
         from ssm_study.certificates.semidefinite import largest_mismatch  # CVXPY
 
         for found in largest_mismatch(loop, into_u, seen, into_w, beta):

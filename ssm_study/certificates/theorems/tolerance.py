@@ -55,15 +55,15 @@ import scipy
 from jaxtyping import Float
 
 from ssm_study.bounds.frequency import frequency_response
-from ssm_study.certificates.problem import DUAL, symmetric
+from ssm_study.certificates.problem import DUAL, symmetric_part
 from ssm_study.certificates.riccati import solve_riccati_by_doubling
 from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
     VerificationContext,
-    diagonal,
-    full,
-    stacked,
+    multiplier_matrix,
+    symmetric_from_upper,
+    assemble_blocks,
 )
 from ssm_study.systems import JacobianBall, StateSpace, error_input_matrix
 
@@ -112,18 +112,19 @@ class Tolerance(Theorem):
         storage = of.p - ball - of.s * of.s * (into_w.T @ into_w)
         of_ball = of.lambda_p * np.eye(of.b.shape[1])
         of_mismatch = np.eye(of.c.shape[0])
-        supply = stacked(full([[storage, 0, 0], [of_ball, 0], [of_mismatch]]))
+        supply = assemble_blocks(
+            symmetric_from_upper([[storage, 0, 0], [of_ball, 0], [of_mismatch]])
+        )
         for neuron_inputs in neurons:  # none, or what `structured_tolerance` adds
-            weights = diagonal(of.lambda_)
+            weights = multiplier_matrix(of.lambda_)
             coupling = -1.0 * (weights @ neuron_inputs).T
-            supply = stacked(full([[supply, coupling], [2.0 * weights]]))
+            supply = assemble_blocks(symmetric_from_upper([[supply, coupling], [2.0 * weights]]))
         positive = {name: [[getattr(of, name)]] for name in ("p", "lambda_p", "s")}
         return {"inequality": [[supply - loop.T @ of.p @ loop]], **positive}
 
     @staticmethod
     def matrices(of: Any) -> Any:
-        """Matrices `[A_xi B_p B_e]` and `C_u` of the theorem's statement, from the fields of
-        `of`."""
+        """Matrices of the loop in the theorem's statement, from the fields of the certificate."""
         s, m = of.b.shape
         p, n = of.c.shape
         w = of.weight.shape[0] - m
@@ -137,18 +138,20 @@ class Tolerance(Theorem):
         top = [closed, of.alpha * (of.b @ k_x), none, of.b, fed]
         middle = [np.zeros((n, s)), observed, np.zeros((n, w)), np.zeros((n, m)), -of.l]
         bottom = [b_w @ of.k, b_w @ k_x, a_w, np.zeros((w, m)), np.zeros((w, p))]
-        return stacked([top, middle, bottom]), stacked([[of.k, k_x, np.zeros((m, w))]])
+        return assemble_blocks([top, middle, bottom]), assemble_blocks(
+            [[of.k, k_x, np.zeros((m, w))]]
+        )
 
     @staticmethod
     def seen(of: Any) -> Any:
-        """Output matrix `C_W` of the weighted input, to which the gain from the error e is
+        """Output matrix of the weighted input, to which the gain from the model error is
         measured."""
         n = of.c.shape[1]
         m = of.b.shape[1]
         w = of.weight.shape[0] - m
         c_w = of.weight[w:, :w]
         d_w = of.weight[w:, w:]
-        return stacked([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
+        return assemble_blocks([[d_w @ of.k, d_w @ of.k[:, :n], c_w]])
 
     def model_data(self, context: VerificationContext) -> dict[str, Any]:
         return self.loop_of(context) | {"weight": np.eye(len(self.k))}
@@ -169,8 +172,8 @@ class Tolerance(Theorem):
     def candidates(
         cls, into_w: Into, beta: float, loop: Float[np.ndarray, "x c"], into_u: Into
     ) -> Candidates:
-        """Candidates `s, lambda_p, p` inside the largest s, in the order in which they are tried,
-        each with the `status` that reports it.
+        """Candidate values of the tolerance with their multiplier and metric, the largest tolerance
+        first.
 
         A search over the one multiplier: at a given `lambda_p` the largest s is a peak over
         frequency, and P the least solution of a Riccati equation. No solver is asked; one is the
@@ -178,14 +181,14 @@ class Tolerance(Theorem):
         """
         if np.abs(np.linalg.eigvals(loop[:, : len(loop)])).max() >= 1:
             return
-        lambda_p, largest = _search(loop, beta * into_u, into_w)
+        lambda_p, largest = _best_multiplier(loop, beta * into_u, into_w)
         if not largest < np.inf:
             return
         scaled_u = lambda_p**0.5 * beta * into_u
         for inside, slack in product(INSIDE, SLACKS):
             s = largest * (1 - inside)
             half_way = largest * (1 - inside / 2) * into_w
-            p = _energy(loop, scaled_u, half_way, lambda_p, slack)
+            p = _solve_riccati(loop, scaled_u, half_way, lambda_p, slack)
             if p is not None and s > 0:
                 status = f"{inside:.1%} inside the largest at this multiplier"
                 yield {"s": s, "lambda_p": lambda_p, "p": p, "status": status}
@@ -222,9 +225,11 @@ def largest_tolerance(
     return None
 
 
-def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple[float, float]:
-    """Search the multiplier that tolerates the largest mismatch. The multiplier, and the largest
-    s that it allows: peaks on a grid of frequencies, refined around the worst."""
+def _best_multiplier(
+    loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into
+) -> tuple[float, float]:
+    """Multiplier at which the tolerated mismatch is largest, with that mismatch. The multiplier,
+    and the largest s that it allows: peaks on a grid of frequencies, refined around the worst."""
     order = len(loop)
     m = len(into_u)
     outputs = np.vstack([into_u, into_w])
@@ -238,22 +243,23 @@ def _search(loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into) -> tuple
     logs = np.log(MULTIPLIERS * (1 / gain**2 if gain > 0 else 1.0))
 
     def peak(log_multiplier: float) -> float:
+        """Largest inverse squared tolerance over frequency at one logarithm of the multiplier."""
         return float(_inverse_squares(response, m, log_multiplier).max())
 
     best = int(np.argmin([peak(log) for log in logs]))
-    around = _neighbours(logs, best)
+    around = _neighbouring_values(logs, best)
     refined = float(scipy.optimize.minimize_scalar(peak, bounds=around, method="bounded").x)
     log = min((float(logs[best]), refined), key=peak)
     worst = int(np.argmax(_inverse_squares(response, m, log)))
-    near = np.linspace(*_neighbours(angles, worst), len(ANGLES))
+    near = np.linspace(*_neighbouring_values(angles, worst), len(ANGLES))
     between = float(_inverse_squares(frequency_response(system, near), m, log).max())
     highest = max(peak(log), between)
     largest = highest**-0.5 if highest > 0 else np.inf
     return float(np.exp(log)), largest
 
 
-def _neighbours(values: Float[np.ndarray, "K"], at: int) -> tuple[float, float]:
-    """The neighbours before and after an entry of a row, or the entry itself at an end."""
+def _neighbouring_values(values: Float[np.ndarray, "K"], at: int) -> tuple[float, float]:
+    """Entries before and after one entry of a sorted row, or the entry itself at an end."""
     last = len(values) - 1
     return values[max(at - 1, 0)], values[min(at + 1, last)]
 
@@ -270,24 +276,25 @@ def _inverse_squares(response: np.ndarray, m: int, log_multiplier: float) -> Flo
     scaled[:, :, :m] /= root  # the first input is p, the others e
     first = root * scaled[:, :m]
     second = scaled[:, m:]
-    room = np.eye(scaled.shape[2]) - _adjoint(first) @ first
-    through = second @ np.linalg.solve(room, _adjoint(second))
-    hermitian = (through + _adjoint(through)) / 2
+    room = np.eye(scaled.shape[2]) - _conjugate_transpose(first) @ first
+    through = second @ np.linalg.solve(room, _conjugate_transpose(second))
+    hermitian = (through + _conjugate_transpose(through)) / 2
     largest = np.linalg.eigvalsh(hermitian)[:, -1]
     has_room = np.linalg.eigvalsh(room)[:, 0] > 0
     return np.where(has_room, largest, np.inf)
 
 
-def _adjoint(matrices: np.ndarray) -> np.ndarray:
-    """Conjugate transpose of each matrix."""
+def _conjugate_transpose(matrices: np.ndarray) -> np.ndarray:
+    """Conjugate transpose of each matrix of a stack."""
     return np.conj(matrices.transpose(0, 2, 1))
 
 
-def _energy(
+def _solve_riccati(
     loop: Float[np.ndarray, "x c"], into_u: Into, into_w: Into, lambda_p: float, slack: float
 ) -> Float[np.ndarray, "x x"] | None:
-    """Solve the Riccati equation of the tolerance for a fixed multiplier. `P = A^T P A + A^T P B
-    (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the Gramian's coordinates."""
+    """Solve the Riccati equation of the theorem for a fixed multiplier; None if there is no
+    solution. `P = A^T P A + A^T P B (R - B^T P B)^{-1} B^T P A + C^T C + E`, solved in the
+    Gramian's coordinates."""
     order = len(loop)
     m = len(into_u)
     a = loop[:, :order]
@@ -296,7 +303,7 @@ def _energy(
     gramian = scipy.linalg.solve_discrete_lyapunov(a, b @ b.T)
     one = np.eye(order)
     least = FLOOR * np.trace(gramian) / order * one
-    right = np.linalg.cholesky(symmetric(gramian) + least)
+    right = np.linalg.cholesky(symmetric_part(gramian) + least)
     left = np.linalg.inv(right)
     scaled_u = into_u @ right
     scaled_w = into_w @ right
@@ -308,4 +315,4 @@ def _energy(
     )
     if p is None:
         return None
-    return symmetric(left.T @ p @ left)
+    return symmetric_part(left.T @ p @ left)

@@ -59,7 +59,7 @@ def iterate_datasets(name: str, node: Any) -> Iterator[tuple[str, Any]]:
     elif "MATLAB_empty" in node.attrs:
         return
     elif node.dtype.kind not in "fiub":
-        yield name, "complex" if node.dtype.names else WORDS.get(kind, "no number")
+        yield name, "complex" if node.dtype.names else WORDS.get(kind, "an array of structs")
     else:
         yield name, node
 

@@ -14,11 +14,15 @@ from pyarrow import csv as arrow_csv
 from ssm_study.data.dates import AmbiguousDates, is_date, seconds_since_first
 from ssm_study.data.readers.reader import Reader, Table, find_column
 from ssm_study.data.text_layout import MISSING, TextLayout, TextSettings, detect_layout
+from ssm_study.data.written_numbers import AMBIGUOUS, plain_numbers
 from ssm_study.refusal import BadRequest
 
 # A title and its unit in brackets of either kind.
 STATED_UNIT = re.compile(r"^\s*(.*?)\s*(?:\[([^\]]*)\]|\(([^()]*)\))?\s*$", re.DOTALL)
+MOSTLY = 0.5  # share of numbers, from which on a column's first other cell is named
 NUMBER = r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$"
+DATE_ALONE = r"^\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}$"
+TIME_ALONE = r"^\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(\s*[AaPp]\.?\s?[Mm]\.?)?$"
 INFINITE = r"^[-+]?(inf|infinity)$"
 
 
@@ -72,18 +76,25 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         for title, place in places.items():
             values, problem = parse_column(table.column(place), layout)
             if values is None:
-                skipped[title] = problem
+                skipped[title] = f"{problem}{first_cell_words(table.column(place), layout)}"
             else:
                 columns[title] = values
         drop_empty_last_column(columns, titles[-1], layout.names is None)
+        dated = date_column_names(table, places)
+        of_day = time_of_day_beside_date(table)
+        if of_day is not None:
+            title = titles[of_day[0]]
+            columns[title] = of_day[1]
+            dated = dated | {title}
+            skipped.pop(title, None)
         return Table(
-            columns=columns,
+            columns={title: columns[title] for title in titles if title in columns},
             units={title: units[places[title]] for title in columns},
             row_word="line",
             row_numbers=layout.line_numbers,
             remark=layout.describe(),
             skipped=skipped,
-            dated=date_column_names(table, places),
+            dated=dated,
             nameless=layout.names is None,
         )
 
@@ -186,14 +197,25 @@ def parse_column(
     cells = strip_cells(column)
     missing = mark_missing_cells(cells)
     plain = pc.replace_substring(cells, ",", ".") if layout.decimal == "," else cells
-    number = pc.match_substring_regex(plain, NUMBER)
+    has_groups = layout.decimal == "," and pc.any(pc.match_substring(cells, ".")).as_py()
+    if has_groups or not are_numbers(plain, missing):
+        plain, ambiguity = plain_numbers(cells, missing, layout.decimal)
+        if ambiguity:
+            return None, ambiguity
+        if not are_numbers(plain, missing):
+            return parse_dates(cells, missing)
     infinite = pc.match_substring_regex(plain, INFINITE, ignore_case=True)
-    if not pc.all(pc.or_(pc.or_(missing, number), infinite)).as_py():
-        return parse_dates(cells, missing)
     bare = pc.replace_substring_regex(plain, r"^\+", "")
     bare = pc.if_else(infinite, "inf", pc.if_else(missing, None, bare))
     values = pc.cast(bare, pa.float64()).to_numpy()
     return np.array(values, dtype=np.float64), ""
+
+
+def are_numbers(cells: pa.ChunkedArray, missing: pa.ChunkedArray) -> bool:
+    """Whether every cell is a number, infinite or missing."""
+    number = pc.match_substring_regex(cells, NUMBER)
+    infinite = pc.match_substring_regex(cells, INFINITE, ignore_case=True)
+    return bool(pc.all(pc.or_(pc.or_(missing, number), infinite)).as_py())
 
 
 def parse_dates(
@@ -213,6 +235,29 @@ def parse_dates(
     return seconds, ""
 
 
+def time_of_day_beside_date(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"]] | None:
+    """Place of a column of times of day beside one of dates without times, and the seconds since
+    the first of date and time together; None without such a pair."""
+    for place in range(table.num_columns):
+        if not all_match(table.column(place), TIME_ALONE):
+            continue
+        for other in (place - 1, place + 1):
+            if 0 <= other < table.num_columns and all_match(table.column(other), DATE_ALONE):
+                dates = strip_cells(table.column(other)).to_pylist()
+                times = strip_cells(table.column(place)).to_pylist()
+                cells = [f"{date} {time}" for date, time in zip(dates, times, strict=True)]
+                try:
+                    return place, seconds_since_first(cells)
+                except AmbiguousDates:
+                    return None
+    return None
+
+
+def all_match(column: pa.ChunkedArray, form: str) -> bool:
+    """Whether every cell of a column has a form."""
+    return bool(pc.all(pc.match_substring_regex(strip_cells(column), form)).as_py())
+
+
 def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]:
     """Names of the columns that hold dates."""
     dated = set()
@@ -224,17 +269,32 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
     return frozenset(dated)
 
 
+def first_cell_words(column: pa.ChunkedArray, layout: TextLayout) -> str:
+    """Words on the first cell of a column that is no number, where most others are."""
+    cells = strip_cells(column)
+    plain = plain_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
+    is_number = pc.match_substring_regex(plain, NUMBER)
+    if pc.mean(is_number.cast(pa.float64())).as_py() < MOSTLY:
+        return ""
+    row = pc.index(is_number, False).as_py()
+    return f" in line {layout.line_numbers[row]}: {cells[row].as_py()}"
+
+
 def unreadable_cell_error(
     path: Path, name: str, column: pa.ChunkedArray, layout: TextLayout, problem: str
 ) -> BadRequest:
     """Error that names the first cell of a column that is no number, or no date."""
-    cells = strip_cells(column).to_pylist()
-    dated = problem.startswith("no date")
-    for cell, line in zip(cells, layout.line_numbers, strict=True):
-        plain = cell.replace(",", ".") if layout.decimal == "," else cell
-        good = is_date(cell) if dated else re.match(NUMBER, plain)
-        if not good and cell.lower() not in MISSING:
-            where = f"{path.name}, column {name}, line {line}"
-            return BadRequest(where, cell, problem, "correct the file there")
+    cells = strip_cells(column)
     where = f"{path.name}, column {name}"
-    return BadRequest(where, cells[0], problem, "write dates as 2026-01-31 12:00:00")
+    texts = cells.to_pylist()
+    if problem == AMBIGUOUS:
+        mark = "," if layout.decimal == "." else "."
+        cell = next(text for text in texts if mark in text)
+        return BadRequest(where, cell, problem, "write 20007 or 20.007, whichever is meant")
+    dated = problem.startswith("no date")
+    plain = plain_numbers(cells, mark_missing_cells(cells), layout.decimal)[0].to_pylist()
+    for text, number, line in zip(texts, plain, layout.line_numbers, strict=True):
+        good = is_date(text) if dated else re.match(NUMBER, number)
+        if not good and text.lower() not in MISSING:
+            return BadRequest(f"{where}, line {line}", text, problem, "correct the file there")
+    return BadRequest(where, texts[0], problem, "write dates as 2026-01-31 12:00:00")

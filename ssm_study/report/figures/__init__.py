@@ -4,8 +4,12 @@ its caption.
 A new figure is a new file here: `names()` finds it, and every command and test with it.
 """
 
+import base64
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from pkgutil import iter_modules
 from types import ModuleType
@@ -43,6 +47,31 @@ def drawn(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure
     with style.paper_style(width):
         figure: Figure = _module(name).draw(study)
     return figure
+
+
+@dataclass(frozen=True)
+class CaptionedFigure:
+    """Figure with its caption, as a notebook shows it."""
+
+    png: bytes
+    caption: str
+
+    def _repr_mimebundle_(self, **_: object) -> dict[str, object]:
+        source = f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
+        caption = f"<figcaption>{escape(self.caption)}</figcaption>"
+        return {
+            "text/html": f'<figure><img src="{source}" alt="" width="720">{caption}</figure>',
+            "image/png": base64.b64encode(self.png).decode(),
+            "text/markdown": f"*{self.caption}*",
+        }
+
+
+def captioned_figure(name: str, study: StudyFolder, width: style.Width = "page") -> CaptionedFigure:
+    """Draw a figure of a study for a notebook. Raises `NothingToDraw` with the reason."""
+    content = BytesIO()
+    with style.paper_style(width):
+        drawn(name, study, width).savefig(content, format="png")
+    return CaptionedFigure(png=content.getvalue(), caption=caption(name))
 
 
 def draw(

@@ -1,6 +1,6 @@
-"""Controllers side by side: settling time relative to the plant left alone, on a logarithmic axis,
-peak input, and the share of starts settled where it is not the same for all (one dot per run, a bar
-at the median of several). From the runs' own comparisons where they made one."""
+"""Controllers side by side: settling time relative to the uncontrolled plant, on a logarithmic
+axis, peak input, and the share of starts settled where it is not the same for all (one dot per run,
+a bar at the median of several). From the runs' own comparisons where they made one."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,5 +1,5 @@
 """How each controller copes with what it was not designed for: mean settling time (s) of the
-starts that settle, its ratio to the plant left alone in the nominal situation as colour (pale: as
+starts that settle, its ratio to the uncontrolled plant in the nominal situation as colour (pale: as
 slow as no control). Where some start does not settle, the share that does stands there instead, on
 red. Mean over the runs that compared them."""
 

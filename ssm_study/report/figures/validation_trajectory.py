@@ -1,5 +1,6 @@
 """Free run of the identified model on the test record (top; its error below) and on the validation
-record: measured output as dots, the model on top, and the input that both had."""
+record: measured output as dots, the model on top, the input of the latter, and a measured
+disturbance where there is one."""
 
 import numpy as np
 from jaxtyping import Float
@@ -18,14 +19,21 @@ def draw(study: StudyFolder) -> Figure:
     test, validation, record = study.of_best(
         "test", "validation", "record", otherwise="No run left a validation record."
     )
-    fig = style.new_figure(style.COLUMN_IN, 5.0)
-    free_run, error, other_run, applied = fig.subplots(4, 1, height_ratios=[1.6, 0.8, 1.6, 1.1])
+    has_disturbance = all("disturbance" in case for case in validation.cases.values())
+    heights = [1.6, 0.8, 1.6, 1.1, *([1.1] if has_disturbance else [])]
+    fig = style.new_figure(style.COLUMN_IN, 6.0 if has_disturbance else 5.0)
+    panels = fig.subplots(len(heights), 1, height_ratios=heights)
+    free_run, error, other_run, applied = panels[:4]
     draw_free_run(free_run, test, "test", record.get("fit_test_percent"))
     draw_error(error, test)
     draw_free_run(other_run, validation, "validation", record.get("fit_validation_percent"))
     time_s = validation.time_s("measured")[:LONGEST]
     applied.step(time_s, first_channel(validation, "input"), where="post", color=style.INK, lw=0.7)
     label_axes(applied, time_s, validation.label("input"))
+    if has_disturbance:
+        measured = first_channel(validation, "disturbance")
+        panels[4].plot(time_s, measured, color=style.GREEN, lw=0.7)
+        label_axes(panels[4], time_s, validation.label("disturbance"))
     fig.align_ylabels()
     return fig
 

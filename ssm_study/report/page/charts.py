@@ -34,7 +34,7 @@ class Panel:
 ABOVE_ONE = "Dashed: margin one; to its right every start should settle."
 ALL_SETTLE = "All starts settle, so the plot shows how fast."
 OWN_LIMIT = "Bars: the exact rate limit of each model; nothing above its own bar can be certified."
-ALONE = "Dashed: the plant left alone."
+ALONE = "Dashed: the uncontrolled plant."
 PANELS = (
     Panel("Does a better fit mean a better loop?", "fit_test_percent", "stable_fraction"),
     Panel("What does a faster rate buy?", "rate_controller", "settling_time_mean_s", ALONE,

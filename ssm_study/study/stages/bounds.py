@@ -1,7 +1,7 @@
 """Stage of the model in the coordinates in which it is certified, with what is proved of the model
 alone."""
 
-from ssm_study.bounds.metrics import bound_facts
+from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.engine.stages import Facts, Stage
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.signals import DataSet
@@ -14,7 +14,7 @@ def measure_bounds(simulated: ModelRun, data: DataSet, trained: Trained) -> Fact
     facts = measure_score(simulated, data, trained)
     _, test_before_reduction = simulate_validation_and_test(trained.model, data)
     facts["fit_test_before_reduction_percent"] = test_before_reduction.fit_percent
-    return facts | bound_facts(simulated.model)
+    return facts | model_bound_columns(simulated.model)
 
 
 BOUNDS = Stage("bounds", compute_simulated, ModelRun, measure_bounds, SIMULATED)

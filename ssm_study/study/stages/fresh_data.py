@@ -11,7 +11,7 @@ from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.study.stages.synthesis import measured_premise
-from ssm_study.synthesis.measured_discs_run import fresh_facts, fresh_needs
+from ssm_study.synthesis.measured_discs_run import fresh_data_column, fresh_data_needs
 
 FILE = "fresh_data.json"
 
@@ -32,7 +32,7 @@ def compute_fresh_data(
     model = bounded.model
     premise = measured_premise(model, records, mismatch)
     fresh = data.simulate_fresh_sets(plant, seed)
-    needs = fresh_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
+    needs = fresh_data_needs(design, model, premise, mismatch, fresh, records.start_up_samples)
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
 
 
@@ -43,7 +43,7 @@ def read_fresh_data(folder: Path) -> list[float]:
 
 def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
     """Column with the largest need of a fresh data set."""
-    return fresh_facts(needs)
+    return fresh_data_column(needs)
 
 
 FRESH_DATA = Stage("fresh_data", compute_fresh_data, read_fresh_data, measure_fresh_data)

@@ -48,7 +48,7 @@ def compute_loop(
     twin = IdentifiedPlant.from_model(model, data.inputs, data.outputs)
     on = plant or twin
     loop_on = loop_subject(plant)
-    stays_within_records = plant is None or design.inverts
+    stays_within_records = plant is None or design.inverts_input_map
     limited = loop.with_default_limits(data.training_inputs) if stays_within_records else loop
     experiment = limited.with_fixed_horizon(model)
     closed = experiment.run_design(on, model, design, loop_seed)

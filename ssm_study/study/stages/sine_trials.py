@@ -12,7 +12,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.sine_trials import SineMismatch
 from ssm_study.study.stages.files import read_json, write_json
 from ssm_study.study.stages.free_run import ModelRun
-from ssm_study.synthesis.sine_judgement import simulated_sines, sine_facts
+from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
 
 FILE = "sine_trials.json"
 FIELDS = ("angle", "amplitude", "gain")
@@ -53,7 +53,7 @@ def measure_sine_trials(
 ) -> Facts:
     """Columns of the margin with the sines, and of the prediction, which the sines may refute."""
     model = bounded.model
-    facts = sine_facts(design, model, certified_balls(model), mismatch, sines)
+    facts = sine_columns(design, model, certified_balls(model), mismatch, sines)
     return withhold_predictions(facts, judged.level)
 
 

@@ -12,7 +12,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, input_limits
 from ssm_study.study.stages.free_run import ModelRun
 from ssm_study.synthesis.input_inversion import mismatch_for_law
-from ssm_study.synthesis.metrics import design_facts, opinion_facts
+from ssm_study.synthesis.metrics import design_columns, second_opinion_columns
 
 if TYPE_CHECKING:
     from ssm_study.robustness.coverage import Premise
@@ -35,9 +35,9 @@ def compute_synthesis(
     within `limits` that are `training_inputs` (given, or a log's) it scores.
     """
     from ssm_study.synthesis.auto import Auto
-    from ssm_study.synthesis.decay_response import decays_of
+    from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import with_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, with_coverage
+    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, add_coverage_certificate
 
     model = bounded.model
     balls = certified_balls(model)
@@ -47,15 +47,15 @@ def compute_synthesis(
     method: Any = synthesis
     if isinstance(synthesis, Auto):
         judgeable = synthesis.with_largest_margin() if judged.level == CANNOT_JUDGE else synthesis
-        decays = decays_of(model, data.mismatch_records, data.validation)
-        method = judgeable.covering(premise).starting_from(decays)
+        decays = simulate_decays(model, data.mismatch_records, data.validation)
+        method = judgeable.prefer_covered_designs(premise).prefer_faster_than_decays(decays)
         if limits["applied"]:
             lower, upper = (model.scale.scaled_input(end) for end in ends)
-            method = method.within(lower, upper)
+            method = method.with_input_limits(lower, upper)
     design = method.design(model, balls, data.validation, mismatch)
     design = with_gain_certificates(design, model, balls, ends)
     if is_coverage_sought(model, synthesis):
-        design = with_coverage(design, model, balls, premise)
+        design = add_coverage_certificate(design, model, balls, premise)
     design.save(folder / "certificate.json")
 
 
@@ -89,18 +89,18 @@ def measure_synthesis(
     design: Design, data: DataSet, bounded: ModelRun, shown: Mismatch, judged: Judgement
 ) -> Facts:
     """Columns of the design and of its prediction."""
-    from ssm_study.synthesis.expected_response import response_facts
-    from ssm_study.synthesis.measured_discs_run import coverage_facts
+    from ssm_study.synthesis.expected_response import response_columns
+    from ssm_study.synthesis.measured_discs_run import coverage_columns
 
     model = bounded.model
     balls = certified_balls(model)
     mismatch = mismatch_for_law(design, model, data, shown)
     premise = measured_premise(model, data, shown)
     fresh = fresh_premise(model, data, shown)
-    facts = design_facts(design, model, balls, mismatch)
-    facts |= coverage_facts(design, model, premise, fresh)
-    facts |= response_facts(design, model, mismatch, data.validation, data.mismatch_records)
-    return withhold_predictions(facts, judged.level) | opinion_facts(design, model, balls)
+    facts = design_columns(design, model, balls, mismatch)
+    facts |= coverage_columns(design, model, premise, fresh)
+    facts |= response_columns(design, model, mismatch, data.validation, data.mismatch_records)
+    return withhold_predictions(facts, judged.level) | second_opinion_columns(design, model, balls)
 
 
 SYNTHESIS = Stage(

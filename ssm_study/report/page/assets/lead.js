@@ -1,4 +1,4 @@
-// The best run's responses beside the plant left alone, moved by a swept setting, and one start played.
+// The best run's responses beside the uncontrolled plant, moved by a swept setting, and one start played.
 function drawLead() {
   const loop = RUNS && loopOf(0);
   if (!loop) return;
@@ -16,7 +16,7 @@ function drawLead() {
         controlled,
         ...(swept ? [sliderOf(swept, controlled, player)] : []),
       ]),
-      figureOf("Left alone, same starts", [responsesOf(loop, loop.alone, "Left alone", range)]),
+      figureOf("Without control, same starts", [responsesOf(loop, loop.alone, "Without control", range)]),
       figureOf("Input of the controlled runs", [inputs]),
       figureOf("One start, played", [player, playButton(player)]),
     );

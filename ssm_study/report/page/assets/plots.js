@@ -240,12 +240,7 @@ async function drawPlots() {
   }
   if (state.group.metric) DRAWS.push(drawStrips);
   placeParallel();
-  let marked = -1;
-  listeners.push((_, news) => {
-    if (!news && marked === state.chosen) return; // sorting and paging concern the table alone
-    marked = state.chosen;
-    allStale();
-  });
+  listeners.push((_, news) => news && allStale()); // sorting and paging concern the table alone
 }
 
 function allStale() {
@@ -259,6 +254,8 @@ let refreshing = false;
 async function refresh() {
   if (refreshing) return;
   refreshing = true;
+  await new Promise(requestAnimationFrame); // what was clicked is on the screen before the plots are measured
+  await pause();
   for (let next; (next = [...STALE].find((number) => VISIBLE.has(number))) !== undefined; ) {
     STALE.delete(next);
     const view = VIEWS[next],

@@ -6,7 +6,7 @@ function choose(i) {
   state.chosen = i;
   dock(true);
   drawRun(i);
-  changed(true);
+  markChosen();
   document.getElementById("run-title").focus({ preventScroll: true });
 }
 
@@ -16,7 +16,14 @@ function closeRun() {
   state.chosen = -1;
   dock(false);
   if (back) back.focus({ preventScroll: true });
-  changed(true);
+  markChosen();
+}
+
+/** Table and plots follow the run that is open; which runs are shown stays as it is. */
+function markChosen() {
+  for (const row of document.querySelectorAll("#body tr"))
+    row.classList.toggle("chosen", Number(row.dataset.run) === state.chosen);
+  allStale();
 }
 
 /** Beside the page where there is room, over its foot on a phone; the plots take what width is left. */
@@ -24,7 +31,6 @@ function dock(open) {
   if (document.getElementById("run").hidden === !open) return;
   document.getElementById("run").hidden = !open;
   document.body.classList.toggle("with-run", open);
-  allStale();
 }
 
 function step(by) {
@@ -65,7 +71,7 @@ function trajectoryFigures(i) {
     const range = rangeOf([i]);
     figures.push(
       figureOf("Under control", [responsesOf(loop, loop.y, "Under control", range)]),
-      figureOf("Left alone, same starts", [responsesOf(loop, loop.alone, "Left alone", range)]),
+      figureOf("Without control, same starts", [responsesOf(loop, loop.alone, "Without control", range)]),
       figureOf("Input of the controlled runs", [
         linesOf("responses", "Input", loop.input, { rows: inputRows(loop) }),
       ]),

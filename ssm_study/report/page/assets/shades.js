@@ -14,7 +14,7 @@ function shade(colour) {
   return (DARK && AT_NIGHT[colour.toUpperCase()]) || colour;
 }
 
-/** A specification in the reader's colours; its data are left alone. */
+/** A specification in the reader's colours; its data stay as they are. */
 function shaded(spec) {
   if (!DARK) return spec;
   const ink = shade("#1a1a1a"),

@@ -1,0 +1,107 @@
+"""Clocks that stand in a log as plain numbers of a calendar: digits of a date, days of a
+spreadsheet or of MATLAB, time since 1970.
+
+`20260305100000` is a date, `46086.4167` a day of a spreadsheet, `738586.4167` one of MATLAB,
+`1772700000000` milliseconds since 1970. Read as seconds each of them is wrong without a word.
+"""
+
+import numpy as np
+import pandas as pd
+from jaxtyping import Float
+
+DAY_S = 86400.0
+# Digits of a whole number, and the date that they write.
+DIGITS = {8: "%Y%m%d", 12: "%Y%m%d%H%M", 14: "%Y%m%d%H%M%S"}
+MILLISECOND_DIGITS = 17  # %Y%m%d%H%M%S and three digits more
+YEARS = (1970, 2100)
+# Days from 1970 to 2100 as a spreadsheet counts them, MATLAB, and astronomers.
+DAY_COUNTS = ((25569.0, 73051.0), (719529.0, 767011.0), (2440587.0, 2488070.0))
+DAY_WORDS = ("date", "datum", "day", "days", "datenum", "datetime", "serial", "julian", "jd", "mjd")
+ROUND = 1e-4  # relative distance within which a period is a number of two digits
+# Seconds since 1970 in smaller units have so many digits: what a unit is without a name.
+EPOCHS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+EPOCH_S = (6.3e8, 4.1e9)  # seconds since 1970, of the years 1990 to 2099
+MAYBE_DAYS = "no unit: taken for days, as a spreadsheet counts them, though it may be seconds"
+
+Times = Float[np.ndarray, "T"]
+
+
+def calendar_seconds(title: str, times: Times) -> tuple[Times, str] | None:
+    """Seconds since the first time where numbers without a unit are those of a calendar, and in
+    words how they were read; None elsewhere."""
+    known = times[np.isfinite(times)]
+    if len(known) < 2:
+        return None
+    seconds = seconds_of_digits(times)
+    if seconds is not None:
+        return seconds, "digits of a date"
+    words = words_of_days(title, known)
+    if words:
+        return DAY_S * (times - known[0]), words
+    largest = float(np.abs(known).max())
+    for digits, unit_s in EPOCHS:
+        if largest >= digits and np.ptp(known) < 0.1 * largest:
+            return unit_s * (times - known[0]), f"units of {unit_s:g} s since 1970"
+    return None
+
+
+def counts_since_1970(times: Times) -> bool:
+    """Whether rising numbers are times since 1970, in seconds or a smaller unit."""
+    known = times[np.isfinite(times)]
+    if len(known) < 3 or known.min() <= 0:
+        return False
+    largest = float(known.max())
+    units_s = [unit_s for digits, unit_s in EPOCHS if largest >= digits]
+    unit_s = units_s[0] if units_s else 1.0
+    in_range = EPOCH_S[0] <= unit_s * known.min() and unit_s * largest <= EPOCH_S[1]
+    return bool(in_range and np.ptp(known) < 0.1 * largest)
+
+
+def seconds_of_digits(times: Times) -> Times | None:
+    """Seconds since the first of dates that are written as whole numbers, `20260305100000`; None
+    where a number is no such date."""
+    known = times[np.isfinite(times)]
+    if not np.array_equal(known, np.round(known)) or known.min() < 10 ** (min(DIGITS) - 1):
+        return None
+    whole = known.astype(np.int64)
+    count = len(str(whole[0]))
+    thousandths = np.zeros(len(whole))
+    if count == MILLISECOND_DIGITS:
+        thousandths = (whole % 1000) / 1000.0
+        whole = whole // 1000
+        count -= 3
+    if count not in DIGITS:
+        return None
+    dates = pd.to_datetime(pd.Series(whole.astype(str)), format=DIGITS[count], errors="coerce")
+    years = dates.dt.year
+    if dates.isna().any() or not years.between(*YEARS).all():
+        return None
+    since = (dates - dates.iloc[0]) / pd.Timedelta(seconds=1)
+    seconds = np.full(len(times), np.nan)
+    seconds[np.isfinite(times)] = since.to_numpy(dtype=float) + thousandths
+    return seconds
+
+
+def words_of_days(title: str, known: Times) -> str:
+    """Words on numbers that count days; empty where they do not.
+
+    The name says it, or the step is a round number of seconds as days and none as it stands.
+    """
+    low = float(known.min())
+    high = float(known.max())
+    if not any(first <= low and high <= last for first, last in DAY_COUNTS):
+        return ""
+    words = title.lower().replace("_", " ").split()
+    if any(word in DAY_WORDS for word in words):
+        return "days, as a spreadsheet counts them"
+    steps = np.diff(known)
+    rising = steps[steps > 0]
+    if not len(rising):
+        return ""
+    step = float(np.median(rising))
+    return MAYBE_DAYS if is_round(DAY_S * step) and not is_round(step) else ""
+
+
+def is_round(number: float) -> bool:
+    """Whether a positive number has two digits, up to rounding."""
+    return abs(float(f"{number:.2g}") - number) <= ROUND * number

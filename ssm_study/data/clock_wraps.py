@@ -1,0 +1,53 @@
+"""Clocks that go on behind a step back: a counter that is full, and the end of summer time.
+
+A counter of 16 or 32 bits begins again at zero; local time repeats an hour in autumn. Both are
+undone only where the clock then runs on at its own period; nothing else that runs backwards is.
+"""
+
+import numpy as np
+from jaxtyping import Float
+
+COUNTERS = (2**8, 2**15, 2**16, 2**24, 2**31, 2**32)
+HOUR_S = 3600.0
+NEAR = 0.5  # of the period: how far a step may be off where a clock is continued
+FEWEST = 10  # times, of which a period is the median
+
+Times = Float[np.ndarray, "T"]
+Steps = Float[np.ndarray, "_"]
+
+
+def continued_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
+    """Times that run on behind a full counter or the end of summer time, and words on what was
+    undone; unchanged and no words where nothing was."""
+    if len(times) < FEWEST or not np.isfinite(times).all():
+        return times, ""
+    steps = np.diff(times)
+    rising = steps[steps > 0]
+    if not (steps <= 0).any() or not len(rising):
+        return times, ""
+    period = float(np.median(rising))
+    if is_dated:
+        return _without_summer_time(times, steps, period)
+    is_back = steps < 0
+    for size in COUNTERS:
+        fits = times.min() >= 0 and times.max() < size
+        if fits and is_back.any() and _runs_on(steps[is_back] + size, period).all():
+            turns = np.concatenate([[0], np.cumsum(is_back)])
+            bits = int(size).bit_length() - 1
+            return times + size * turns, f"a counter of {bits} bits began again"
+    return times, ""
+
+
+def _without_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times, str]:
+    """Times with one hour more behind each step back that an hour explains, and words on it."""
+    is_back = (steps <= 0) & (period <= HOUR_S)
+    if not is_back.any() or not _runs_on(steps[is_back] + HOUR_S, period).all():
+        return times, ""
+    hours = np.concatenate([[0], np.cumsum(is_back)])
+    row = int(np.argmax(is_back)) + 1
+    return times + HOUR_S * hours, f"an hour stands twice at row {row}: end of summer time"
+
+
+def _runs_on(steps: Steps, period: float) -> np.ndarray:
+    """Which steps are one period long."""
+    return np.abs(steps - period) <= NEAR * period

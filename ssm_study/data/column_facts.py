@@ -1,0 +1,59 @@
+"""Facts of one column of a log: range, levels and gaps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssm_study.data.readers.reader import Table
+
+HELD = 0.5  # share of samples at which a column that holds levels does not change
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnFacts:
+    """Range, levels and gaps of one column of a log. One column: its unit, range, how many
+    values it takes, how many are missing."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    levels: int
+    missing: int
+    held: float
+    rows: int
+
+    def table_line(self) -> str:
+        """One line of a table on the column's range, levels and gaps."""
+        name = (self.name or "(no name)")[:28]
+        unit = f"[{self.unit}]" if self.unit else ""
+        return f"  {name:<28} {unit:<8}{self.range_words()}".rstrip()
+
+    def range_words(self) -> str:
+        """Range and levels in words."""
+        if not self.levels:
+            return "empty"
+        if self.levels == 1:
+            missing = f", {self.missing} missing" if self.missing else ""
+            return f"{self.low:>11.5g} throughout{missing}"
+        holds = f", {self.held:.0%} of rows unchanged" if self.held > HELD else ""
+        missing = f", {self.missing} missing" if self.missing else ""
+        numbers = f"{self.low:>11.5g} ... {self.high:<11.5g} {self.levels:>6} values"
+        return f"{numbers}{holds}{missing}"
+
+
+def column_facts(name: str, table: Table) -> ColumnFacts:
+    """Compute range, levels and missing values of one column."""
+    values = table.columns[name]
+    finite = values[np.isfinite(values)]
+    held = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
+    return ColumnFacts(
+        name=name,
+        unit="s" if name in table.dated else table.units.get(name, ""),
+        low=float(finite.min(initial=np.inf)) + 0.0,  # no minus before a zero
+        high=float(finite.max(initial=-np.inf)) + 0.0,
+        levels=len(np.unique(finite)),
+        missing=len(values) - len(finite),
+        held=held,
+        rows=len(values),
+    )

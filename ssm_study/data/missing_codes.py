@@ -1,0 +1,46 @@
+"""Numbers that stand for a missing value, as -9999 does: named where they lie far from all others.
+
+They are read as numbers, since a log may mean them; the outcome and `look` say so.
+"""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.data.readers.reader import Table
+
+FULL_SCALE = (32767.0, -32768.0, 65535.0, 2147483647.0, -2147483648.0, 4294967295.0)
+NINES = re.compile(r"-?9{2,}(\.9*)?")
+FAR = 2.0  # ranges of all other values, between these and a code
+CODES = "a number that may stand for a missing value"
+
+
+def missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
+    """Extreme value of a column that may stand for a missing one, and how often it occurs; None
+    without one."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    for code in (float(known.min()), float(known.max())):
+        is_code = code in FULL_SCALE or bool(NINES.fullmatch(f"{code:.12g}"))
+        others = known[known != code]
+        if not is_code or len(others) < 2 or np.ptp(others) == 0:
+            continue
+        distance = float(np.abs(others - code).min())
+        if distance > FAR * np.ptp(others):
+            return code, len(known) - len(others)
+    return None
+
+
+def code_remarks(table: Table, signals: Sequence[str]) -> list[str]:
+    """Remarks on signals that hold such a number."""
+    remarks = []
+    for name in signals:
+        found = missing_code(table.columns[name])
+        if found is not None:
+            code, count = found
+            rows = "row" if count == 1 else "rows"
+            remarks.append(f"{name} is {code:g} in {count} {rows}: {CODES}")
+    return remarks

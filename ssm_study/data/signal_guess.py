@@ -1,0 +1,59 @@
+"""Guess which columns of a log are input and output, by their titles and by their levels."""
+
+import re
+from collections.abc import Sequence
+
+from ssm_study.data.column_facts import ColumnFacts
+
+HOLDS_COUNT = 0.4  # weight, against a word of the name, of how long a column holds its levels
+FEW_LEVELS_COUNT = 0.2  # the same of how few levels it has
+STEADY_COUNTS = 0.3  # the same, against an input, of a column that hardly moves from its mean
+STEADY = 0.1  # range over the largest magnitude, below which a column hardly moves
+INPUT_WORDS = ("u", "in", "input", "command", "cmd", "pwm", "duty", "valve", "heater", "voltage",
+               "power", "signal", "inputsignal", "servo", "torque", "force", "rudder", "flow",
+               "current", "us", "setting", "inputdata", "throttle", "pump", "ph", "q")  # fmt: skip
+OUTPUT_WORDS = ("y", "t", "out", "output", "speed", "temperature", "temp", "position", "level",
+                "angle", "rate", "rpm", "velocity", "encoder", "enconder", "pos", "measured",
+                "ti", "pressure", "height", "outputdata")  # fmt: skip
+SET_POINT_WORDS = ("sp", "setpoint", "set", "ref", "reference", "target", "desired", "wanted", "r",
+                   "tsp", "soll", "sollwert", "goal", "demand")  # fmt: skip
+
+
+def guess_signals(facts: Sequence[ColumnFacts], clock: str | None) -> tuple[str | None, str | None]:
+    """Guess which columns are input and output, by words in their titles, then by their levels."""
+    moving = [column for column in facts if column.name != clock and column.levels > 1]
+    if len(moving) < 2:
+        return None, None
+    free = [column for column in moving if not is_set_point_title(column.name)]
+    moving = free if len(free) > 1 else moving
+    u = max(moving, key=input_score)
+    others = [column for column in moving if column is not u]
+    y = max(others, key=lambda column: title_word_score(column.name, OUTPUT_WORDS))
+    return u.name, y.name
+
+
+def is_set_point_title(name: str) -> bool:
+    """Whether a title is that of a set point, as `r`, `ref`, `T1 setpoint`, `TSP1` and
+    `speed_target` are."""
+    return title_word_score(name, SET_POINT_WORDS) == 1.0
+
+
+def input_score(column: ColumnFacts) -> float:
+    """Score of how much a column looks like an input of the plant. How much a column looks like an
+    input: by its name, by how it holds few levels, and by how far it moves. Columns that are alike
+    in this are taken in their order."""
+    few_levels = max(0.0, 1.0 - 2.0 * column.levels / column.rows)
+    by_levels = HOLDS_COUNT * round(column.held, 1) + FEW_LEVELS_COUNT * round(few_levels, 1)
+    magnitude = max(abs(column.low), abs(column.high))
+    is_steady = column.high - column.low < STEADY * magnitude
+    return title_word_score(column.name, INPUT_WORDS) + by_levels - STEADY_COUNTS * is_steady
+
+
+def title_word_score(name: str, words: tuple[str, ...]) -> float:
+    """Score of how well a column's title matches a word. One if a word of the name is among the
+    words, a half if one begins with them."""
+    parts = [part for part in re.split(r"[^a-z]+", name.lower()) if part]
+    if any(part in words for part in parts):
+        return 1.0
+    long_words = [word for word in words if len(word) > 3]
+    return 0.5 if any(part.startswith(word) for part in parts for word in long_words) else 0.0

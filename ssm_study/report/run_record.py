@@ -1,0 +1,45 @@
+"""One run in full on the terminal: its outcome, then every value of its record by the part of the
+study that it describes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ssm_study.engine.records import read_record
+from ssm_study.report.outcome import WIDTH, print_outcome
+from ssm_study.report.words import digits_beside, words
+from ssm_study.table.columns import by_part
+
+
+def print_run(run_folder: Path, console: Console) -> None:
+    """Print a run's outcome and below it the whole record."""
+    record = read_record(run_folder) or {}
+    print_outcome(record, (), console)
+    console.print()
+    console.print(record_table(record), width=min(WIDTH, console.width))
+
+
+def record_table(record: Mapping[str, Any]) -> Table:
+    """Table of every recorded value with its printed name, in blocks; what is missing is left
+    out."""
+    table = Table(show_header=False, box=None, pad_edge=False, width=WIDTH)
+    table.add_column(ratio=3)
+    table.add_column(ratio=2, overflow="fold")
+    recorded = [name for name, value in record.items() if value is not None]
+    for title, names in by_part(recorded).items():
+        if names:
+            table.add_row(Text(title.upper(), style="bold"), "")
+        for name in names:
+            table.add_row(Text(f"  {words(name)}"), Text(format_value(record[name])))
+    return table
+
+
+def format_value(value: Any) -> str:
+    """Text of a recorded value; a number is never rounded across one."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return digits_beside(value) if isinstance(value, float) else str(value)
