@@ -68,7 +68,8 @@ def theorems(*names: str) -> tuple[str, ...]:
 REFUSES = "tests/refusals/test_synthesis_refuses.py"
 EXACT = "tests/oracles/test_synthesis_exact.py"
 BOUNDS = "tests/oracles/test_bounds_by_hand.py tests/oracles/test_bounds_slopes.py"
-LIMITS = "tests/oracles/test_synthesis_frontier.py"
+BOUNDS += " tests/oracles/test_bounds_reduction.py"
+LIMITS = "tests/oracles/test_synthesis_frontier.py tests/oracles/test_synthesis_costs.py"
 ATTEMPTS = "tests/oracles/test_synthesis_lmi.py tests/laws/test_synthesis_attempts.py"
 CONTRACTS = "tests/laws/test_synthesis_contraction.py"
 CHOSEN = (
@@ -87,7 +88,7 @@ INSIDE = (
     "tests/oracles/test_loop_within_limits.py::test_inside_no_limit_acts_and_far_outside_one_does"
 )
 NEURONS = "tests/laws/test_models_structured.py tests/laws/test_synthesis_among_starts.py"
-NEURONS += " tests/laws/test_training_structured.py"
+NEURONS += " tests/laws/test_training_structured.py tests/laws/test_training_structured_fit.py"
 INTEGRAL = "tests/oracles/test_loop_integral.py tests/oracles/test_loop_internal.py"
 LOOPS = (
     "tests/oracles/test_loop_trajectory.py tests/oracles/test_loop_settling.py "
@@ -96,6 +97,7 @@ LOOPS = (
 LOOPS += " tests/refusals/test_loop_refused.py tests/oracles/test_loop_internal.py"
 LINE = "tests/oracles/test_results_verify.py tests/oracles/test_verify_lies.py"
 LINE += " tests/refusals/test_verify_damage.py tests/oracles/test_study_line.py"
+LINE += " tests/oracles/test_study_answers.py"
 CLAIMS = f"{LINE} -k 'verify or claim or tamper or truncated or refuses or infeasible'"
 GROUPS = {
     "verdict": Group(
@@ -155,11 +157,16 @@ GROUPS = {
         "tests/laws/test_engine_code.py",
         planted=20,
     ),
-    "table": Group(modules=("table",), tests="tests/laws/test_results_table.py", planted=15),
+    "table": Group(
+        modules=("table",),
+        tests="tests/laws/test_results_table.py tests/laws/test_table_text.py",
+        planted=15,
+    ),
     "cli": Group(
         modules=modules_of("cli", "main", "commands", "parser", "request", "hydra_errors"),
         tests="tests/refusals/test_cli_sentences.py tests/laws/test_cli_terminal.py "
-        "tests/refusals/test_cli_guard.py tests/refusals/test_study_requests.py",
+        "tests/refusals/test_cli_guard.py tests/refusals/test_study_requests.py "
+        "tests/refusals/test_study_words.py",
         planted=10,
     ),
     "evidence": Group(
@@ -176,7 +183,9 @@ GROUPS = {
         + theorems("inverted_input", "structured_inverted_input"),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "
-        f"tests/oracles/test_synthesis_deployed.py {INSIDE} "
+        "tests/oracles/test_loop_stiction.py "
+        "tests/oracles/test_synthesis_deployed.py "
+        f"tests/oracles/test_certificate_stored.py {INSIDE} "
         "tests/oracles/test_loop_views.py tests/oracles/test_loop_trials.py",
         planted=20,
     ),
@@ -192,7 +201,7 @@ GROUPS = {
         modules=modules_of("data", "splits", "recorded", "experiments", "closed_loop")
         + modules_of("data", "simulated", "assembly"),
         tests="tests/oracles/test_data_splits.py tests/oracles/test_data_choice.py "
-        "tests/refusals/test_data_files.py "
+        "tests/refusals/test_data_files.py tests/refusals/test_data_values.py "
         "tests/oracles/test_data_closed_loop.py tests/oracles/test_data_benchmarks.py",
         planted=20,
     ),
