@@ -19,10 +19,10 @@ from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
     RESPONSES,
-    output_after_motion,
-    is_return_to_rest,
-    remaining_offset,
     equilibrium_spread,
+    is_return_to_rest,
+    output_after_motion,
+    remaining_offset,
 )
 from ssm_study.signals import DataSet, Trajectory
 
