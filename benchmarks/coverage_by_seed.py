@@ -41,10 +41,10 @@ from ssm_study.synthesis import auto
 from ssm_study.synthesis.decay_response import simulate_decays
 from ssm_study.synthesis.measured_discs_choice import prefer_covered
 from ssm_study.synthesis.measured_discs_run import (
+    add_coverage_certificate,
     coverage_columns,
     fresh_data_column,
     fresh_data_needs,
-    add_coverage_certificate,
 )
 
 KEY = ("plant", "model", "order", "seed", "cover")

@@ -26,7 +26,7 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.baselines.regression import fit_best_baseline
 from ssm_study.models.warm_start import simulate_validation_and_test
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 
 TARGET = REFERENCE / "training"
 REAL_LOGS = ROOT.parent / "shared" / "data" / "logs_real"
@@ -107,7 +107,9 @@ def compare(log: Log) -> dict[str, object]:
         found.model, data
     )  # from the log's past where that predicts better
     fit = test.fit_percent
-    fit_baseline = mean_fit(baseline.model, data.test, data) if baseline else float("nan")
+    fit_baseline = (
+        records_fit_percent(baseline.model, data.test, data) if baseline else float("nan")
+    )
     return {
         "log": log.name,
         "seed": log.seed,

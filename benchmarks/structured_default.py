@@ -20,9 +20,9 @@ from common import REFERENCE, study_of
 from structured_plants import written
 
 from ssm_study.refusal import BadRequest
-from ssm_study.training.folds import folds_of
-from ssm_study.training.metrics import mean_fit
-from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
+from ssm_study.training.folds import make_folds
+from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.saving import train_with_lightning  # noqa: F401 - its imports are no training
 
 TARGET = REFERENCE / "training" / "structured_default.csv"
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
@@ -42,11 +42,11 @@ def row(where: str, model: str) -> dict[str, object]:
     )
     fits = []
     began = time.process_time()
-    for fold in folds_of(replace(data, validation=())):
+    for fold in make_folds(replace(data, validation=())):
         with TemporaryDirectory() as folder:
             try:
                 found = part.training.identify(part.model, fold, 0, Path(folder))
-                fits.append(mean_fit(found.model, fold.test, fold))
+                fits.append(records_fit_percent(found.model, fold.test, fold))
             except BadRequest:  # the training left the finite
                 fits.append(-np.inf)
     told = {"fit_percent": np.mean(fits), "worst_fold": min(fits), "best_fold": max(fits)}

@@ -20,7 +20,7 @@ import torch
 from common import REFERENCE, ROOT, cpu_seconds, write
 
 from ssm_study.models.structured_spec import TrainablePieces
-from ssm_study.training.structured_problem import CORE, Batch, Residuals, Theta
+from ssm_study.training.structured_problem import CORE, RecordBatch, SimulationProblem, Theta
 
 sys.path.append(str(ROOT / "tests"))
 from structured_adjoint import gradient
@@ -31,13 +31,13 @@ PAIRS = 5
 FREE = (*CORE, "b", "g", "bias", "c")
 
 
-def problem(samples: int, size: int) -> tuple[Residuals, Theta]:
+def problem(samples: int, size: int) -> tuple[SimulationProblem, Theta]:
     rng = np.random.default_rng(size)
     u = np.repeat(rng.uniform(-1, 1, (BATCH, samples // 10, 1)), 10, axis=1)
     y = rng.normal(size=u.shape)
     identity = TrainablePieces(1, 0, 0.1, 1.0)
     told = {"neurons": ("tanh",) * size, "lift": identity, "read": identity}
-    one = Residuals(records=Batch.padded(list(zip(u, y, strict=True))), **told)  # type: ignore[arg-type]
+    one = SimulationProblem(records=RecordBatch.from_pairs(list(zip(u, y, strict=True))), **told)  # type: ignore[arg-type]
     a = 0.9 * np.linalg.qr(rng.normal(size=(size, size)))[0]
     theta = {"a": a, "e": 0.05 * rng.normal(size=(size, size)), "f": rng.normal(size=(size, size))}
     theta |= {
@@ -53,17 +53,17 @@ def problem(samples: int, size: int) -> tuple[Residuals, Theta]:
     }
 
 
-def by_adjoint(one: Residuals, theta: Theta) -> np.ndarray:
+def by_adjoint(one: SimulationProblem, theta: Theta) -> np.ndarray:
     parts = gradient(one, theta)
     return np.concatenate([parts[name].ravel() for name in FREE])
 
 
-def by_jacobian(one: Residuals, theta: Theta) -> np.ndarray:
-    r, j, _ = one.linearised(theta, FREE)
+def by_jacobian(one: SimulationProblem, theta: Theta) -> np.ndarray:
+    r, j, _ = one.residual_and_jacobian(theta, FREE)
     return 2.0 * (j.T @ r)
 
 
-def by_autograd(one: Residuals, theta: Theta) -> np.ndarray:
+def by_autograd(one: SimulationProblem, theta: Theta) -> np.ndarray:
     parts = {name: torch.tensor(theta[name], requires_grad=True) for name in FREE}
     u, y, weight = (torch.from_numpy(np.ascontiguousarray(side)) for side in one.records)
     x = torch.zeros(BATCH, len(theta["a"]), dtype=torch.float64)

@@ -26,7 +26,7 @@ from ssm_study.loop.metrics import behaviour_columns
 from ssm_study.models.metrics import Simulation
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.prediction import predict
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 
 PLANTS = ("dc_motor", "stribeck_drive", "cascaded_tanks")
 MODELS = ("ssm", "structured")
@@ -60,7 +60,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         "plant": plant,
         "model": kind,
         "seed": seed,
-        "fit_test_percent": f"{mean_fit(made, data.test, data):.2f}",
+        "fit_test_percent": f"{records_fit_percent(made, data.test, data):.2f}",
     }
     about |= {"certified": design.certified, "synthesis_s": f"{spent:.1f}"}
     about |= {"rate_controller": f"{feedback.rate:.3g}", "rate_limit": f"{feedback.rate_limit:.3g}"}

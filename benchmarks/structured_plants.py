@@ -32,8 +32,8 @@ from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import JacobianBall, StateSpace, System
-from ssm_study.training.metrics import mean_fit
-from ssm_study.training.saving import trained  # noqa: F401 - its imports are no training
+from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.saving import train_with_lightning  # noqa: F401 - its imports are no training
 
 TARGET = REFERENCE / "training" / "structured_plants.csv"
 
@@ -52,7 +52,7 @@ def row(plant: str, seed: int, overrides: list[str]) -> dict[str, object]:
     ]
     numbers = {
         "fit_validation_percent": found.fit_validation_percent,
-        "fit_test_percent": mean_fit(model, data.test, data),
+        "fit_test_percent": records_fit_percent(model, data.test, data),
         "radius_at_rest": linearise_at_equilibrium(model).spectral_radius,
         "r_controller": factors[0],
         "r_observer": factors[1],
@@ -95,7 +95,7 @@ def each(plant: str, seed: int, overrides: list[str]) -> list[dict[str, object]]
         model = one.model
         near = one.fit_validation_percent >= best.fit_validation_percent - 1
         numbers = {"fit_validation_percent": one.fit_validation_percent}
-        numbers |= {"fit_test_percent": mean_fit(model, data.test, data)}
+        numbers |= {"fit_test_percent": records_fit_percent(model, data.test, data)}
         sizes = {"plant": plant, "seed": seed, "start": start, "order": model.order}
         sizes |= {"neurons": len(getattr(model, "neurons", ()))}
         told = {name: f"{value:.5g}" for name, value in numbers.items()}

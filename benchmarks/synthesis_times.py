@@ -22,7 +22,7 @@ from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import Problem
 from ssm_study.certificates.riccati import solve_riccati
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
-from ssm_study.synthesis.guaranteed_cost import solve_at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import guaranteed_cost, solve_at_tau
 from ssm_study.synthesis.lmi import CompiledLmi
 from ssm_study.synthesis.minimum_energy import minimum_energy_gain, minimum_energy_solution
 from ssm_study.synthesis.modes import split_modes

@@ -29,7 +29,7 @@ from ssm_study.loop.metrics import pool_columns
 from ssm_study.loop.regulation import LoopRuns
 from ssm_study.plants.wrapper import SaturatedInput
 from ssm_study.study.run_files import RunFiles
-from ssm_study.synthesis.deployed import EVERYWHERE, SETS, output_range, certify_input_limits
+from ssm_study.synthesis.deployed import EVERYWHERE, SETS, certify_input_limits, output_range
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 
 LIMITS = {"dc_motor": (-1.5, 1.5), "stribeck_drive": (-0.5, 0.5), "cascaded_tanks": (1.7, 3.3)}

@@ -141,7 +141,9 @@ NAMES: Mapping[str, str] = {
     "training.levenberg.damped": "training.levenberg.levenberg_marquardt_step",
     "training.saving.Keeper": "training.saving.BestModelCheckpoint",
     "training.saving.Line": "training.saving.ProgressLine",
-    "training.structured_problem.descended": "training.structured_problem.minimise",
+    "training.structured_problem.descended": (
+        "training.structured_problem.minimise_simulation_error"
+    ),
 }
 
 # Methods by their class: a subclass that defines the old name answers to the new one, and whoever

@@ -28,7 +28,7 @@ from ssm_study.models.warm_start import piece_start_columns, simulate_validation
 from ssm_study.refusal import BadRequest, require
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import DataSet, fit_percent
-from ssm_study.training.metrics import mean_fit, training_facts
+from ssm_study.training.metrics import records_fit_percent, training_columns
 
 if TYPE_CHECKING:
     import control as python_control
@@ -60,9 +60,9 @@ class Model:
         validation, test = simulate_validation_and_test(self.simulator, data)
         training = self.identification
         facts = dict(data_columns(data))
-        facts |= training_facts(training.seconds, training.ended)
+        facts |= training_columns(training.seconds, training.ended)
         facts |= size_columns(self.simulator)
-        fit_train_percent = mean_fit(self.simulator, data.training, data)
+        fit_train_percent = records_fit_percent(self.simulator, data.training, data)
         facts |= {"fit_train_percent": fit_train_percent}
         facts |= fit_columns(validation, test)
         facts |= piece_start_columns(self.simulator, data, test)

@@ -86,7 +86,7 @@ def design_controller(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import with_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, add_coverage_certificate
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
 
     balls = certified_balls(model)
     premise = measure_coverage_premise(model, data, plant_mismatch)

@@ -3,7 +3,7 @@ Gramians."""
 
 from typing import Any
 
-from ssm_study.bounds.gramians import hankel_singular_values, bound_local_controllability
+from ssm_study.bounds.gramians import bound_local_controllability, hankel_singular_values
 from ssm_study.bounds.slopes import jacobian_ball, spectral_norm_bound
 from ssm_study.columns import ITERATED, Column
 from ssm_study.systems import StructuredSystem

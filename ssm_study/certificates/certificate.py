@@ -23,8 +23,8 @@ from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
     VerificationContext,
-    find_theorem,
     convert_field,
+    find_theorem,
 )
 from ssm_study.refusal import BadRequest, require
 from ssm_study.systems import Gains, JacobianBall

@@ -21,8 +21,8 @@ from ssm_study.engine.compose import Composer
 from ssm_study.engine.jobs import (
     Job,
     create_jobs,
-    kill_job,
     ended_job_outcome,
+    kill_job,
     run_job,
     stop_overdue_job,
 )
@@ -30,7 +30,7 @@ from ssm_study.engine.plan import KeyedStages, plan_lines
 from ssm_study.engine.progress import Progress
 from ssm_study.engine.records import FAILED
 from ssm_study.engine.server import Server
-from ssm_study.engine.task import Task, shared_store, find_task
+from ssm_study.engine.task import Task, find_task, shared_store
 from ssm_study.refusal import require
 
 

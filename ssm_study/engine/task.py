@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 from ssm_study.durable import sha256_of_file
 from ssm_study.engine.plan import plan_lines
 from ssm_study.engine.provenance import provenance
-from ssm_study.engine.runs import Outcome, Run, execute_run, needs_run, existing_outcome, run_status
+from ssm_study.engine.runs import Outcome, Run, execute_run, existing_outcome, needs_run, run_status
 from ssm_study.engine.settings import Settings, digest_of_value, plain_settings, yaml_text
 from ssm_study.engine.stages import Compute, Facts, StageOutput, StageResult, Stages
 from ssm_study.engine.store import Store

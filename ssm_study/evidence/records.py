@@ -12,17 +12,17 @@ from ssm_study.evidence.feedback import ROUNDING, integrator_share
 from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.models.structured import StructuredSSM
-from ssm_study.models.warm_start import log_stretches
+from ssm_study.models.warm_start import join_log_stretches
 from ssm_study.robustness.bands import ANGLES
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
     RESPONSES,
-    output_after_motion,
-    is_return_to_rest,
-    remaining_offset,
     equilibrium_spread,
+    is_return_to_rest,
+    output_after_motion,
+    remaining_offset,
 )
 from ssm_study.signals import DataSet, Trajectory
 
@@ -242,7 +242,7 @@ def integrates(case: Case) -> bool:
 def follows_level(data: DataSet) -> bool:
     """Whether the output follows the level of its one input, in the longest stretch of a log, as no
     integrator does."""
-    stretches = log_stretches(data)
+    stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return False
     longest = max(stretches, key=len)

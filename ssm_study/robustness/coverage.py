@@ -33,7 +33,7 @@ from ssm_study.robustness.coverage_spectra import (
     line_spectrum,
 )
 from ssm_study.robustness.mismatch import Mismatch
-from ssm_study.robustness.record_errors import moving_loop_errors, estimate_noise, open_loop_errors
+from ssm_study.robustness.record_errors import estimate_noise, moving_loop_errors, open_loop_errors
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 

@@ -26,21 +26,21 @@ from ssm_study.robustness.record_errors import (
     EXCITED,
     RecordErrors,
     View,
-    moving_loop_errors,
     estimate_noise,
-    open_loop_errors,
-    mismatch_in_closed_loop,
     mismatch_from_averages,
     mismatch_from_periods,
+    mismatch_in_closed_loop,
+    moving_loop_errors,
+    open_loop_errors,
 )
 from ssm_study.robustness.return_to_rest import (
     AT_REST,
     FAINT,
-    output_after_motion,
-    offsets_after_returns,
     is_return_to_rest,
-    remaining_offset,
+    offsets_after_returns,
     oscillation_amplitude,
+    output_after_motion,
+    remaining_offset,
 )
 from ssm_study.signals import Trajectories
 

@@ -16,9 +16,9 @@ from ssm_study.models.structured import Model
 from ssm_study.robustness.bands import (
     ANGLES,
     band_means,
+    safe_ratio,
     sort_lines_into_bands,
     total_power,
-    safe_ratio,
     welch_power_density,
 )
 from ssm_study.robustness.return_to_rest import SURE, is_return_to_rest, oscillation_amplitude

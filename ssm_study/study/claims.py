@@ -61,7 +61,7 @@ from ssm_study.study.stages.model import MODEL, read_members
 from ssm_study.study.unreached_numbers import unreached_numbers
 from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
 from ssm_study.table.gather import PARQUET
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 
 READ = frozenset({".csv", ".json", ".mcap"})  # the kinds of file that somebody reads as a run's
 STAGES_OF_A_BASELINE = (DATASET, MODEL, SCORE)
@@ -193,7 +193,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
     """Columns and recordings that follow from the records."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
         yield Derived(data_metrics.data_columns(records))
-    yield Derived({"fit_train_percent": mean_fit(run.model, records.training, records)})
+    yield Derived({"fit_train_percent": records_fit_percent(run.model, records.training, records)})
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
         pairs = record_signal_pairs(stored.records, getattr(records, split))

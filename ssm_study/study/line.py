@@ -91,9 +91,9 @@ class Study(Task["Specification"]):
             message = f"excitation.amplitude moves the training records alone; {others}."
             warnings.warn(message, TrainingAlone, 2)
         if self.trains_here(specification, settings):
-            from ssm_study.training.saving import trainer_of
+            from ssm_study.training.saving import build_trainer
 
-            trainer_of(specification.training, [], Path())
+            build_trainer(specification.training, [], Path())
         return specification
 
     def trains_here(self, request: "Specification", settings: Settings) -> bool:

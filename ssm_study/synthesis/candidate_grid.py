@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ssm_study.certificates.frontier import controller_frontier
 from ssm_study.certificates.problem import NoSolution, Solution, dual_system
-from ssm_study.certificates.theorems.integral_action import internal_model, append_internal_model
+from ssm_study.certificates.theorems.integral_action import append_internal_model, internal_model
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model, evaluate_activations
 from ssm_study.synthesis.candidates import Candidates, GainCandidate

@@ -29,7 +29,7 @@ from ssm_study.synthesis.deployed import at_largest_rate
 from ssm_study.synthesis.expected_response import FASTER
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.synthesis.measured_discs_choice import LOST, LoopCoverage
-from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 from ssm_study.systems import Balls, Gains
 
 PROPOSALS = 8  # pairs of gains in one round

@@ -33,7 +33,7 @@ from ssm_study.certificates.problem import (
     linear_algebra_failures_as_no_solution,
 )
 from ssm_study.certificates.theorem import Theorem, VerificationContext, find_theorem
-from ssm_study.certificates.theorems.integral_action import parse_frequencies, append_internal_model
+from ssm_study.certificates.theorems.integral_action import append_internal_model, parse_frequencies
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver

@@ -24,7 +24,7 @@ from ssm_study.robustness.prediction import noise_peak, robustness_measure
 from ssm_study.robustness.sensitivity import FINE_ANGLES, Responses, controller_radius
 from ssm_study.signals import Ends, Trajectories
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, simulate_decays, largest_decay_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios, simulate_decays
 from ssm_study.synthesis.integrated_error import relative_areas
 from ssm_study.systems import Balls, Gains
 

@@ -53,8 +53,8 @@ from ssm_study.synthesis.design import Synthesis
 from ssm_study.synthesis.modes import (
     FastGain,
     Modes,
-    split_modes,
     full_metric,
+    split_modes,
     weighted_block_metric,
 )
 from ssm_study.systems import JacobianBall

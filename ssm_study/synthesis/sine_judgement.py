@@ -13,9 +13,9 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
+    add_sines,
     measure_sine_mismatch,
     peak_lines,
-    add_sines,
 )
 from ssm_study.systems import Balls
 

@@ -30,11 +30,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """Settings that were tried, and the error of the free run on each held-out fold.
+    """Model settings that were tried, with the free-run error on each held-out fold.
 
-    Errors are those of `relative_error`. Folds that were left out, because
-    the candidate was far behind, are missing at the end of `errors`. `start` says from where the
-    held-out pieces were simulated, `example` is the model trained without the last fold.
+    Errors are those of `relative_rms_error`. Folds that were left out, because the candidate was
+    far behind, are missing at the end of `errors`. `best_start_kind` says from where the held-out
+    pieces were simulated, `example` is the model trained without the last fold.
     """
 
     question: str
@@ -46,12 +46,12 @@ class Candidate:
 
     @property
     def mean_error(self) -> float:
-        """Mean over the folds, percent."""
+        """Mean error over the folds, in percent."""
         return float(self.errors.mean())
 
-    def is_behind(self, other: "Candidate", by: float = NEARLY) -> bool:
-        """Whether this candidate is clearly worse than another. Whether its error exceeds the
-        other's by that share of it, and that by one standard error or on all folds but one: a
+    def is_clearly_worse(self, other: "Candidate", by: float = NEARLY) -> bool:
+        """Whether a candidate's error is clearly larger than another's. Whether its error exceeds
+        the other's by that share of it, and that by one standard error or on all folds but one: a
         single odd piece makes the standard error large."""
         if len(self.errors) < len(other.errors):
             return True
@@ -62,7 +62,7 @@ class Candidate:
         is_large = bool(excess.mean() > by * other.mean_error)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
-    def row(self, *, chosen: bool, certified: bool | None) -> Row:
+    def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Row of the table of candidates. `certified` is None where nobody looked."""
         fits = 100.0 - self.errors
         return {
@@ -78,34 +78,34 @@ class Candidate:
         }
 
     @property
-    def words(self) -> str:
-        """Line of text on the candidate and its error."""
+    def describe(self) -> str:
+        """Line of text with a candidate's settings and error."""
         settings = ", ".join(f"{name} {value}" for name, value in self.settings.items())
         return f"{self.question}: {self.model}, {settings}: {100.0 - self.mean_error:.1f} %"
 
 
-def best_of(candidates: Iterable[Candidate]) -> Candidate:
-    """Candidate with the least mean error among those tried on most folds."""
+def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
+    """Candidate with the smallest mean error among those tried on most folds."""
     return min(candidates, key=lambda candidate: (-len(candidate.errors), candidate.mean_error))
 
 
-def first_not_behind(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """The first candidate, in the order given, that is not clearly worse than the best of all."""
-    best = best_of(candidates)
-    return next(candidate for candidate in candidates if not candidate.is_behind(best, by))
+def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
+    """First of the ordered candidates that is not clearly worse than the best one."""
+    best = best_candidate(candidates)
+    return next(candidate for candidate in candidates if not candidate.is_clearly_worse(best, by))
 
 
 @dataclass
 class Trial:
-    """Errors of one candidate on the folds so far, for both kinds of initial state of a held-out
-    piece. They come from its first samples, and from the log before it (`models.warm_start`)."""
+    """Free-run errors of one candidate on the folds so far, for both kinds of initial state. They
+    come from its first samples, and from the log before it (`models.warm_start`)."""
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
 
-    def add(self, model: Any, fold: DataSet) -> None:
-        """Evaluate a model on one more fold. Simulate the held-out part of one more fold; None
-        of a model counts as a failed one."""
+    def add_fold(self, model: Any, fold: DataSet) -> None:
+        """Score a model on one more fold. Simulate the held-out part of one more fold; None of a
+        model counts as a failed one."""
         self.example = model
         states = () if model is None else states_from_past(model, fold, fold.test)
         starts = {SAMPLES: (None,) * len(states), PAST: states}
@@ -114,39 +114,39 @@ class Trial:
                 errors.append(LARGEST_ERROR)
                 continue
             run = Simulation.simulate_records(model, fold.test, fold.start_up_samples, starts[name])
-            errors.append(relative_error(run, fold))
+            errors.append(relative_rms_error(run, fold))
 
     @property
-    def start(self) -> str:
+    def best_start_kind(self) -> str:
         """Kind of initial state with the smaller mean error. It is the first samples where both are
         equal."""
         return PAST if sum(self.by_start[PAST]) < sum(self.by_start[SAMPLES]) else SAMPLES
 
     @property
     def errors(self) -> Float[np.ndarray, "folds"]:
-        """Errors with the kind of initial state that has the smaller mean."""
-        return np.array(self.by_start[self.start])
+        """Errors on the folds for the kind of initial state with the smaller mean error."""
+        return np.array(self.by_start[self.best_start_kind])
 
 
-def linear_trial(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
-    """Fit and score a linear output-error model on every fold. A linear output-error model on
-    each held-out fold; delay 1 is no dead time, 0 a direct path."""
+def try_linear_model(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
+    """Fit and score a linear output-error model on every fold. A linear output-error model on each
+    held-out fold; delay 1 is no dead time, 0 a direct path."""
     trial = Trial()
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
-            trial.add(linear_model(part, order, direct=delay == 0), part)
+            trial.add_fold(fit_linear_model(part, order, direct=delay == 0), part)
     return trial
 
 
-def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
-    """Linear output-error model as a state space, `x+ = A x + B u + B_d d, y = C x + D u`.
+def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
+    """Fit a linear output-error model as a state space. `x+ = A x + B u + B_d d, y = C x + D u`.
 
     The state of a held-out piece can then be estimated from many samples; the recursion itself
     would start from as many noisy outputs as it has lags. Measured disturbances are further inputs
     of the recursion, from one sample before on.
     """
-    records = with_late_disturbances(data) if direct else data
+    records = delay_disturbances(data) if direct else data
     model = fit_output_error(records.with_disturbances_as_inputs(), order, 0 if direct else 1)
     f = model.theta[1 : order + 1]
     both = model.theta[order + 1 :].reshape(-1, order).T  # (lags, inputs and disturbances)
@@ -170,9 +170,9 @@ def linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
     )
 
 
-def with_late_disturbances(data: DataSet) -> DataSet:
-    """Training records with measured disturbances one sample later. What is within the sample for
-    the input is one sample before for them."""
+def delay_disturbances(data: DataSet) -> DataSet:
+    """Data set whose measured disturbances are one sample later. What is within the sample for the
+    input is one sample before for them."""
     late = [
         record if record.d is None else replace(record, d=np.vstack([record.d[:1], record.d[:-1]]))
         for record in data.training
@@ -180,7 +180,7 @@ def with_late_disturbances(data: DataSet) -> DataSet:
     return replace(data, training=tuple(late))
 
 
-def structured_trial(
+def try_structured_model(
     spec: StructuredSpec, folds: Sequence[DataSet], seed: int, best: Candidate | None
 ) -> Trial:
     """Train and score a structured model briefly on every fold. A structured model trained for a
@@ -192,21 +192,20 @@ def structured_trial(
             break
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
-        fit.advance(STEPS)
-        trial.add(fit.stored() if np.isfinite(float(fit.loss)) else None, part)
+        fit.take_steps(STEPS)
+        trial.add_fold(fit.as_model() if np.isfinite(float(fit.training_loss)) else None, part)
     return trial
 
 
 def is_hopeless(errors: Sequence[float] | Float[np.ndarray, "folds"], best: Candidate) -> bool:
-    """Whether the errors so far are `HOPELESS` times those of the best candidate."""
+    """Whether a candidate's errors so far are many times those of the best candidate."""
     count = len(errors)
     so_far = float(np.sum(errors))
     return count >= FEWEST_FOLDS and so_far > HOPELESS * float(best.errors[:count].sum())
 
 
-def relative_error(run: Simulation, data: DataSet) -> float:
-    """Root mean square error over the outputs' scale (their deviation in the training records),
-    percent, at most `LARGEST_ERROR`.
+def relative_rms_error(run: Simulation, data: DataSet) -> float:
+    """Root mean square simulation error relative to the output's standard deviation, in percent.
 
     A piece in which the output hardly moves then counts for as much as it moves.
     """

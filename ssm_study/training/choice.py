@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.choice_of_paths import choose_delay, choose_input_path, choose_integrator
-from ssm_study.training.choice_of_size import first_certified, sized_candidates
-from ssm_study.training.folds import folds_of
-from ssm_study.training.search import Choice, Search, with_defaults
+from ssm_study.training.choice_of_size import simplest_certifiable_candidate, try_model_sizes
+from ssm_study.training.folds import make_folds
+from ssm_study.training.search import Choice, Search, fill_in_defaults
 
 MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
 
@@ -22,40 +22,40 @@ MOST_TRAINED = 3  # choices, one after the other, until a model of one is certif
 def choose_model(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Choice:
-    """Decide every setting that is `auto`, and return the table of what was tried.
+    """Choose every model setting that is `auto` by its error on held-out folds.
 
     Records too short for folds choose nothing: the defaults of `model=structured` are taken.
     """
-    return next(ranked_choices(spec, data, seed, announce))
+    return next(iterate_choices(spec, data, seed, announce))
 
 
-def ranked_choices(
+def iterate_choices(
     spec: StructuredSpec, data: DataSet, seed: int, announce: Callable[[str], None]
 ) -> Iterator[Choice]:
-    """Choice of the settings, and after it those that would be made if no model of it could be
-    certified. The paths are the same in all."""
-    folds = folds_of(data) if spec.automatic_settings else ()
+    """Iterate over the best choice of settings and further ones, for use if no model of the first
+    can be certified. The paths are the same in all."""
+    folds = make_folds(data) if spec.automatic_settings else ()
     if not folds:
-        yield Choice(spec=with_defaults(spec))
+        yield Choice(spec=fill_in_defaults(spec))
         return
     search = Search(spec=spec, folds=folds, seed=seed, announce=announce)
     choose_delay(search, data)
     choose_integrator(search, data)
     choose_input_path(search)
-    candidates = sized_candidates(search)
+    candidates = try_model_sizes(search)
     if not candidates:
-        yield search.choice_of(None)
+        yield search.make_choice(None)
     while candidates:
-        chosen = first_certified(search, candidates)
-        yield search.choice_of(chosen)
-        if not search.can_be_certified(chosen):  # then none of them can
+        chosen = simplest_certifiable_candidate(search, candidates)
+        yield search.make_choice(chosen)
+        if not search.is_certifiable(chosen):  # then none of them can
             return
         search.certified[id(chosen)] = False  # trained on all records it was not
         candidates.remove(chosen)
 
 
-def announcer(progress: bool) -> Callable[[str], None]:
-    """Return a function that prints a line per candidate where somebody watches, else nothing."""
+def make_announcer(progress: bool) -> Callable[[str], None]:
+    """Function that prints progress lines, or nothing where nobody watches."""
     from rich.console import Console
 
     console = Console(stderr=True)
@@ -64,8 +64,8 @@ def announcer(progress: bool) -> Callable[[str], None]:
     return lambda words: console.print(f"choice by folds: {words}", highlight=False)
 
 
-def refit_words(fit_validation_percent: float) -> str:
-    """Sentence on why the validation records were trained on, too."""
+def refit_sentence(fit_validation_percent: float) -> str:
+    """Sentence on why the model is also trained on the validation records."""
     return (
         f"; trained again with the validation records, which the training records alone predict "
         f"at {fit_validation_percent:.1f} % only"

@@ -9,8 +9,8 @@ import numpy as np
 
 from ssm_study.data.log_dynamics import first_response_lag
 from ssm_study.signals import DataSet
-from ssm_study.training.candidates import Settings, linear_model
-from ssm_study.training.folds import with_joined_records
+from ssm_study.training.candidates import Settings, fit_linear_model
+from ssm_study.training.folds import join_training_and_validation
 from ssm_study.training.search import Search
 
 LATE = 3  # samples until the output answers, from which on a dead time is tried
@@ -24,24 +24,25 @@ TRIED_SIZE: Settings = {"order": 3, "neurons": 5, "knots": 16}  # while paths ar
 
 
 def choose_delay(search: Search, data: DataSet) -> None:
-    """Decide whether the output responds late, or within the sample.
+    """Choose the dead time of a model, or a direct feedthrough.
 
     The samples until the output answers are read off the records. A dead time is compared where
     they are `LATE` or more, a direct path where they are none or one, or noise hides the answer.
     """
-    lag = answering_lag(data)
+    lag = response_lag(data)
     if search.is_open("dead_time"):
         late = lag is not None and lag >= LATE and search.spec.feedthrough is not True
         values = (0, lag - 1) if lag is not None and late else (0,)
-        decide(search, "dead time", "dead_time", values, DELAY_GAIN)
+        choose_between_two(search, "dead time", "dead_time", values, DELAY_GAIN)
     if search.is_open("feedthrough"):
         values = (False, True) if lag is None or lag < LATE - 1 else (False,)
-        decide(search, "direct path", "feedthrough", values, DIRECT_GAIN)
+        choose_between_two(search, "direct path", "feedthrough", values, DIRECT_GAIN)
 
 
-def decide(search: Search, question: str, name: str, values: Sequence[object], gain: float) -> None:
-    """Choose the second value of a setting where it reduces the error by that share, else the
-    first.
+def choose_between_two(
+    search: Search, question: str, name: str, values: Sequence[object], gain: float
+) -> None:
+    """Choose the second value of a setting where it reduces the error by enough, else the first.
 
     Models of one size with and without it are compared; a single value is taken as it is.
     """
@@ -49,14 +50,14 @@ def decide(search: Search, question: str, name: str, values: Sequence[object], g
         search.decided[name] = values[0]
         return
     size = TRIED_SIZE | {"input_path": "none"}
-    without, with_it = (search.structured(question, size | {name: value}) for value in values)
-    is_needed = without.is_behind(with_it, gain)
-    search.take(with_it if is_needed else without, {name: values[int(is_needed)]})
+    without, with_it = (search.try_structured(question, size | {name: value}) for value in values)
+    is_needed = without.is_clearly_worse(with_it, gain)
+    search.adopt_settings(with_it if is_needed else without, {name: values[int(is_needed)]})
 
 
-def answering_lag(data: DataSet) -> int | None:
+def response_lag(data: DataSet) -> int | None:
     """Number of samples until the output first responds to any input. None where noise hides it."""
-    record = max(with_joined_records(data).training, key=len)
+    record = max(join_training_and_validation(data).training, key=len)
     lags = [
         first_response_lag(u, y)
         for u, y in product(record.u.T, record.y.T)
@@ -67,17 +68,16 @@ def answering_lag(data: DataSet) -> int | None:
 
 
 def choose_integrator(search: Search, data: DataSet) -> None:
-    """Decide whether the output is a running sum. It is tried where a linear model nearly
+    """Choose whether the model's output is a running sum. It is tried where a linear model nearly
     integrates."""
     if search.is_open("integrating_output"):
         tried = search.spec.neurons != 0 and nearly_integrates(data)
         values = (False, True) if tried else (False,)
-        decide(search, "integrator", "integrating_output", values, DELAY_GAIN)
+        choose_between_two(search, "integrator", "integrating_output", values, DELAY_GAIN)
 
 
 def nearly_integrates(data: DataSet) -> bool:
-    """Whether modes of a linear model that hardly forget make a good part of the output; no for
-    several outputs.
+    """Whether very slow modes of a linear model make up a large part of the output.
 
     A mode that a zero cancels says nothing: a model of more states than the records need has such
     modes anywhere.
@@ -85,7 +85,9 @@ def nearly_integrates(data: DataSet) -> bool:
     if data.scale.outputs != 1:
         return False
     with np.errstate(all="ignore"):
-        system = linear_model(with_joined_records(data), SLOW_ORDER, direct=False).driven_system
+        system = fit_linear_model(
+            join_training_and_validation(data), SLOW_ORDER, direct=False
+        ).driven_system
         modes, vectors = np.linalg.eig(system.a)
         residues = np.abs(system.c @ vectors).T * np.abs(np.linalg.solve(vectors, system.b + 0j))
         radii = np.minimum(np.abs(modes), 1.0 - 1e-9)
@@ -95,11 +97,11 @@ def nearly_integrates(data: DataSet) -> bool:
 
 
 def choose_input_path(search: Search) -> None:
-    """Decide whether the input reaches the neurons. With an integrator it never does: neurons that
-    can cut off the input leave nothing that could be certified."""
+    """Choose whether the input reaches the neurons directly. With an integrator it never does:
+    neurons that can cut off the input leave nothing that could be certified."""
     if not search.is_open("input_path"):
         return
-    if search.integrates or search.spec.neurons == 0:
+    if search.has_integrator or search.spec.neurons == 0:
         search.decided["input_path"] = "none"
         return
-    decide(search, "input path", "input_path", ("none", "free"), DELAY_GAIN)
+    choose_between_two(search, "input path", "input_path", ("none", "free"), DELAY_GAIN)

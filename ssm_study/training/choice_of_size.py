@@ -3,7 +3,7 @@ growing order, one layer, few neurons, many."""
 
 from collections.abc import Sequence
 
-from ssm_study.training.candidates import Candidate, Settings, first_not_behind
+from ssm_study.training.candidates import Candidate, Settings, simplest_good_candidate
 from ssm_study.training.choice_of_paths import TRIED_SIZE
 from ssm_study.training.search import Search
 
@@ -26,57 +26,58 @@ LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are b
 )
 
 
-def sized_candidates(search: Search) -> list[Candidate]:
-    """Candidates for order, neurons and knots, the smallest first. None where all of them are
-    given.
+def try_model_sizes(search: Search) -> list[Candidate]:
+    """Candidates of increasing order, number of neurons and number of break points. None where all
+    of them are given.
 
     Linear models of growing order are tried by output error first.
     """
     if not any(search.is_open(name) for name in ("order", "neurons", "knots")):
         return []
-    candidates = [] if search.integrates else static_input_sizes(search)
-    sizes = INTEGRATING_SIZES if search.integrates else SIZES
-    candidates += [search.structured("size", size) for size in sizes]
+    candidates = [] if search.has_integrator else try_sizes_without_neurons(search)
+    sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
+    candidates += [search.try_structured("size", size) for size in sizes]
     first_order = candidates[0].settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
     for larger in LARGER:
-        if first_not_behind(candidates) is not candidates[-1] and not needs_order:
+        if simplest_good_candidate(candidates) is not candidates[-1] and not needs_order:
             break
         needs_order = False
-        candidates.append(search.structured("size", larger))
+        candidates.append(search.try_structured("size", larger))
     return candidates
 
 
-def static_input_sizes(search: Search) -> list[Candidate]:
-    """Candidates without neurons: the best linear one, and one layer of about its order."""
+def try_sizes_without_neurons(search: Search) -> list[Candidate]:
+    """Candidates without neurons: the best linear model, and models of similar order with an input
+    map."""
     order = int(TRIED_SIZE["order"])
     candidates = []
     if search.folds[0].scale.outputs == 1 and search.is_open("order"):
-        linear = best_linear(search)
+        linear = choose_linear_order(search)
         order = int(linear.settings["order"])
         candidates.append(
             linear
-            if search.may_be_linear
-            else search.structured("size", {"order": order, "neurons": 0, "knots": 0})
+            if search.allows_linear_model
+            else search.try_structured("size", {"order": order, "neurons": 0, "knots": 0})
         )
     least, most = ONE_LAYER_ORDERS
     one_layer = {"order": min(max(order, least), most), "neurons": 0, "knots": 16}
-    return [*candidates, search.structured("size", one_layer)]
+    return [*candidates, search.try_structured("size", one_layer)]
 
 
-def best_linear(search: Search) -> Candidate:
+def choose_linear_order(search: Search) -> Candidate:
     """Linear output-error model of the smallest order that is not clearly worse than the best."""
-    feedthrough = search.value_of("feedthrough") is True
-    delay = 0 if feedthrough else 1 + int(search.value_of("dead_time"))
-    tried = [search.linear("linear order", order, delay) for order in LINEAR_ORDERS]
+    feedthrough = search.setting_value("feedthrough") is True
+    delay = 0 if feedthrough else 1 + int(search.setting_value("dead_time"))
+    tried = [search.try_linear("linear order", order, delay) for order in LINEAR_ORDERS]
     for order in HIGH_LINEAR_ORDERS:
-        if first_not_behind(tried) is not tried[-1]:
+        if simplest_good_candidate(tried) is not tried[-1]:
             break
-        tried.append(search.linear("linear order", order, delay))
-    return first_not_behind(tried)
+        tried.append(search.try_linear("linear order", order, delay))
+    return simplest_good_candidate(tried)
 
 
-def first_certified(search: Search, candidates: Sequence[Candidate]) -> Candidate:
+def simplest_certifiable_candidate(search: Search, candidates: Sequence[Candidate]) -> Candidate:
     """Smallest candidate that can be certified and is not clearly worse than the best of these.
     Where none can, of all.
 
@@ -84,8 +85,8 @@ def first_certified(search: Search, candidates: Sequence[Candidate]) -> Candidat
     """
     left = list(candidates)
     while left:
-        chosen = first_not_behind(left)
-        if search.can_be_certified(chosen):
+        chosen = simplest_good_candidate(left)
+        if search.is_certifiable(chosen):
             return chosen
         left.remove(chosen)
-    return first_not_behind(candidates)
+    return simplest_good_candidate(candidates)

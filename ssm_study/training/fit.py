@@ -17,8 +17,8 @@ from ssm_study.models.torch_recurrence import allow_forward_derivatives
 from ssm_study.models.torch_ssm import InputMapping, Signals, States, TorchModel, TorchSSM
 from ssm_study.refusal import require
 from ssm_study.signals import DataSet, fit_from_relative_error
-from ssm_study.training.optimisers import Levenberg, trainable
-from ssm_study.training.windows import Cut, Windows, padded
+from ssm_study.training.optimisers import Levenberg, trainable_parameters
+from ssm_study.training.windows import RecordWindows, Windows, pad_records
 
 if TYPE_CHECKING:
     from ssm_study.training.training import Training
@@ -29,9 +29,9 @@ UNMOVED = (
 )
 
 
-class Records(nn.Module):
-    """Batch of scaled training records. Scaled records of equal length: shorter ones are padded at
-    the end and weigh nothing there.
+class TrainingBatch(nn.Module):
+    """Batch of scaled training records, cut into windows. Scaled records of equal length: shorter
+    ones are padded at the end and weigh nothing there.
 
     `u (e, T, m)`, with measured disturbances as further columns, `y (e, T, p)`, `weight (e, T,
     1)`: zero in the `unscored` samples of the cut and in the padding, and scaled so that
@@ -45,11 +45,11 @@ class Records(nn.Module):
     scored: Tensor
     sum_spread: Tensor
 
-    def __init__(self, cut: Cut, data: DataSet, sorts: bool, share: float = 0.0) -> None:
+    def __init__(self, cut: RecordWindows, data: DataSet, sorts: bool, share: float = 0.0) -> None:
         super().__init__()
         self.integrated_share = share
         scale = data.scale.with_disturbances_as_inputs()
-        u, y = padded(
+        u, y = pad_records(
             [
                 (scale.scaled_input(r.inputs_and_disturbances), scale.scaled_output(r.y))
                 for r in cut.pieces
@@ -64,30 +64,31 @@ class Records(nn.Module):
             self.register_buffer(name, torch.from_numpy(values), persistent=False)
         summed = (self.scored * self.y).cumsum(
             1
-        ) * self.scored  # of y as of its error, see `objective`
+        ) * self.scored  # of y as of its error, see `training_objective`
         self.register_buffer("sum_spread", summed.square().sum(), persistent=False)
         self.lift = InputMapping(self.u[..., : data.scale.inputs], sorts)
 
     def simulate(self, model: TorchModel, x0: States | None = None) -> Signals:
-        """Free run of the model over all records."""
-        return model(self.u, x0, **self._lifted(model))
+        """Simulate the model in free run over all records."""
+        return model(self.u, x0, **self._mapped_inputs(model))
 
     def advance(self, model: TorchModel, x0: States) -> tuple[Signals, States]:
-        """Simulate as `simulate` does. Returns the outputs and the states after the last sample,
-        padding included."""
-        return model.advance(self.u, x0, **self._lifted(model))
+        """Simulate the model over all records, and return the final states too. Returns the outputs
+        and the states after the last sample, padding included."""
+        return model.advance(self.u, x0, **self._mapped_inputs(model))
 
-    def _lifted(self, model: TorchModel) -> dict[str, Signals]:
+    def _mapped_inputs(self, model: TorchModel) -> dict[str, Signals]:
+        """Inputs after the input map, where they are computed once for all windows."""
         if not isinstance(model, TorchSSM):
             return {}
         return {"lifted": model.driving_signals(self.u, self.lift(model.scaffold_in))}
 
-    def loss(self, y_hat: Signals) -> Float[Tensor, ""]:
+    def squared_error(self, y_hat: Signals) -> Float[Tensor, ""]:
         """Weighted squared error of simulated outputs. `sum weight |e|^2`: what the fit is made
         of."""
         return (self.weight * (y_hat - self.y) ** 2).sum()
 
-    def objective(self, y_hat: Signals) -> Float[Tensor, ""]:
+    def training_objective(self, y_hat: Signals) -> Float[Tensor, ""]:
         """Training objective of simulated outputs. `(1 - share) sum weight |e|^2 + share |running
         sum of e|^2 / |running sum of y|^2`.
 
@@ -95,42 +96,47 @@ class Records(nn.Module):
         velocity.
         """
         if self.integrated_share == 0.0:
-            return self.loss(y_hat)
+            return self.squared_error(y_hat)
         summed = (self.scored * (y_hat - self.y)).cumsum(1) * self.scored
         drift = summed.square().sum() / self.sum_spread  # relative to the sum of y itself
-        return (1 - self.integrated_share) * self.loss(y_hat) + self.integrated_share * drift
+        return (1 - self.integrated_share) * self.squared_error(
+            y_hat
+        ) + self.integrated_share * drift
 
 
 class InitialStates(nn.Module):
-    """Trainable initial states of training windows. The states `(e, n)` that windows start from:
-    rest, but for the rows that are parameters."""
+    """Trainable initial states of the training windows. The states `(e, n)` that windows start
+    from: rest, but for the rows that are parameters."""
 
     rows: Tensor
     later: Tensor
 
-    def __init__(self, cut: Cut, rows: Sequence[int], values: States, weight: float) -> None:
+    def __init__(
+        self, cut: RecordWindows, rows: Sequence[int], values: States, weight: float
+    ) -> None:
         super().__init__()
         self.cut = cut
         self.weight = weight
-        for name, places in (("rows", rows), ("later", cut.later)):
+        for name, places in (("rows", rows), ("later", cut.continuing_windows)):
             self.register_buffer(name, torch.tensor(places, dtype=torch.int64), persistent=False)
         self.free = nn.Parameter(values[self.rows].clone())
 
     def forward(self) -> States:
+        """Initial states of all windows."""
         return self.free.new_zeros(len(self.cut.pieces), self.free.shape[1]).index_copy(
             0, self.rows, self.free
         )
 
-    def defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
-        """Defects of multiple shooting as residuals whose squared sum is the penalty, see
-        `Windows`."""
+    def shooting_defects(self, ends: States, starts: States) -> Float[Tensor, "k n"]:
+        """Differences between the end of a window and the start of the next, weighted for the
+        penalty."""
         reached = ends[self.later - 1]  # where the window before ends
         size = (reached.square().sum(0) + UNMOVED) * reached.shape[1] / self.weight
         return (reached - starts[self.later]) / torch.sqrt(size)
 
 
 def roughness_penalty(model: TorchModel, weight: float) -> Float[Tensor, ""]:
-    """Penalty on the variation of the slopes of the static maps. `weight (TV(S_u') + TV(S_y'))`;
+    """Training penalty on the variation of the static maps' slopes. `weight (TV(S_u') + TV(S_y'))`;
     zero for a baseline.
 
     It is free of scale, so a weight of 0.001 means a thousandth of the output's variance.
@@ -161,19 +167,23 @@ class Fit(pl.LightningModule):
             "this model has no forward derivatives",
             "use lbfgs or adam",
         )
-        cut = settings.windows.cut(data.training, data.start_up_samples)
+        cut = settings.windows.cut_records(data.training, data.start_up_samples)
         training, validation = (
             Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation)
         )
         self.model = model
         self.data = data
         self.settings = settings
-        self.training_records = Records(cut, data, sorts, settings.integrated_share)
-        self.validation_records = Records(validation, data, sorts)
-        self.whole = Records(training, data, sorts) if cut.later else self.training_records
-        self.starts = self._free_starts(cut)
+        self.training_records = TrainingBatch(cut, data, sorts, settings.integrated_share)
+        self.validation_records = TrainingBatch(validation, data, sorts)
+        self.whole = (
+            TrainingBatch(training, data, sorts)
+            if cut.continuing_windows
+            else self.training_records
+        )
+        self.starts = self._trainable_starts(cut)
 
-    def _free_starts(self, cut: Cut) -> InitialStates | None:
+    def _trainable_starts(self, cut: RecordWindows) -> InitialStates | None:
         """Initial states of the windows as trainable parameters. None where none is free."""
         model = self.model
         weight = self.settings.windows.continuity_weight
@@ -184,55 +194,56 @@ class Fit(pl.LightningModule):
         )  # whose stored model estimates it, too (`free_run`)
         problem = "this model has no state to start a window from"
         remedy = "use training.windows.samples=null"
-        able = model.states > 0 or not cut.later
+        able = model.states > 0 or not cut.continuing_windows
         require(able, "training.windows.samples", self.settings.windows.samples, problem, remedy)
-        rows = [*(cut.first if moving else ()), *cut.later]
-        values = simulated_states(model, self.training_records, cut) if rows else None
+        rows = [*(cut.first if moving else ()), *cut.continuing_windows]
+        values = simulate_window_starts(model, self.training_records, cut) if rows else None
         return None if values is None else InitialStates(cut, sorted(rows), values, weight)
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are the batch
-        """Train for one epoch in one call of Lightning. What Lightning does around each call costs
-        more than a step of a small model."""
+        """Train for one epoch. What Lightning does around each call costs more than a step of a
+        small model."""
         optimiser: Any = self.optimizers()
         for _ in range(self.settings.optimiser.calls_per_epoch):
-            optimiser.step(self._evaluate)
+            optimiser.step(self._loss_and_gradient)
         rates: Any = self.lr_schedulers()
         if rates is not None:
             rates.step()
 
-    def _evaluate(self) -> Tensor:
-        """Compute the loss and its gradient."""
+    def _loss_and_gradient(self) -> Tensor:
+        """Compute the training loss and its gradient."""
         self.zero_grad()
-        loss = self.loss()
+        loss = self.training_loss()
         loss.backward()
         return loss.detach()
 
-    def loss(self) -> Tensor:
+    def training_loss(self) -> Tensor:
         """Training loss of the current model. The objective that is minimised: simulation error,
         defects of shooting, roughness."""
-        y_hat, defects = self.run()
+        y_hat, defects = self.simulate_windows()
         added = roughness_penalty(self.model, self.settings.roughness_weight)
-        return self.training_records.objective(y_hat) + defects.square().sum() + added
+        return self.training_records.training_objective(y_hat) + defects.square().sum() + added
 
-    def run(self) -> tuple[Signals, Float[Tensor, "k n"]]:
-        """Simulated windows, and the defects between them (none without multiple shooting)."""
+    def simulate_windows(self) -> tuple[Signals, Float[Tensor, "k n"]]:
+        """Simulated outputs of all windows, and the defects between them."""
         x0 = None if self.starts is None else self.starts()
-        if self.starts is None or x0 is None or not self.starts.cut.later:
+        if self.starts is None or x0 is None or not self.starts.cut.continuing_windows:
             return self.training_records.simulate(
                 self.model, x0
             ), self.training_records.y.new_zeros(0, 0)
         y_hat, ends = self.training_records.advance(self.model, x0)
-        return y_hat, self.starts.defects(ends, x0)
+        return y_hat, self.starts.shooting_defects(ends, x0)
 
     def forward(self) -> Float[Tensor, "N"]:
-        """Residuals of the simulation. `sqrt(weight) (y_hat - y)`, then the defects."""
-        records, (y_hat, defects) = self.training_records, self.run()
+        """Residuals of the simulation, whose squared sum is minimised. `sqrt(weight) (y_hat - y)`,
+        then the defects."""
+        records, (y_hat, defects) = self.training_records, self.simulate_windows()
         return torch.cat(
             [(torch.sqrt(records.weight) * (y_hat - records.y)).flatten(), defects.flatten()]
         )
 
-    def residual(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
-        """Residuals (`forward`) as a function of all trainable parameters in one vector."""
+    def residual_at(self, flat: Float[Tensor, "P"]) -> Float[Tensor, "N"]:
+        """Residuals of the simulation as a function of all trainable parameters."""
         named = [(name, p) for name, p in self.named_parameters() if p.requires_grad]
         parts = flat.split([p.numel() for _, p in named])
         values = {name: part.view(p.shape) for (name, p), part in zip(named, parts, strict=True)}
@@ -240,8 +251,8 @@ class Fit(pl.LightningModule):
             return functional_call(self, values, ())
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Compute the fits in percent of the present model. They are minus infinity for a loss that
-        is not finite.
+        """Compute the training and validation fits of the current model. They are minus infinity
+        for a loss that is not finite.
 
         What an optimiser evaluated last may be a trial that it refused, or the model before its
         last step.
@@ -253,14 +264,14 @@ class Fit(pl.LightningModule):
             ("training", self.whole, fitted),
             ("validation", self.validation_records, estimated),
         ):
-            loss = float(records.loss(records.simulate(self.model, x0)))
+            loss = float(records.squared_error(records.simulate(self.model, x0)))
             self.log(
                 f"fit_{name}_percent",
                 fit_from_relative_error(loss**0.5) if np.isfinite(loss) else -np.inf,
             )
 
     def _validation_starts(self) -> States:
-        """The states that `free_run` estimates from the start-up samples of the validation records.
+        """Initial states of the validation records, estimated from their first samples.
 
         A record that starts in motion says nothing about a model that simulates it from rest:
         validation would then stop a training, or choose among several, by the error of the initial
@@ -277,11 +288,12 @@ class Fit(pl.LightningModule):
         return torch.from_numpy(np.stack(states)).to(like)
 
     def configure_optimizers(self) -> Any:
+        """Build the optimiser of the training."""
         return self.settings.optimiser.build(self)
 
-    def concluded(self) -> tuple[Simulator, str]:
-        """Trained model as explicit numbers. Float32 is undone by a few L-BFGS iterations in
-        float64 if they end finite and lower."""
+    def conclude(self) -> tuple[Simulator, str]:
+        """Trained model as explicit numbers, and a remark on it. Float32 is undone by a few L-BFGS
+        iterations in float64 if they end finite and lower."""
         single = self.training_records.y.dtype == torch.float32
         self.to("cpu", torch.float64)
         if single and not isinstance(
@@ -289,24 +301,24 @@ class Fit(pl.LightningModule):
         ):  # which leaves the penalties out
             before = {name: value.clone() for name, value in self.state_dict().items()}
             optimiser = torch.optim.LBFGS(
-                trainable(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
+                trainable_parameters(self), max_iter=POLISH_STEPS, line_search_fn="strong_wolfe"
             )
-            first = float(self._evaluate())
-            optimiser.step(self._evaluate)
-            if not float(self._evaluate()) <= first:  # also where it is NaN
+            first = float(self._loss_and_gradient())
+            optimiser.step(self._loss_and_gradient)
+            if not float(self._loss_and_gradient()) <= first:  # also where it is NaN
                 self.load_state_dict(before)
         return self.model.freeze(self.data), ""
 
 
 @torch.no_grad()
-def simulated_states(model: TorchModel, records: Records, cut: Cut) -> States:
-    """Initial state of each window from a simulation of the whole records from the equilibrium.
-    Shooting then begins without defects.
+def simulate_window_starts(model: TorchModel, records: TrainingBatch, cut: RecordWindows) -> States:
+    """Initial state of each window from a simulation of the whole records. Shooting then begins
+    without defects.
 
     Records start at rest too: an estimate by the untrained model is far off in slow modes, and
     traps the optimiser.
     """
     states = records.u.new_zeros(len(cut.pieces), model.states)
-    for later in cut.later:
+    for later in cut.continuing_windows:
         states[later] = model.advance(records.u[later - 1 : later], states[later - 1 : later])[1][0]
     return states

@@ -13,52 +13,52 @@ SHORTEST_PIECE = 2 * START_UP  # samples: of what is left between two folds, to 
 MOST_SAMPLES = 12_000  # of training and validation together: of longer records, stretches
 
 
-def with_joined_records(data: DataSet) -> DataSet:
+def join_training_and_validation(data: DataSet) -> DataSet:
     """Data set with training and validation records as one part. Pieces that follow each other in
     the same log are joined."""
     records = sorted(
         (*data.training, *data.validation), key=lambda record: (record.log, record.first)
     )
-    joined = tuple(joined_pieces(records))
+    joined = tuple(join_consecutive_records(records))
     return replace(data, training=joined, validation=joined)
 
 
-def joined_pieces(records: Sequence[Trajectory]) -> list[Trajectory]:
+def join_consecutive_records(records: Sequence[Trajectory]) -> list[Trajectory]:
     """Join records that follow one another in the same log."""
     joined: list[Trajectory] = []
     for record in records:
         before = joined[-1] if joined else None
-        if before is not None and before.log == record.log > 0 and follows(record, before):
+        if before is not None and before.log == record.log > 0 and directly_follows(record, before):
             joined[-1] = Trajectory.concatenate([before, record])
         else:
             joined.append(record)
     return joined
 
 
-def follows(record: Trajectory, before: Trajectory) -> bool:
-    """Whether a record begins at the sample after the last one of another."""
+def directly_follows(record: Trajectory, before: Trajectory) -> bool:
+    """Whether a record begins directly after the end of another."""
     return record.first == before.first + len(before)
 
 
-def folds_of(data: DataSet) -> tuple[DataSet, ...]:
-    """Data sets without one fold each, which is their `test` part. None for short records.
+def make_folds(data: DataSet) -> tuple[DataSet, ...]:
+    """Data sets for cross-validation, each with one fold as its test part. None for short records.
 
     Whole records are held out where there are enough, else pieces of the long ones. A piece starts
     in motion, so its first samples estimate its state and are not scored. No test record of `data`
     is looked at.
     """
-    joined = with_joined_records(data).training
+    joined = join_training_and_validation(data).training
     whole = len(joined) >= FOLDS
     if not whole and len(max(joined, key=len)) < FOLDS * SHORTEST_FOLD:
         return ()
     unscored = data.start_up_samples or START_UP
     folds = []
     for k in range(FOLDS):
-        kept, held_out = without_whole_records(joined, k) if whole else without_pieces(joined, k)
+        kept, held_out = hold_out_records(joined, k) if whole else hold_out_pieces(joined, k)
         folds.append(
             replace(
                 data,
-                training=shortened(kept),
+                training=shorten_records(kept),
                 validation=held_out,
                 test=held_out,
                 start_up_samples=unscored,
@@ -67,14 +67,14 @@ def folds_of(data: DataSet) -> tuple[DataSet, ...]:
     return tuple(folds)
 
 
-def without_whole_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Records that train, and every `FOLDS`-th record, which is held out."""
+def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
+    """Training records without every fourth or so, and the held-out ones."""
     kept = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
     return kept, records[fold::FOLDS]
 
 
-def without_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
-    """Records without one piece of each that is long enough, and the removed pieces."""
+def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
+    """Training records without one piece of each, and the held-out pieces."""
     training: list[Trajectory] = []
     held_out: list[Trajectory] = []
     for record in records:
@@ -87,8 +87,8 @@ def without_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Traj
     return tuple(training), tuple(held_out)
 
 
-def shortened(records: Trajectories) -> Trajectories:
-    """Records cut to `MOST_SAMPLES` together, each to the same share of its length, at its end."""
+def shorten_records(records: Trajectories) -> Trajectories:
+    """Records cut at their ends to a total length."""
     share = MOST_SAMPLES / sum(len(record) for record in records)
     if share >= 1.0:
         return records

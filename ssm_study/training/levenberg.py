@@ -22,32 +22,32 @@ Residual = Callable[[Float[Tensor, "P"]], Float[Tensor, "N"]]
 DAMPING_RANGE = (1e-12, 1e12)
 
 
-class Rule(NamedTuple):
-    """Settings of the Levenberg-Marquardt damping. `tries` dampings before a step counts as
-    failed, each `grow` times the last; curvatures below `weakest`, relative to the largest, are
-    damped as if they had it."""
+class DampingRule(NamedTuple):
+    """Settings of the Levenberg-Marquardt damping. `tries` dampings before a step counts as failed,
+    each `grow` times the last; curvatures below `weakest`, relative to the largest, are damped as
+    if they had it."""
 
     tries: int
     grow: float
     weakest: float
 
 
-FORWARD = Rule(tries=8, grow=4.0, weakest=1e-6)
-WRITTEN_OUT = Rule(tries=10, grow=3.0, weakest=1e-8)
+FORWARD = DampingRule(tries=8, grow=4.0, weakest=1e-6)
+WRITTEN_OUT = DampingRule(tries=10, grow=3.0, weakest=1e-8)
 
 
 def levenberg_marquardt_step(
-    rule: Rule, loss: float, gradient: Any, normal: Any, damping: float,
-    solved: Callable[[float], Any], loss_at: Callable[[Any], float],
+    rule: DampingRule, loss: float, gradient: Any, normal: Any, damping: float,
+    solve_damped: Callable[[float], Any], loss_at: Callable[[Any], float],
 ) -> tuple[Any, float, float]:  # fmt: skip
-    """One accepted step of Levenberg-Marquardt. The first step that gains (None where all fail),
-    the loss there, and the damping of the next step.
+    """Take one accepted step of the Levenberg-Marquardt method. The first step that gains (None
+    where all fail), the loss there, and the damping of the next step.
 
     The damping falls after a step that gains what the quadratic model expects, and grows after
-    others. `solved` gives the step of a damping, or None; arrays are NumPy's or torch's.
+    others. `solve_damped` gives the step of a damping, or None; arrays are NumPy's or torch's.
     """
     for _ in range(rule.tries):
-        step = solved(damping)
+        step = solve_damped(damping)
         value = np.inf if step is None else loss_at(step)
         gained = loss - value  # not above zero where the trial is not finite
         if gained > 0:
@@ -61,8 +61,8 @@ def levenberg_marquardt_step(
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):
-    """Levenberg-Marquardt as a torch optimiser. The optimiser of torch models: `step` takes one
-    accepted step, or none; there is no penalty.
+    """Levenberg-Marquardt method as a torch optimiser. The optimiser of torch models: `step` takes
+    one accepted step, or none; there is no penalty.
 
     Parameters that sit in exponentials (`nu`, `theta`) move by at most `longest_step` at once,
     where the linear model holds. `residual` takes all parameters in a row.
@@ -86,6 +86,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Any = None) -> float:  # type: ignore[override]  # noqa: ARG002 - needs residuals, not a loss
+        """Take one Levenberg-Marquardt step."""
         residual = self.residual
         group = self.param_groups[0]
         flat = torch.cat([p.detach().flatten() for p in group["params"]])
@@ -96,7 +97,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         normal = j.T @ j
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
-        def solved(damping: float) -> Tensor:
+        def solve_damped(damping: float) -> Tensor:
             step = torch.linalg.solve(normal + torch.diag(damping * scale), -gradient)
             return torch.maximum(torch.minimum(step, self.limits), -self.limits)
 
@@ -105,7 +106,7 @@ class LevenbergMarquardt(torch.optim.Optimizer):
             return float(trial @ trial)
 
         step, _, group["damping"] = levenberg_marquardt_step(
-            FORWARD, loss, gradient, normal, group["damping"], solved, loss_at
+            FORWARD, loss, gradient, normal, group["damping"], solve_damped, loss_at
         )
         if step is not None:
             torch.nn.utils.vector_to_parameters(flat + step, group["params"])

@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class NoLogger:
-    """Setting without a further logger. Nothing besides our own record; the others return
-    Lightning's logger, writing below the training's own folder."""
+    """Setting without a further logger of the training curve. Nothing besides our own record; the
+    others return Lightning's logger, writing below the training's own folder."""
 
     def build(self, folder: Path) -> "Logger | None":  # noqa: ARG002 - nothing is written
+        """Build the logger; None for none."""
         return None
 
 

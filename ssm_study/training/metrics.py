@@ -28,7 +28,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """Identified model, the validation fit that its stored numbers reproduce, and how it was found.
+    """Identified model with its validation fit and how it was found.
 
     The fit is recomputed from `model` itself (float64, `free_run`), never taken from training.
     `curve` holds one row per epoch: `epoch, seconds, fit_training_percent, fit_validation_percent`.
@@ -48,18 +48,20 @@ class Identification:
     members: tuple[Simulator, ...] = ()
 
     @classmethod
-    def of(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
-        """The model with its fit to the validation records."""
+    def from_model(cls, model: Simulator, data: DataSet, **how: Any) -> "Identification":
+        """Identified model with its fit to the validation records."""
         return cls(
-            model=model, fit_validation_percent=mean_fit(model, data.validation, data), **how
+            model=model,
+            fit_validation_percent=records_fit_percent(model, data.validation, data),
+            **how,
         )
 
 
-def mean_fit(model: Simulator, records: Trajectories, data: DataSet) -> float:
-    """Fit in percent of a model's free runs on the records of a data set."""
+def records_fit_percent(model: Simulator, records: Trajectories, data: DataSet) -> float:
+    """Fit in percent of a model's free runs on several records."""
     return Simulation.simulate_records(model, records, data.start_up_samples).fit_percent
 
 
-def training_facts(seconds: float, ended: str) -> dict[str, Any]:
-    """Columns of one training."""
+def training_columns(seconds: float, ended: str) -> dict[str, Any]:
+    """Columns on the duration and the end of a training."""
     return {"training_seconds": seconds, "training_ended": ended}

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserSpec(ABC):
-    """Base class of optimiser settings. `build` returns what Lightning takes: a torch optimiser
-    over the trainable parameters, perhaps with a schedule.
+    """Base class of settings of an optimiser. `build` returns what Lightning takes: a torch
+    optimiser over the trainable parameters, perhaps with a schedule.
 
     An epoch is `calls_per_epoch` calls of it.
     """
@@ -29,6 +29,7 @@ class OptimiserSpec(ABC):
 
     @property
     def calls_per_epoch(self) -> int:
+        """Number of training steps in an epoch."""
         return self.steps_per_epoch
 
     @abstractmethod
@@ -37,8 +38,7 @@ class OptimiserSpec(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Lbfgs(OptimiserSpec):
-    """Limited-memory BFGS with a strong Wolfe line search; one epoch is `steps_per_epoch`
-    iterations of it."""
+    """Settings of limited-memory BFGS with a strong Wolfe line search."""
 
     history: int
 
@@ -57,13 +57,13 @@ class Lbfgs(OptimiserSpec):
             "tolerance_grad": 0.0,
             "tolerance_change": 0.0,
         }
-        return torch.optim.LBFGS(trainable(fit), **sizes, **search)
+        return torch.optim.LBFGS(trainable_parameters(fit), **sizes, **search)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Levenberg(OptimiserSpec):
-    """Levenberg-Marquardt; one epoch is `steps_per_epoch` steps. Penalties are left out: it sees
-    the error alone."""
+    """Settings of the Levenberg-Marquardt method. Penalties are left out: it sees the error
+    alone."""
 
     damping: float
     longest_step: float
@@ -77,13 +77,13 @@ class Levenberg(OptimiserSpec):
         from ssm_study.training.levenberg import LevenbergMarquardt
 
         named = [(name, p) for name, p in fit.named_parameters() if p.requires_grad]
-        return LevenbergMarquardt(named, fit.residual, self.damping, self.longest_step)
+        return LevenbergMarquardt(named, fit.residual_at, self.damping, self.longest_step)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Adam(OptimiserSpec):
-    """Adam; one epoch is `steps_per_epoch` steps. The rate falls along half a cosine to
-    `final_fraction` of itself."""
+    """Settings of the Adam optimiser. The rate falls along half a cosine to `final_fraction` of
+    itself."""
 
     learning_rate: float
     final_fraction: float
@@ -101,9 +101,9 @@ class Adam(OptimiserSpec):
         )
 
     def build(self, fit: "Fit") -> dict[str, Any]:
-        optimiser = torch.optim.Adam(trainable(fit), lr=self.learning_rate, fused=True)
+        optimiser = torch.optim.Adam(trainable_parameters(fit), lr=self.learning_rate, fused=True)
 
-        def factor(epoch: int) -> float:
+        def decay_factor(epoch: int) -> float:
             along = epoch / fit.settings.max_epochs
             return (
                 self.final_fraction
@@ -112,10 +112,10 @@ class Adam(OptimiserSpec):
 
         return {
             "optimizer": optimiser,
-            "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, factor),
+            "lr_scheduler": torch.optim.lr_scheduler.LambdaLR(optimiser, decay_factor),
         }
 
 
-def trainable(model: "nn.Module") -> "list[nn.Parameter]":
+def trainable_parameters(model: "nn.Module") -> "list[nn.Parameter]":
     """Parameters of a model that an optimiser changes."""
     return [parameter for parameter in model.parameters() if parameter.requires_grad]

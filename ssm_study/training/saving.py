@@ -49,8 +49,8 @@ STILL_EPOCHS = 2
 
 
 class DurableCheckpointIO(CheckpointIO):
-    """Checkpoint writer that survives crashes. Write beside the target, fsync, rename, fsync the
-    folder; read tensors and plain containers only.
+    """Checkpoint writer whose files survive a crash. Write beside the target, fsync, rename, fsync
+    the folder; read tensors and plain containers only.
 
     The SHA-256 of the content follows it: torch does not notice a flipped bit (and reads past the
     sum without a word). Lightning's own writer goes through TMPDIR; with that on another file
@@ -90,7 +90,7 @@ class DurableCheckpointIO(CheckpointIO):
         Path(path).unlink(missing_ok=True)
 
 
-def trained(
+def train_with_lightning(
     settings: "Training",
     spec: ModelSpec,
     data: DataSet,
@@ -99,14 +99,16 @@ def trained(
     progress: bool,
     keep_on_interrupt: bool = False,
 ) -> Identification:
-    """Train a model under Lightning and return the best state. Epochs, checkpoints and early
+    """Train a model under Lightning and return its best state. Epochs, checkpoints and early
     stopping are the same around a step of torch and one that needs none of it.
 
     With `keep_on_interrupt` Ctrl-C ends the training with the best state so far, once an epoch has
     ended; raises `KeyboardInterrupt` otherwise.
     """
     # More epochs or patience only continue a training, so a checkpoint is good for those too.
-    belongs_to = fingerprint((spec, seed), replace(settings, max_epochs=1, patience=1), data)
+    belongs_to = training_fingerprint(
+        (spec, seed), replace(settings, max_epochs=1, patience=1), data
+    )
     keeper = BestModelCheckpoint(
         settings.validation_tolerance_percent, folder, belongs_to, settings.checkpoint_every_s
     )
@@ -123,16 +125,16 @@ def trained(
         **watched, min_delta=settings.min_gain_percent, patience=settings.patience
     )
     one: DataLoader = DataLoader(range(1), batch_size=1)  # type: ignore[arg-type] # the records are in Fit
-    resume_from = resumable(folder, belongs_to)
+    resume_from = find_resumable_checkpoint(folder, belongs_to)
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", module="lightning"
         )  # advice on Slurm, workers, loggers: of no use here
         line = [ProgressLine(settings.max_epochs)] if progress else []
         # Saved is what stopping has counted.
-        trainer = trainer_of(settings, [stopping, keeper, *line, OriginalSignals()], folder)
+        trainer = build_trainer(settings, [stopping, keeper, *line, OriginalSignals()], folder)
         try:
-            with raises_interrupts():
+            with raise_on_interrupt():
                 trainer.fit(fit, one, one, ckpt_path=resume_from)
         except KeyboardInterrupt:
             if not keep_on_interrupt or not keeper.curve:
@@ -147,15 +149,17 @@ def trained(
         kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
         fit.load_state_dict(keeper.kept)
-    model, told = fit.concluded()
+    model, told = fit.conclude()
     ended = (keeper.ended or early) + told
-    return Identification.of(model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended)
+    return Identification.from_model(
+        model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended
+    )
 
 
 @contextmanager
-def raises_interrupts() -> Iterator[None]:
-    """Raise Ctrl-C as Python does. Lightning exits with status 1, as if the training had failed,
-    and ignores Ctrl-C from then on."""
+def raise_on_interrupt() -> Iterator[None]:
+    """Context in which Ctrl-C raises `KeyboardInterrupt` as in plain Python. Lightning exits with
+    status 1, as if the training had failed, and ignores Ctrl-C from then on."""
     is_main = threading.current_thread() is threading.main_thread()
     handler = signal.getsignal(signal.SIGINT)
     try:
@@ -170,8 +174,7 @@ def raises_interrupts() -> Iterator[None]:
 
 
 class OriginalSignals(Callback):
-    """Callback that leaves the signals of batch systems to whoever handled them before the
-    training.
+    """Callback that restores the handlers of system signals that were set before the training.
 
     Lightning turns SIGTERM into an exception of its own, which looks like an error of the run, and
     stops where submitit has asked the process to continue. Without it the process ends at once: the
@@ -191,9 +194,9 @@ class OriginalSignals(Callback):
                 signal.signal(number, handler)
 
 
-def trainer_of(settings: "Training", callbacks: list[Callback], folder: Path) -> pl.Trainer:
-    """Construct the Lightning trainer. Raises `BadRequest` for an accelerator that this machine
-    does not have."""
+def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path) -> pl.Trainer:
+    """Build the Lightning trainer. Raises `BadRequest` for an accelerator that this machine does
+    not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
     told: Any = dict.fromkeys(
         ("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False
@@ -214,9 +217,9 @@ def trainer_of(settings: "Training", callbacks: list[Callback], folder: Path) ->
         raise BadRequest("training.accelerator", settings.accelerator, problem, remedy) from error
 
 
-def fingerprint(spec: object, settings: object, data: DataSet) -> str:
-    """Hash that shows whether a checkpoint belongs to a training. Hash of what a checkpoint
-    belongs to: model, settings, and the records as they are scaled and scored."""
+def training_fingerprint(spec: object, settings: object, data: DataSet) -> str:
+    """Hash of settings and data that shows whether a checkpoint belongs to a training. Hash of what
+    a checkpoint belongs to: model, settings, and the records as they are scaled and scored."""
     digest = hashlib.sha256(
         f"{spec!r} {settings!r} {data.scale!r} {data.start_up_samples} {data.step_s}".encode()
     )
@@ -226,13 +229,13 @@ def fingerprint(spec: object, settings: object, data: DataSet) -> str:
     return digest.hexdigest()
 
 
-def resumable(folder: Path, expected: str) -> Path | None:
-    """Checkpoint from which an interrupted training goes on. `last.ckpt` of an interrupted
+def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
+    """Checkpoint from which an interrupted training can go on. `last.ckpt` of an interrupted
     training of the same thing; raises `BadRequest` if it is of something else."""
     path = folder / LAST
     if not path.exists():
         return None
-    found = read(path).get("fingerprint")
+    found = read_checkpoint(path).get("fingerprint")
     problem = "the checkpoint there is of another model, training or data set"
     require(
         found == expected,
@@ -244,8 +247,8 @@ def resumable(folder: Path, expected: str) -> Path | None:
     return path
 
 
-def read(path: Path) -> dict[str, Any]:
-    """Read the content of a checkpoint. Raises `BadRequest` when it is damaged."""
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read the content of a checkpoint file. Raises `BadRequest` when it is damaged."""
     try:
         return DurableCheckpointIO().load_checkpoint(path)
     except Exception as error:  # torch raises anything from UnpicklingError to RuntimeError here
@@ -254,8 +257,7 @@ def read(path: Path) -> dict[str, Any]:
 
 
 class ProgressLine(Callback):
-    """Callback that shows epochs, fits and time left on one live line; silent where stderr is
-    not a terminal."""
+    """Callback that shows epochs, fits and time left on one line of the terminal."""
 
     def __init__(self, max_epochs: int) -> None:
         columns = (
@@ -284,8 +286,8 @@ class ProgressLine(Callback):
 
 
 class BestModelCheckpoint(Callback):
-    """Callback that keeps the best state of a training, and stops when numbers leave the finite or
-    no longer change.
+    """Callback that keeps the best state of a training and stops it when its numbers are not finite
+    or no longer change.
 
     Validation fits of noisy records differ by chance: among states within `tolerance` percent
     points of the best validation fit the one with the best training fit is kept. Epochs that leave
@@ -334,7 +336,7 @@ class BestModelCheckpoint(Callback):
 
     @property
     def seconds(self) -> float:
-        """Duration of this training in seconds, with the time before an interruption."""
+        """Duration of the training in seconds, including the time before an interruption."""
         return time.perf_counter() - self.began
 
     def on_save_checkpoint(
@@ -353,13 +355,15 @@ class BestModelCheckpoint(Callback):
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
-        self.see(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
+        self.record_epoch(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
         self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})
         trainer.should_stop = trainer.should_stop or bool(self.ended)
 
-    def see(self, epoch: int, training: float, validation: float, module: nn.Module) -> None:
-        """Record the fits of one epoch, percent, and keep the state that has them. `ended` says why
-        to stop, if so."""
+    def record_epoch(
+        self, epoch: int, training: float, validation: float, module: nn.Module
+    ) -> None:
+        """Record the fits of one epoch, and keep the model's state if it is the best. `ended` says
+        why to stop, if so."""
         if not (math.isfinite(training) and math.isfinite(validation)):
             remedy = "lower the learning rate, or start from modes further inside the unit circle"
             self.ended = (

@@ -12,9 +12,9 @@ from ssm_study.training.candidates import (
     Row,
     Settings,
     Trial,
-    best_of,
-    linear_trial,
-    structured_trial,
+    best_candidate,
+    try_linear_model,
+    try_structured_model,
 )
 from ssm_study.training.folds import FOLDS
 
@@ -25,8 +25,8 @@ REFIT_BEYOND = 1.25  # times the error on held-out folds
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """Specification with every setting decided, the table of candidates, and the chosen model's
-    mean error on held-out folds, percent. Without a table nothing was tried.
+    """Model specification in which every setting is decided, with the table of candidates. Without
+    a table nothing was tried.
 
     `is_linear`: the output-error model itself is to be taken, of this order and delay.
     """
@@ -36,32 +36,32 @@ class Choice:
     error: float | None = None
     is_linear: bool = False
 
-    def words(self, automatic: Sequence[str]) -> str:
-        """Words on the settings that were left open and what was chosen, of how many. Empty if
-        nothing was."""
+    def describe(self, automatic: Sequence[str]) -> str:
+        """Words on the settings that were chosen from the records, and from how many candidates.
+        Empty if nothing was."""
         if not self.rows:
             return ""
         settings = ", ".join(
-            f"{spoken(name)} {spoken(getattr(self.spec, name))}" for name in automatic
+            f"{setting_words(name)} {setting_words(getattr(self.spec, name))}" for name in automatic
         )
         return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
 
-    def asks_for_refit(self, error_validation: float) -> bool:
-        """Whether validation records are predicted far worse than held-out folds are. The training
-        records then do not show what the others do."""
+    def needs_refit(self, error_validation: float) -> bool:
+        """Whether the model should also be trained on the validation records, as it predicts them
+        much worse than the folds. The training records then do not show what the others do."""
         if self.error is None or not self.spec.refit:
             return False
         return error_validation > REFIT_BEYOND * self.error
 
 
-def spoken(value: object) -> str:
-    """A name or value of a setting in words: `dead_time`, true, 5."""
+def setting_words(value: object) -> str:
+    """Name or value of a setting in words."""
     return {"True": "yes", "False": "no"}.get(str(value), str(value).replace("_", " "))
 
 
 @dataclass(kw_only=True)
 class Search:
-    """Candidates tried so far on the folds of one data set, and the settings decided so far."""
+    """Candidates tried so far on the folds of a data set, and the settings decided so far."""
 
     spec: StructuredSpec
     folds: Sequence[DataSet]
@@ -73,58 +73,60 @@ class Search:
     certified: dict[int, bool] = field(default_factory=dict)  # by identity of the candidate
 
     def is_open(self, name: str) -> bool:
-        """Whether the user left this setting to the log, and nothing decided it yet."""
+        """Whether a setting was left to the records and is not decided yet."""
         return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
 
-    def structured(self, question: str, settings: Settings) -> Candidate:
-        """Candidate with neurons that has these settings and those decided, scored on the folds."""
-        spec = self.completed(settings)
+    def try_structured(self, question: str, settings: Settings) -> Candidate:
+        """Score a structured model with given settings on the folds."""
+        spec = self.complete_settings(settings)
         settings = {name: getattr(spec, name) for name in self.spec.automatic_settings}
-        known = self.already_tried(STRUCTURED, settings)
+        known = self.find_candidate(STRUCTURED, settings)
         if known is not None:
             return known
-        best = best_of(self.tried) if self.tried else None
-        return self.note(
-            question, STRUCTURED, settings, structured_trial(spec, self.folds, self.seed, best)
+        best = best_candidate(self.tried) if self.tried else None
+        return self.add_candidate(
+            question, STRUCTURED, settings, try_structured_model(spec, self.folds, self.seed, best)
         )
 
-    def completed(self, settings: Settings) -> StructuredSpec:
-        """Specification with these settings, those decided, and defaults for the others."""
+    def complete_settings(self, settings: Settings) -> StructuredSpec:
+        """Specification with given settings, those decided, and defaults for the rest."""
         wanted = self.decided | settings
         if wanted.get("neurons") == 0:
             wanted["input_path"] = "none"  # there are no neurons for it to reach
         automatic = self.spec.automatic_settings
-        return with_defaults(
+        return fill_in_defaults(
             replace(self.spec, **{name: wanted[name] for name in automatic if name in wanted})
         )
 
-    def linear(self, question: str, order: int, delay: int) -> Candidate:
-        """Candidate that is a linear output-error model, scored on the folds."""
+    def try_linear(self, question: str, order: int, delay: int) -> Candidate:
+        """Score a linear output-error model on the folds."""
         settings = {"order": order, "delay": delay}
-        known = self.already_tried(LINEAR, settings)
+        known = self.find_candidate(LINEAR, settings)
         if known is not None:
             return known
-        return self.note(question, LINEAR, settings, linear_trial(self.folds, order, delay))
+        return self.add_candidate(
+            question, LINEAR, settings, try_linear_model(self.folds, order, delay)
+        )
 
-    def value_of(self, name: str) -> Any:
-        """Value of a setting as it was decided, or as the user has it."""
+    def setting_value(self, name: str) -> Any:
+        """Value of a setting as decided, or as the user set it."""
         return self.decided.get(name, getattr(self.spec, name))
 
     @property
-    def integrates(self) -> bool:
-        """Whether an integrator is set apart behind the model."""
-        return self.value_of("integrating_output") is True
+    def has_integrator(self) -> bool:
+        """Whether the model has an integrator at its output."""
+        return self.setting_value("integrating_output") is True
 
     @property
-    def may_be_linear(self) -> bool:
-        """Whether neither neurons nor an input or output map were asked for."""
+    def allows_linear_model(self) -> bool:
+        """Whether the user asked for neither neurons nor static maps."""
         open_or_none = (AUTO, 0)
         sizes = (self.spec.neurons, self.spec.knots)
         return all(size in open_or_none for size in sizes) and self.spec.output_knots == 0
 
-    def can_be_certified(self, candidate: Candidate) -> bool:
-        """Whether a state feedback of the candidate's model is certified at any rate. True where
-        the specification does not ask."""
+    def is_certifiable(self, candidate: Candidate) -> bool:
+        """Whether some contraction rate of a state feedback can be certified for the candidate's
+        model. True where the specification does not ask."""
         largest_rate = getattr(self.spec.among_starts, "largest_rate", None)
         if largest_rate is None or candidate.example is None:
             return True
@@ -132,32 +134,34 @@ class Search:
             self.certified[id(candidate)] = largest_rate(candidate.example) > 0.0
         return self.certified[id(candidate)]
 
-    def note(self, question: str, model: str, settings: Settings, trial: Trial) -> Candidate:
-        """Add a candidate to the list, and print how it did."""
+    def add_candidate(
+        self, question: str, model: str, settings: Settings, trial: Trial
+    ) -> Candidate:
+        """Add a candidate to the list and print its error."""
         candidate = Candidate(
             question=question,
             model=model,
             settings=settings,
             errors=trial.errors,
-            start=trial.start,
+            start=trial.best_start_kind,
             example=trial.example,
         )
         self.tried.append(candidate)
-        self.announce(candidate.words)
+        self.announce(candidate.describe)
         return candidate
 
-    def already_tried(self, model: str, settings: Settings) -> Candidate | None:
-        """The candidate with exactly these settings, if there is one."""
+    def find_candidate(self, model: str, settings: Settings) -> Candidate | None:
+        """Find the candidate with exactly the given settings; None if there is none."""
         alike = [one for one in self.tried if (one.model, one.settings) == (model, settings)]
         return alike[0] if alike else None
 
-    def take(self, candidate: Candidate, settings: Settings) -> None:
-        """Decide the open settings as this candidate has them."""
+    def adopt_settings(self, candidate: Candidate, settings: Settings) -> None:
+        """Decide the open settings as a candidate has them."""
         self.chosen.append(candidate)
         self.decided |= {name: value for name, value in settings.items() if self.is_open(name)}
 
-    def choice_of(self, candidate: Candidate | None) -> Choice:
-        """Choice with all that was decided, and the sizes of this candidate."""
+    def make_choice(self, candidate: Candidate | None) -> Choice:
+        """Make the choice of all decided settings and a candidate's sizes."""
         decided = dict(self.decided)
         is_linear = candidate is not None and candidate.model == LINEAR
         if candidate is not None:
@@ -167,16 +171,16 @@ class Search:
         open_settings = {name: decided[name] for name in automatic if name in decided}
         chosen = [*self.chosen] if candidate is None else [*self.chosen, candidate]
         return Choice(
-            spec=with_defaults(replace(self.spec, **open_settings)),
-            rows=self.rows(chosen),
+            spec=fill_in_defaults(replace(self.spec, **open_settings)),
+            rows=self.candidate_rows(chosen),
             error=None if candidate is None else candidate.mean_error,
             is_linear=is_linear,
         )
 
-    def rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
-        """Table of the candidates that were tried."""
+    def candidate_rows(self, chosen: Sequence[Candidate]) -> tuple[Row, ...]:
+        """Rows of the table of candidates that were tried."""
         return tuple(
-            candidate.row(
+            candidate.table_row(
                 chosen=any(candidate is one for one in chosen),
                 certified=self.certified.get(id(candidate)),
             )
@@ -184,6 +188,6 @@ class Search:
         )
 
 
-def with_defaults(spec: StructuredSpec) -> StructuredSpec:
-    """Specification with the default of `model=structured` for each setting that is still open."""
+def fill_in_defaults(spec: StructuredSpec) -> StructuredSpec:
+    """Specification with the default value for each setting that is still open."""
     return replace(spec, **{name: AUTOMATIC[name] for name in spec.automatic_settings})

@@ -15,22 +15,22 @@ from ssm_study.models.spec import scale_records_with_disturbances
 from ssm_study.models.structured import Model, StructuredSSM, evaluate_activations
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.signals import DataSet, Trajectories, fit_from_relative_error
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
-    Batch,
     Descent,
-    Residuals,
+    RecordBatch,
+    SimulationProblem,
     Theta,
-    minimise,
-    step,
+    minimise_simulation_error,
+    take_step,
 )
 from ssm_study.training.structured_start import (
-    contracting_start,
-    linear_start,
-    screened_poles,
-    with_neurons,
+    add_random_neurons,
+    choose_random_poles,
+    contracting_initial_parameters,
+    fit_initial_linear_model,
 )
 
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
@@ -60,8 +60,8 @@ class StructuredFit(pl.LightningModule):
         self.integrates = bool(spec.integrating_output)
         channels = (data.scale.inputs, data.scale.outputs)
         lift, read = spec.build_maps(channels, data.scale.disturbances)
-        self.problem = Residuals(
-            records=Batch.padded(scale_records_with_disturbances(data)),
+        self.problem = SimulationProblem(
+            records=RecordBatch.from_pairs(scale_records_with_disturbances(data)),
             neurons=spec.neuron_kinds,
             lift=lift,
             read=read,
@@ -76,7 +76,7 @@ class StructuredFit(pl.LightningModule):
             self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
 
     def _parameter_shapes(self) -> dict[str, tuple[int, ...]]:
-        """Shape of each block of parameters, in the order of `theta`."""
+        """Shape of each block of trainable parameters."""
         spec = self.spec
         n = int(spec.order)
         q = int(spec.neurons)
@@ -94,100 +94,107 @@ class StructuredFit(pl.LightningModule):
         return sizes
 
     @property
-    def theta(self) -> Theta:
-        """Parameters as NumPy arrays by block."""
+    def parameter_blocks(self) -> Theta:
+        """Trainable parameters as NumPy arrays by block."""
         return {
             name: part.cpu().numpy()
             for name, part in self.named_buffers()
             if name not in ("damping", "loss")
         }
 
-    def advance(self, steps: int) -> None:
-        """Make the initial parameters and take at most so many steps, without what Lightning does
-        around each."""
-        start = self._starting_point()
-        self._store(minimise(self.problem, start, self._moving_blocks, steps))
+    def take_steps(self, steps: int) -> None:
+        """Take several training steps outside Lightning."""
+        start = self._initial_parameters()
+        self._store_descent(
+            minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
+        )
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
-        """Make the initial parameters in the first epoch. In each further epoch take one accepted
-        step, or none."""
+        """Take the training steps of one epoch. In each further epoch take one accepted step, or
+        none."""
         if torch.isnan(self.loss):
-            self.advance(0)
+            self.take_steps(0)
             return
-        at = Descent(theta=self.theta, loss=float(self.loss), damping=float(self.damping))
-        self._store(step(self.problem, at, self._moving_blocks))
+        at = Descent(
+            theta=self.parameter_blocks, loss=float(self.loss), damping=float(self.damping)
+        )
+        self._store_descent(take_step(self.problem, at, self._trained_blocks))
 
     @property
-    def _moving_blocks(self) -> tuple[str, ...]:
-        """Blocks of parameters that the training moves."""
+    def _trained_blocks(self) -> tuple[str, ...]:
+        """Names of the parameter blocks that the training changes."""
         core = CORE if self.spec.rate is None else FREE_CORE
-        return self._blocks_with(core, self.spec.input_path != "none")
+        return self._phase_blocks(core, self.spec.input_path != "none")
 
-    def _store(self, at: Descent) -> None:
-        """Store the state of the descent in the buffers."""
-        for name in self.theta:
+    def _store_descent(self, at: Descent) -> None:
+        """Store the state of the minimisation in the module's buffers."""
+        for name in self.parameter_blocks:
             getattr(self, name).copy_(torch.as_tensor(at.theta[name]))
         self.loss.fill_(at.loss)
         self.damping.fill_(at.damping)
 
-    def _starting_point(self) -> Theta:
+    def _initial_parameters(self) -> Theta:
         """Initial parameters of the training, fitted to few samples. A linear fit and S_u come
         first; then neurons are drawn at random several times, and the best draw is taken."""
         spec = self.spec
         rng = np.random.default_rng(self.seed)
-        stretch = self.problem.records.moving_stretch(START_SAMPLES)
+        stretch = self.problem.records.find_moving_stretch(START_SAMPLES)
         short = replace(self.problem, records=stretch)
         linear = replace(short, neurons=(), rate=None)
-        moving = self._linear_blocks()
-        theta = self._linear_fit(linear, moving, rng)
+        moving = self._linear_block_names()
+        theta = self._fit_linear_model(linear, moving, rng)
         if spec.knots or spec.output_knots:
             maps = (*moving, "scaffold_in", "scaffold_out")
-            theta = minimise(linear, theta, maps, spec.start_steps[1]).theta
-        draws = [self._drawn(short, theta, rng) for _ in range(spec.draws)]
+            theta = minimise_simulation_error(linear, theta, maps, spec.start_steps[1]).theta
+        draws = [self._draw_neurons(short, theta, rng) for _ in range(spec.draws)]
         best = min(draws, key=lambda draw: draw.loss)
         # Records that the start has not seen begin at rest.
-        x0 = np.zeros_like(self.theta["x0"])
+        x0 = np.zeros_like(self.parameter_blocks["x0"])
         if np.shares_memory(stretch.u[:1, :1], self.problem.records.u[:1, :1]):
             x0[: len(best.theta["x0"])] = best.theta["x0"]
         return best.theta | {"x0": x0}
 
-    def _linear_blocks(self) -> tuple[str, ...]:
-        """Blocks of parameters of the linear fit."""
+    def _linear_block_names(self) -> tuple[str, ...]:
+        """Names of the parameter blocks of the linear model."""
         direct = ("d",) if self.spec.feedthrough else ()
         starts = ("x0",) if self.estimates else ()
         return ("a", "b", "c", *direct, *starts)
 
-    def _linear_fit(
-        self, linear: Residuals, moving: tuple[str, ...], rng: np.random.Generator
+    def _fit_linear_model(
+        self, linear: SimulationProblem, moving: tuple[str, ...], rng: np.random.Generator
     ) -> Theta:
-        """Linear model of the records: from ARX, or from random poles where that is far better."""
+        """Fit a linear model to the records, from an ARX model or from random poles."""
         spec = self.spec
         steps = spec.start_steps[0]
-        start = linear_start(linear, int(spec.order), bool(spec.feedthrough), rng)
-        fitted = minimise(linear, start, moving, steps)
+        start = fit_initial_linear_model(linear, int(spec.order), bool(spec.feedthrough), rng)
+        fitted = minimise_simulation_error(linear, start, moving, steps)
         if self.integrates:
             return fitted.theta
-        screened_start = screened_poles(linear, start, self.estimates, rng)
-        screened = minimise(linear, screened_start, moving, steps)
+        screened_start = choose_random_poles(linear, start, self.estimates, rng)
+        screened = minimise_simulation_error(linear, screened_start, moving, steps)
         is_better = screened.loss < TRUSTED * fitted.loss
         return screened.theta if is_better else fitted.theta
 
-    def _drawn(self, short: Residuals, theta: Theta, rng: np.random.Generator) -> Descent:
-        """Random initial parameters with neurons. Random neurons, a few steps without the
+    def _draw_neurons(
+        self, short: SimulationProblem, theta: Theta, rng: np.random.Generator
+    ) -> Descent:
+        """Draw random initial parameters of the neurons. Random neurons, a few steps without the
         constraint, the nearest contracting model, a few steps as one."""
         spec = self.spec
         has_input_path = spec.input_path == "free"
         free = replace(short, rate=None)
-        theta = with_neurons(free, theta, int(spec.neurons), rng)
-        unconstrained = self._blocks_with(CORE, has_input_path)
-        drawn = minimise(free, theta, unconstrained, spec.start_steps[2])
+        theta = add_random_neurons(free, theta, int(spec.neurons), rng)
+        unconstrained = self._phase_blocks(CORE, has_input_path)
+        drawn = minimise_simulation_error(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
             return drawn
-        theta = contracting_start(free, drawn.theta, spec.rate)
-        return minimise(short, theta, self._blocks_with(FREE_CORE, has_input_path), RACE)
+        theta = contracting_initial_parameters(free, drawn.theta, spec.rate)
+        return minimise_simulation_error(
+            short, theta, self._phase_blocks(FREE_CORE, has_input_path), RACE
+        )
 
-    def _blocks_with(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
-        """Blocks that a phase moves: the core, maps and gains, and the paths that are open."""
+    def _phase_blocks(self, core: tuple[str, ...], input_path: bool) -> tuple[str, ...]:
+        """Names of the parameter blocks that one phase of the training changes."""
         spec = self.spec
         is_open = {
             "g": input_path,
@@ -199,25 +206,28 @@ class StructuredFit(pl.LightningModule):
         return (*core, "b", "c", "bias", "scaffold_in", "scaffold_out", *paths)
 
     def validation_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002
-        """Compute the fits in percent. That of training is from the states that were fitted, of
-        validation as a score has them."""
-        r = self.problem.residual(self.theta)
+        """Compute the training and validation fits of the current model. That of training is from
+        the states that were fitted, of validation as a score has them."""
+        r = self.problem.weighted_error(self.parameter_blocks)
         self.log("fit_training_percent", fit_from_relative_error(np.sqrt(r @ r)))
-        self.log("fit_validation_percent", mean_fit(self.stored(), self.data.validation, self.data))
+        self.log(
+            "fit_validation_percent",
+            records_fit_percent(self.as_model(), self.data.validation, self.data),
+        )
 
     def configure_optimizers(self) -> None:
         """Configure no optimiser: a step needs the Jacobian, not a gradient."""
 
-    def stored(self) -> StructuredSSM:
+    def as_model(self) -> StructuredSSM:
         """Trained model as explicit numbers. The running sum of `integrating_output` is one more
         state per output."""
-        theta = self.theta
+        theta = self.parameter_blocks
         parts: dict[str, Any] = self.problem.matrices(theta)._asdict()
         del parts["kinds"]
         if self.integrates:
-            parts |= with_integrator(parts)
+            parts |= append_integrator(parts)
         if self.data.scale.disturbances:
-            parts |= with_disturbance_path(parts, self.data.scale.inputs)
+            parts |= split_disturbance_columns(parts, self.data.scale.inputs)
         return StructuredSSM(
             **parts,
             neurons=self.spec.neuron_kinds,
@@ -227,22 +237,22 @@ class StructuredFit(pl.LightningModule):
             step_s=self.data.step_s,
         )
 
-    def concluded(self) -> tuple[Model, str]:
-        """Model without the neurons that have no effect on the training inputs, and their number.
+    def conclude(self) -> tuple[Model, str]:
+        """Trained model without idle neurons, and a remark on how many were removed.
 
         Without any neuron it is the model of one layer, of which more can be proved.
         """
-        model = pruned(self.stored(), self.data.training)
+        model = prune_neurons(self.as_model(), self.data.training)
         idle = len(self.spec.neuron_kinds) - len(model.neurons)
         note = f"; neurons removed because they did nothing: {idle}" if idle else ""
         return model if model.neurons else SSM.from_json(model.to_json()), note
 
 
-def with_integrator(
+def append_integrator(
     parts: dict[str, Float[np.ndarray, "..."]],
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Append an integrator to a recurrence. Matrices of a recurrence whose output is summed up:
-    the sums are states, and the output."""
+    """Append an integrator at the output of a recurrence. Matrices of a recurrence whose output is
+    summed up: the sums are states, and the output."""
     a = parts["a"]
     c = parts["c"]
     f = parts["f"]
@@ -259,17 +269,16 @@ def with_integrator(
     }
 
 
-def with_disturbance_path(
+def split_disturbance_columns(
     parts: dict[str, Float[np.ndarray, "..."]], inputs: int
 ) -> dict[str, Float[np.ndarray, "..."]]:
-    """Input matrices of so many inputs, and B_d of the columns behind them."""
+    """Split the input matrices into the columns of inputs and those of measured disturbances."""
     split = {name: parts[name][:, :inputs] for name in ("b", "d", "g")}
     return split | {"b_d": parts["b"][:, inputs:]}
 
 
-def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
-    """Remove neurons whose replacement by `w_i = s_i z_i`, s_i the mean slope, moves no output by
-    `IDLE` (relative).
+def prune_neurons(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
+    """Remove neurons whose linear replacement changes no output noticeably. `w_i = s_i z_i`.
 
     A metric in which the model contracts is one of the pruned model too: `w_i = s_i z_i` satisfies
     the sector condition that the analysis LMI is about. A neuron between input and output is left
@@ -278,7 +287,7 @@ def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
     for i in reversed(range(len(model.neurons))):
         if np.any(model.h[:, i] != 0) and np.any(model.g[i] != 0):
             continue
-        candidate = without_neuron(model, i, records)
+        candidate = linearise_neuron(model, i, records)
         output = np.concatenate([model.simulate(one.u, d=one.d) for one in records])
         moved = np.concatenate([candidate.simulate(one.u, d=one.d) for one in records])
         deviation = np.linalg.norm(output - output.mean(axis=0))
@@ -287,8 +296,8 @@ def pruned(model: StructuredSSM, records: Trajectories) -> StructuredSSM:
     return model
 
 
-def without_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
-    """Model whose neuron i is replaced by its mean slope over these records."""
+def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> StructuredSSM:
+    """Model in which one neuron is replaced by its mean slope over the records."""
     slopes = []
     for record in records:
         states = model.simulate_mapped(model.driving_signals(record.u, record.d))[1][:-1]

@@ -25,7 +25,7 @@ from ssm_study.models.structured_kernel import (
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.refusal import require
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
-from ssm_study.training.windows import padded
+from ssm_study.training.windows import pad_records
 
 # Parameters by block: a, e, f (or x_e, x_g, log_d), b, g, bias, c, d, h, scaffold_in, scaffold_out,
 # x0.
@@ -37,18 +37,18 @@ STILL = 0.1  # of the records' deviation: where they move less, no start is made
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
-class Batch(NamedTuple):
-    """Records in scaled units, padded. `weight` is 0 where padded, and such that `|r|^2 = (1 - fit
-    / 100)^2`."""
+class RecordBatch(NamedTuple):
+    """Scaled records of equal length, the shorter ones padded. `weight` is 0 where padded, and such
+    that `|r|^2 = (1 - fit / 100)^2`."""
 
     u: Float[np.ndarray, "N T m"]
     y: Float[np.ndarray, "N T p"]
     weight: Float[np.ndarray, "N T 1"]
 
     @classmethod
-    def padded(cls, pairs: Pairs) -> "Batch":
+    def from_pairs(cls, pairs: Pairs) -> "RecordBatch":
         """Records as one batch, the shorter ones padded at their ends."""
-        u, y = padded(pairs)
+        u, y = pad_records(pairs)
         outputs = np.concatenate([output for _, output in pairs])
         deviation = np.linalg.norm(outputs - outputs.mean(axis=0))
         lengths = np.array([len(record) for record, _ in pairs])
@@ -56,65 +56,65 @@ class Batch(NamedTuple):
         is_recorded = sample[None, :, None] < lengths[:, None, None]
         return cls(u=u, y=y, weight=is_recorded / deviation)
 
-    def cut(self, samples: int) -> "Batch":
-        """First whole records with so many samples together. Of one that is longer, its
+    def take_whole_records(self, samples: int) -> "RecordBatch":
+        """First whole records with a given number of samples together. Of one that is longer, its
         beginning."""
         count = max(1, samples // self.u.shape[1])
-        return Batch(*(part[:count, :samples] for part in self))
+        return RecordBatch(*(part[:count, :samples] for part in self))
 
-    def moving_stretch(self, samples: int) -> "Batch":
-        """A stretch of so many samples in which input and output move. It is `cut(samples)` if they
-        move there, else the stretch of one record that moves most. Raises `BadRequest` where none
-        does."""
-        beginning = self.cut(samples)
-        if self._movement(beginning) >= STILL:
+    def find_moving_stretch(self, samples: int) -> "RecordBatch":
+        """Stretch of given length in which input and output move most. It is
+        `take_whole_records(samples)` if they move there, else the stretch of one record that moves
+        most. Raises `BadRequest` where none does."""
+        beginning = self.take_whole_records(samples)
+        if self._relative_movement(beginning) >= STILL:
             return beginning
         firsts = range(0, self.u.shape[1], max(1, samples // 2))
         stretches = [
-            self._stretch(record, first, samples)
+            self._cut_stretch(record, first, samples)
             for record, first in product(range(len(self.u)), firsts)
         ]
-        moving = max(stretches, key=self._movement)
+        moving = max(stretches, key=self._relative_movement)
         problem = "no stretch of the training records moves in input and output"
         remedy = "log an experiment in which the input moves the output"
-        require(self._movement(moving) > 0, "data.training", "at rest", problem, remedy)
+        require(self._relative_movement(moving) > 0, "data.training", "at rest", problem, remedy)
         return moving
 
-    def _stretch(self, record: int, first: int, samples: int) -> "Batch":
-        """So many samples of one record, from `first` on."""
-        return Batch(*(part[record : record + 1, first : first + samples] for part in self))
+    def _cut_stretch(self, record: int, first: int, samples: int) -> "RecordBatch":
+        """Cut a stretch of samples out of one record."""
+        return RecordBatch(*(part[record : record + 1, first : first + samples] for part in self))
 
-    def _movement(self, stretch: "Batch") -> float:
-        """Deviation within the stretch over that of all records. It is the smaller of input and
-        output."""
+    def _relative_movement(self, stretch: "RecordBatch") -> float:
+        """Standard deviation within a stretch relative to that of all records. It is the smaller of
+        input and output."""
         if not stretch.scored.any():
             return 0.0
         shares = []
         for name in ("u", "y"):
             inside = getattr(stretch, name)[stretch.scored]
-            everywhere = getattr(self, name)[self.scored]
+            everywhere = getattr(self, name)[self.recorded_mask]
             deviation = float(np.linalg.norm(everywhere.std(axis=0)))
             deviation_inside = float(np.linalg.norm(inside.std(axis=0)))
             shares.append(deviation_inside / max(deviation, 1e-300))
         return min(shares)
 
     @property
-    def scored(self) -> np.ndarray:
-        """Mask `(N, T)` of the samples that were recorded. The others are padding."""
+    def recorded_mask(self) -> np.ndarray:
+        """Mask of the samples that were recorded and not padded. The others are padding."""
         return self.weight[..., 0] > 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Residuals:
-    """Simulation errors of a structured model as a least-squares problem. `r = weight (y_hat - y)`,
-    all records from their own x0.
+class SimulationProblem:
+    """Least-squares problem of the simulation errors of a structured model. `r = weight (y_hat -
+    y)`, all records from their own x0.
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. With
     `integrating_output` the output is the running sum of the model's, started at `x0`'s last entry.
     `ridge` weighs the squared parameters that are moved.
     """
 
-    records: Batch
+    records: RecordBatch
     neurons: tuple[str, ...]
     lift: TrainablePieces
     read: TrainablePieces
@@ -122,84 +122,83 @@ class Residuals:
     integrating_output: bool = False
     ridge: float = 0.0
 
-    def ridge_of(self, block: str) -> float:
-        """Weight of a block's squared parameters in the penalty."""
+    def ridge_weight(self, block: str) -> float:
+        """Weight of a block's squared parameters in the training penalty."""
         return 0.0 if block in UNWEIGHTED else self.ridge
 
     def matrices(self, theta: Theta) -> KernelMatrices:
-        """Matrices of the recurrence and codes of its activation functions, as compiled code takes
-        them."""
+        """Matrices of the recurrence for compiled code."""
         if self.rate is not None:
-            core = matrices_from_parameters(free_core(theta), self.rate)
+            core = matrices_from_parameters(free_parameters(theta), self.rate)
             theta = theta | core._asdict()
         return KernelMatrices.from_parts(theta, activation_codes(self.neurons))
 
-    def starts(self, theta: Theta) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
-        """Initial states of the records and, where the output is summed up, initial outputs."""
+    def initial_conditions(
+        self, theta: Theta
+    ) -> tuple[Float[np.ndarray, "N n"], Float[np.ndarray, "N p"]]:
+        """Initial states of the records, and initial outputs where the output is summed up."""
         n = len(theta["b"])
         return np.ascontiguousarray(theta["x0"][:, :n]), theta["x0"][:, n:]
 
-    def simulated(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Simulated input after S_u `(N, T, m)`, output before S_y `(N, T, p)`, and states `(N, T +
-        1, n)`."""
+    def simulate_signals(self, theta: Theta) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Simulated mapped inputs, outputs before the output map, and states. `(N, T + 1, n)`."""
         v = np.ascontiguousarray(self.lift.values(theta["scaffold_in"], self.records.u))
-        x0, _ = self.starts(theta)
+        x0, _ = self.initial_conditions(theta)
         ybar, states = simulate_compiled(self.matrices(theta), v, x0)
         return v, ybar, states
 
-    def output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
-        """Simulated output, scaled."""
-        _, ybar, _ = self.simulated(theta)
+    def simulate_output(self, theta: Theta) -> Float[np.ndarray, "N T p"]:
+        """Simulated scaled output of all records."""
+        _, ybar, _ = self.simulate_signals(theta)
         if self.integrating_output:
-            _, begun = self.starts(theta)
-            return begun[:, None, :] + summed(ybar)
+            _, begun = self.initial_conditions(theta)
+            return begun[:, None, :] + running_sum(ybar)
         return self.read.freeze(theta["scaffold_out"])(ybar)
 
-    def residual(self, theta: Theta) -> Float[np.ndarray, "R"]:
-        """Weighted error `weight (y_hat - y)`, flattened."""
+    def weighted_error(self, theta: Theta) -> Float[np.ndarray, "R"]:
+        """Weighted simulation error of all records as one vector."""
         # A trial step may be unstable: its loss is infinite, and it is refused.
         with np.errstate(all="ignore"):
-            error = self.output(theta) - self.records.y
+            error = self.simulate_output(theta) - self.records.y
             return (self.records.weight * error).ravel()
 
-    def linearised(
+    def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, "R"], Float[np.ndarray, "R K"], Float[np.ndarray, "K P"]]:
-        """Residual `r`, `J` and `turn`, where `J turn` is the Jacobian by the blocks `free`, each
-        flattened by rows.
+        """Weighted simulation error and its factored Jacobian by some blocks of parameters.
 
         `turn` is the chain rule through `contracting.matrices_from_parameters`: cheap behind `J'J`,
         not on every sample.
         """
         _, target, weight = self.records
-        y, columns = self._output_and_columns(theta)
+        y, columns = self._output_and_derivatives(theta)
         if "x0" in free:
-            columns["x0"] = self._by_initial_state(columns["x0"])
+            columns["x0"] = self._derivatives_by_initial_states(columns["x0"])
         blocks = [name for name in free if name not in FREE_CORE]
         turn = np.eye(sum(columns[name].shape[-1] for name in blocks))
         if len(blocks) < len(free):
             blocks = [*CORE, *blocks]
-            turn = block_diag(self._by_free_core(theta), turn)
+            turn = block_diag(self._derivatives_by_free_parameters(theta), turn)
         jacobian = np.concatenate([columns[name] for name in blocks], axis=-1)
         jacobian *= weight[..., None]  # in place: it is the largest array of a training
         residual = (weight * (y - target)).ravel()
         return residual, jacobian.reshape(target.size, -1), turn
 
-    def _output_and_columns(
+    def _output_and_derivatives(
         self, theta: Theta
     ) -> tuple[Float[np.ndarray, "N T p"], dict[str, Float[np.ndarray, "N T p _"]]]:
-        """Simulated output, and its derivatives by the parameters of each block."""
+        """Simulated output and its derivatives by the parameters of each block."""
         u, target, _ = self.records
         v, _, by_input_map = self.lift.derivatives(theta["scaffold_in"], u)
-        x0, begun = self.starts(theta)
+        x0, begun = self.initial_conditions(theta)
         y, columns = simulate_with_sensitivities(
             self.matrices(theta), v, x0, by_input_map, self.lift.parameter_channels
         )
-        self._close_passed_paths(columns)
+        self._zero_disturbance_feedthrough(columns)
         columns["scaffold_out"] = np.zeros((*target.shape, 0))
         if self.integrating_output:
-            y = begun[:, None, :] + summed(y)
-            return y, {name: summed(part) for name, part in columns.items()}
+            y = begun[:, None, :] + running_sum(y)
+            return y, {name: running_sum(part) for name, part in columns.items()}
         if not self.read.knots:
             return y, columns
         y, slope, by_output_map = self.read.derivatives(theta["scaffold_out"], y)
@@ -210,9 +209,11 @@ class Residuals:
         )
         return y, columns
 
-    def _close_passed_paths(self, columns: dict[str, Float[np.ndarray, "N T p _"]]) -> None:
-        """Set to zero the derivatives by the entries of D and G through which measured disturbances
-        would pass. These entries stay zero."""
+    def _zero_disturbance_feedthrough(
+        self, columns: dict[str, Float[np.ndarray, "N T p _"]]
+    ) -> None:
+        """Set the derivatives to zero by which measured disturbances would reach the output
+        directly. These entries stay zero."""
         inputs = self.lift.channels + self.lift.passed
         for name in ("d", "g"):
             if not self.lift.passed or not columns[name].size:
@@ -220,17 +221,19 @@ class Residuals:
             entries = columns[name].reshape(*columns[name].shape[:-1], -1, inputs)
             entries[..., self.lift.channels :] = 0.0
 
-    def _by_free_core(self, theta: Theta) -> Float[np.ndarray, "K F"]:
-        """Derivatives of A, E and F by the free parameters, a column each."""
-        units = np.eye(pack(theta, FREE_CORE).size)
-        directions = FreeParameters(**unpack(units, theta, FREE_CORE))
-        changes = differentiate_matrices(free_core(theta), directions, self.rate or 1.0)
+    def _derivatives_by_free_parameters(self, theta: Theta) -> Float[np.ndarray, "K F"]:
+        """Derivatives of the recurrence's matrices by its free parameters."""
+        units = np.eye(pack_parameters(theta, FREE_CORE).size)
+        directions = FreeParameters(**unpack_parameters(units, theta, FREE_CORE))
+        changes = differentiate_matrices(free_parameters(theta), directions, self.rate or 1.0)
         flat = [part.reshape(len(part), part[0].size) for part in changes]
         return np.concatenate(flat, axis=1).T
 
-    def _by_initial_state(self, own: Float[np.ndarray, "N T p n"]) -> Float[np.ndarray, "N T p _"]:
-        """Derivatives by the initial states of all records. Each moves its own record, and with
-        `integrating_output` the sum that it begins with does, too."""
+    def _derivatives_by_initial_states(
+        self, own: Float[np.ndarray, "N T p n"]
+    ) -> Float[np.ndarray, "N T p _"]:
+        """Derivatives of the output by the initial states of all records. Each moves its own
+        record, and with `integrating_output` the sum that it begins with does, too."""
         count, samples, p, n = own.shape
         width = n + p * self.integrating_output
         whole = np.zeros((count, samples, p, count, width))
@@ -241,44 +244,43 @@ class Residuals:
         return whole.reshape(count, samples, p, -1)
 
 
-def free_core(theta: Theta) -> FreeParameters:
-    """Free parameters of a contracting core, by block."""
+def free_parameters(theta: Theta) -> FreeParameters:
+    """Free parameters of a contracting recurrence, from the parameter blocks."""
     return FreeParameters(*(theta[name] for name in FREE_CORE))
 
 
-def summed(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
-    """Cumulative sum of a signal before each sample, `sum of y[i] over i < k`. It is an integrator
-    from zero, read before it is driven."""
+def running_sum(y: Float[np.ndarray, "N T *rest"]) -> Float[np.ndarray, "N T *rest"]:
+    """Cumulative sum of a signal over the samples before each one. It is an integrator from zero,
+    read before it is driven."""
     total = np.cumsum(y, axis=1)
     return np.concatenate([np.zeros_like(total[:, :1]), total[:, :-1]], axis=1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Descent:
-    """State of the minimisation. Where the descent of a structured model stands: parameters,
-    `|r|^2 + penalty` there, the next step's damping."""
+    """State of the minimisation of the simulation error. Where the descent of a structured model
+    stands: parameters, `|r|^2 + penalty` there, the next step's damping."""
 
     theta: Theta
     loss: float
     damping: float = 1e-2
 
 
-def loss(problem: Residuals, theta: Theta, free: tuple[str, ...]) -> float:
-    """Regularised squared simulation error. `|r|^2 + ridge sum |block|^2` over the blocks
-    `free`, infinite where the simulation is not finite."""
-    residual = problem.residual(theta)
+def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, ...]) -> float:
+    """Regularised squared simulation error. `|r|^2 + ridge sum |block|^2` over the blocks `free`,
+    infinite where the simulation is not finite."""
+    residual = problem.weighted_error(theta)
     with np.errstate(all="ignore"):
-        penalties = [problem.ridge_of(name) * float(np.sum(theta[name] ** 2)) for name in free]
+        penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
         value = float(residual @ residual) + sum(penalties)
     return value if np.isfinite(value) else np.inf
 
 
-def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
-    """Take one accepted Levenberg-Marquardt step of the structured model in the blocks `free`, or
-    none."""
+def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) -> Descent:
+    """Take one accepted Levenberg-Marquardt step in some blocks of parameters."""
     residual, j, turn = problem.residual_and_jacobian(at.theta, free)
-    flat = pack(at.theta, free)
-    ridges = [np.full(at.theta[name].size, problem.ridge_of(name)) for name in free]
+    flat = pack_parameters(at.theta, free)
+    ridges = [np.full(at.theta[name].size, problem.ridge_weight(name)) for name in free]
     weights = np.concatenate(ridges)  # R, its diagonal
     with np.errstate(all="ignore"):  # Gauss-Newton: second derivatives of r are left out
         normal = turn.T @ (j.T @ j) @ turn
@@ -289,59 +291,63 @@ def step(problem: Residuals, at: Descent, free: tuple[str, ...]) -> Descent:
     diagonal = np.diagonal(normal)
     scale = np.maximum(diagonal, WRITTEN_OUT.weakest * diagonal.max())
 
-    def moved(by: Float[np.ndarray, "P"]) -> Theta:
-        return at.theta | unpack(flat + by, at.theta, free)
+    def parameters_after(by: Float[np.ndarray, "P"]) -> Theta:
+        return at.theta | unpack_parameters(flat + by, at.theta, free)
 
-    def solved(damping: float) -> Float[np.ndarray, "P"] | None:
-        return damped_step(normal + np.diag(damping * scale), gradient)
+    def solve_damped(damping: float) -> Float[np.ndarray, "P"] | None:
+        return solve_damped_equations(normal + np.diag(damping * scale), gradient)
 
     def loss_at(by: Float[np.ndarray, "P"]) -> float:
-        return loss(problem, moved(by), free)
+        return regularised_loss(problem, parameters_after(by), free)
 
     with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed
         by, value, damping = levenberg_marquardt_step(
-            WRITTEN_OUT, at.loss, gradient, normal, at.damping, solved, loss_at
+            WRITTEN_OUT, at.loss, gradient, normal, at.damping, solve_damped, loss_at
         )
-    theta = at.theta if by is None else moved(by)
+    theta = at.theta if by is None else parameters_after(by)
     return Descent(theta=theta, loss=value, damping=damping)
 
 
-def minimise(problem: Residuals, theta: Theta, free: tuple[str, ...], most: int) -> Descent:
+def minimise_simulation_error(
+    problem: SimulationProblem, theta: Theta, free: tuple[str, ...], most: int
+) -> Descent:
     """Minimise the simulation error by Levenberg-Marquardt. At most so many steps, until one has
-    `ended` the descent."""
-    at = Descent(theta=theta, loss=loss(problem, theta, free))
+    `has_converged` the descent."""
+    at = Descent(theta=theta, loss=regularised_loss(problem, theta, free))
     for _ in range(most):
         before = at.loss
-        at = step(problem, at, free)
-        if ended(before, at.loss, at.damping):
+        at = take_step(problem, at, free)
+        if has_converged(before, at.loss, at.damping):
             break
     return at
 
 
-def ended(before: float, after: float, damping: float) -> bool:
+def has_converged(before: float, after: float, damping: float) -> bool:
     """Whether a minimisation has converged. An accepted step gained less than `SETTLED`; after a
     refused one, damped more, a shorter step may still gain."""
     refused = after == before and damping < DAMPING_RANGE[1]
     return not refused and not after < before * (1.0 - SETTLED)
 
 
-def damped_step(
+def solve_damped_equations(
     damped_normal: Float[np.ndarray, "P P"], gradient: Float[np.ndarray, "P"]
 ) -> Float[np.ndarray, "P"] | None:
-    """Solution of the damped normal equations. None where they have none."""
+    """Solve the damped normal equations for a step. None where they have none."""
     try:
         return -cho_solve(cho_factor(damped_normal), gradient)
     except (np.linalg.LinAlgError, ValueError):  # not positive definite; not finite
         return None
 
 
-def pack(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
-    """Flatten the named blocks of parameters to one vector."""
+def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
+    """Flatten named blocks of parameters to one vector."""
     return np.concatenate([theta[name].ravel() for name in names])
 
 
-def unpack(flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]) -> Theta:
-    """Split a vector into blocks of parameters with the shapes of `like`."""
+def unpack_parameters(
+    flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]
+) -> Theta:
+    """Split a vector into named blocks of parameters."""
     shapes_of = {name: like[name].shape for name in names}
     batch = flat.shape[:-1]
     parts = split_blocks(shapes_of, flat)

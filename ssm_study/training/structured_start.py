@@ -14,7 +14,7 @@ from ssm_study.models.contracting import (
 from ssm_study.models.matrix_shapes import matrix_shapes
 from ssm_study.models.spec import arx_impulse_response, fit_arx_matrices, realise_impulse_response
 from ssm_study.models.structured import evaluate_activations
-from ssm_study.training.structured_problem import CORE, Residuals, Theta, loss
+from ssm_study.training.structured_problem import CORE, SimulationProblem, Theta, regularised_loss
 
 ARX_LAGS = 10  # of a start with at most half as many states
 LAGS_PER_STATE = 4  # of a larger one: noise hides lightly damped modes from few lags
@@ -26,17 +26,17 @@ SMALL = 0.05  # of E: the neurons start as a perturbation of the linear fit
 RESTS_WITHIN = 1.0  # of the bias of a neuron whose argument has unit size
 
 
-def linear_start(
-    problem: Residuals, order: int, feedthrough: bool, rng: np.random.Generator
+def fit_initial_linear_model(
+    problem: SimulationProblem, order: int, feedthrough: bool, rng: np.random.Generator
 ) -> Theta:
-    """Linear model of the records without neurons, from which training starts. It is ARX by least
+    """Fit the linear model from which the training of a structured model starts. It is ARX by least
     squares, a balanced realisation of its impulse response, its poles inside the unit circle."""
-    records = recorded_pairs(problem)
+    records = unpadded_records(problem)
     inputs, outputs = (np.concatenate(signals) for signals in zip(*records, strict=True))
     if problem.integrating_output:
         records = [(u[:-1], np.diff(y, axis=0)) for u, y in records]
     shortest = min(len(u) for u, _ in records)
-    lags = min(lags_for(order), shortest // 4)
+    lags = min(arx_lag_count(order), shortest // 4)
     response = arx_impulse_response(*fit_arx_matrices(records, lags, feedthrough))
     system = realise_impulse_response(response, order, rng)
 
@@ -48,39 +48,41 @@ def linear_start(
     start["b"] = system.b
     start["c"] = system.c
     if feedthrough:
-        start["d"] = inputs_alone(problem, system.d)
+        start["d"] = remove_disturbance_feedthrough(problem, system.d)
     start["x0"] = np.zeros((len(problem.records.u), n + p * problem.integrating_output))
     start["scaffold_in"] = problem.lift.initial_parameters(inputs)
     start["scaffold_out"] = problem.read.initial_parameters(outputs)
-    return unit_states(problem, start)
+    return normalise_states(problem, start)
 
 
-def lags_for(order: int) -> int:
-    """Number of lags of the ARX model from which an initial model of this order is realised."""
+def arx_lag_count(order: int) -> int:
+    """Number of lags of the ARX model from which an initial model of a given order is realised."""
     return ARX_LAGS if 2 * order <= ARX_LAGS else LAGS_PER_STATE * order
 
 
-def recorded_pairs(
-    problem: Residuals,
+def unpadded_records(
+    problem: SimulationProblem,
 ) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
-    """Inputs and outputs of each record, without its padding."""
+    """Inputs and outputs of each record, without padding."""
     inputs, outputs, _ = problem.records
     scored = problem.records.scored
     return [(u[there], y[there]) for u, y, there in zip(inputs, outputs, scored, strict=True)]
 
 
-def inputs_alone(problem: Residuals, d: Float[np.ndarray, "p m"]) -> Float[np.ndarray, "p m"]:
-    """Remove from D the columns of measured disturbances, which reach the states alone."""
+def remove_disturbance_feedthrough(
+    problem: SimulationProblem, d: Float[np.ndarray, "p m"]
+) -> Float[np.ndarray, "p m"]:
+    """Set to zero the feedthrough columns of measured disturbances."""
     return np.where(np.arange(d.shape[1]) < problem.lift.channels, d, 0.0)
 
 
-def unit_states(problem: Residuals, theta: Theta) -> Theta:
+def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
     """Scale the states of a linear model to a root mean square of one over the records.
 
     Balanced states differ a thousandfold in size, and a step of Levenberg-Marquardt that suits one
     overturns another.
     """
-    states = scored_states(problem, theta)
+    states = states_at_scored_samples(problem, theta)
     size = np.sqrt(np.mean(states**2, axis=0)) + 1e-9
     x0 = theta["x0"].copy()
     x0[:, : len(size)] /= size
@@ -92,17 +94,17 @@ def unit_states(problem: Residuals, theta: Theta) -> Theta:
     return scaled
 
 
-def scored_states(problem: Residuals, theta: Theta) -> Float[np.ndarray, "N n"]:
+def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
     """States before each scored sample of all records, one below another."""
-    _, _, states = problem.simulated(theta)
+    _, _, states = problem.simulate_signals(theta)
     return states[:, :-1][problem.records.scored]
 
 
-def screened_poles(
-    problem: Residuals, begun: Theta, estimates: bool, rng: np.random.Generator
+def choose_random_poles(
+    problem: SimulationProblem, begun: Theta, estimates: bool, rng: np.random.Generator
 ) -> Theta:
-    """Initial parameters with the best of several random sets of poles. The best set is that whose
-    residues explain the records best.
+    """Initial linear model with the best of several random sets of poles. The best set is that
+    whose residues explain the records best.
 
     With poles and B given the output is linear in C, and in C times the free decay of a record's
     unknown start: two least-squares problems. ARX weighs the next sample; where that hardly depends
@@ -111,14 +113,14 @@ def screened_poles(
     order = len(begun["a"])
     candidates = []
     for _ in range(SCREENED):
-        poles = random_poles(order, rng)
-        candidates.append(begun | with_residues(problem, begun, poles, estimates, rng))
-    return min(candidates, key=lambda candidate: loss(problem, candidate, ()))
+        poles = draw_poles(order, rng)
+        candidates.append(begun | fit_model_with_poles(problem, begun, poles, estimates, rng))
+    return min(candidates, key=lambda candidate: regularised_loss(problem, candidate, ()))
 
 
-def random_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
-    """Random real and complex poles with time constants of 1 to `LONGEST` samples, evenly in
-    their logarithm; one in two begins a pair."""
+def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]:
+    """Draw random real and complex poles with time constants spread evenly on a logarithmic
+    scale."""
     blocks: list[np.ndarray] = []
     while (left := order - sum(map(len, blocks))) > 0:
         radius = np.exp(-1.0 / np.exp(rng.uniform(0.0, np.log(LONGEST))))
@@ -130,19 +132,19 @@ def random_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n
     return linalg.block_diag(*blocks)
 
 
-def with_residues(
-    problem: Residuals,
+def fit_model_with_poles(
+    problem: SimulationProblem,
     begun: Theta,
     a: Float[np.ndarray, "n n"],
     estimates: bool,
     rng: np.random.Generator,
 ) -> Theta:
-    """Linear model with given poles, fitted by least squares. Linear model with these poles,
-    states of unit size, C and initial states by least squares."""
+    """Fit a linear model with given poles by least squares. Linear model with these poles, states
+    of unit size, C and initial states by least squares."""
     _, outputs, weight = problem.records
     at_rest = begun | {"x0": 0.0 * begun["x0"], "d": 0.0 * begun["d"]}
     b = rng.normal(size=begun["b"].shape)
-    _, _, states = problem.simulated(at_rest | {"a": a, "b": b})
+    _, _, states = problem.simulate_signals(at_rest | {"a": a, "b": b})
     x = states[:, :-1]
     size = np.sqrt(np.mean(x**2, axis=(0, 1))) + 1e-12
     x = x / size
@@ -152,7 +154,7 @@ def with_residues(
     # All slopes of S_y are equal here.
     output_slope = problem.read.freeze(begun["scaffold_out"])(np.ones_like(outputs))
     y = outputs / output_slope
-    decay = powers(a, outputs.shape[1])
+    decay = matrix_powers(a, outputs.shape[1])
     c = least_squares_output_matrix(x, y, weight, decay, estimates)
     x0 = np.zeros((len(outputs), len(a)))
     if estimates:
@@ -167,8 +169,8 @@ def least_squares_output_matrix(
     decay: Float[np.ndarray, "T n n"],
     estimates: bool,
 ) -> Float[np.ndarray, "p n"]:
-    """Output matrix C with which states driven from zero explain the outputs best. Beside it stands
-    a free decay of each record where it may start in motion."""
+    """Output matrix that explains the outputs best by states driven from zero. Beside it stands a
+    free decay of each record where it may start in motion."""
     count, samples, n = x.shape
     regressors = x
     if estimates:
@@ -187,7 +189,7 @@ def least_squares_initial_states(
     c: Float[np.ndarray, "p n"],
     decay: Float[np.ndarray, "T n n"],
 ) -> Float[np.ndarray, "N n"]:
-    """Initial state of each record whose free decay explains best what the input does not."""
+    """Initial states whose free decay explains best what the input leaves of the output."""
     count = len(residual)
     n = c.shape[1]
     observed = (weight[..., None] * (c @ decay)).reshape(count, -1, n)
@@ -199,8 +201,8 @@ def least_squares_initial_states(
     return np.stack(states)
 
 
-def powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
-    """Powers `A^k` for k below `count`, computed by doubling."""
+def matrix_powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"]:
+    """Powers of a matrix, computed by repeated doubling."""
     powers = np.eye(len(a))[None]
     ahead = a
     while len(powers) < count:
@@ -212,17 +214,19 @@ def powers(a: Float[np.ndarray, "n n"], count: int) -> Float[np.ndarray, "T n n"
 def regularised_least_squares(
     x: Float[np.ndarray, "N k"], y: Float[np.ndarray, "N p"]
 ) -> Float[np.ndarray, "k p"]:
-    """Least-squares coefficients, with a small ridge for regressors that are nearly the same."""
+    """Least-squares coefficients with a small ridge penalty."""
     normal = x.T @ x
     k = len(normal)
     ridge = RESIDUE_RIDGE * np.trace(normal) / k
     return linalg.solve(normal + ridge * np.eye(k), x.T @ y)
 
 
-def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Generator) -> Theta:
+def add_random_neurons(
+    problem: SimulationProblem, theta: Theta, count: int, rng: np.random.Generator
+) -> Theta:
     """Add random neurons to the initial parameters of a linear model. States have unit size; F and
     the bias are random, so that neurons bend within the data, E small, G and H zero."""
-    theta = unit_states(problem, theta)
+    theta = normalise_states(problem, theta)
     n, m = theta["b"].shape
     p = len(theta["c"])
     f = rng.normal(size=(count, n))
@@ -235,10 +239,10 @@ def with_neurons(problem: Residuals, theta: Theta, count: int, rng: np.random.Ge
     return theta | {"e": e, "f": f, "g": g, "h": h, "bias": bias}
 
 
-def contracting_start(problem: Residuals, theta: Theta, rate: float) -> Theta:
-    """Initial parameters of a contracting model near the given one, in the coordinates of its
-    metric. It is the nearest on the path of `contracting.project_to_contracting`."""
-    v, _, states = problem.simulated(theta)
+def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rate: float) -> Theta:
+    """Initial parameters of a contracting model near a given one. It is the nearest on the path of
+    `contracting.project_to_contracting`."""
+    v, _, states = problem.simulate_signals(theta)
     scored = problem.records.scored
     x = states[:, :-1][scored]
     z = x @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]

@@ -77,8 +77,8 @@ class Training:
         progress: bool = False,
         keep_on_interrupt: bool = False,
     ) -> "Identification":
-        """Fit the model of `spec` to `data`. `folder` receives `best.ckpt` and, while running,
-        `last.ckpt`.
+        """Identify a model of given specification from a data set. `folder` receives `best.ckpt`
+        and, while running, `last.ckpt`.
 
         With `keep_on_interrupt` Ctrl-C ends the training, and the best model so far is returned if
         there is one.
@@ -87,15 +87,15 @@ class Training:
         from ssm_study.models.structured_spec import StructuredSpec
         from ssm_study.training.metrics import Identification
 
-        refuse_unknown_path(spec, data)
+        refuse_disturbances_without_path(spec, data)
         began = time.perf_counter()
         if isinstance(spec, SolvedSpec):
             model = spec.solve(data)
             seconds = time.perf_counter() - began
-            return Identification.of(
+            return Identification.from_model(
                 model, data, seconds=seconds, curve=[], ended="solved without training"
             )
-        session = Session(
+        session = TrainingSession(
             seed=seed, folder=folder, progress=progress, keep_on_interrupt=keep_on_interrupt
         )
         if isinstance(spec, StructuredSpec) and spec.automatic_settings:
@@ -105,24 +105,24 @@ class Training:
             spec = spec.without_neurons()
         trainings = max(getattr(spec, "training_count", self.starts), members)
         starts = [spec.for_training_run(k) for k in range(trainings)]
-        return self._best_start(starts, data, session, members)
+        return self._train_best_of_several(starts, data, session, members)
 
     def _identify_chosen(
-        self, spec: "StructuredSpec", data: DataSet, session: "Session"
+        self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify the model that the records choose. It is trained on the validation records too
-        where folds predict these far better than the training records do."""
+        """Identify the model whose settings are chosen from the records. It is trained on the
+        validation records too where folds predict these far better than the training records do."""
         from itertools import islice
 
-        from ssm_study.training.choice import MOST_TRAINED, announcer, ranked_choices
+        from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_announcer
 
         began = time.perf_counter()
-        choices = ranked_choices(spec, data, session.seed, announcer(session.progress))
+        choices = iterate_choices(spec, data, session.seed, make_announcer(session.progress))
         best: Identification | None = None
         for k, choice in enumerate(islice(choices, MOST_TRAINED)):
             folder = session.folder / f"choice_{k}" if k else session.folder
             identified = self._identify_choice(choice, data, replace(session, folder=folder))
-            chosen = choice.words(spec.automatic_settings)
+            chosen = choice.describe(spec.automatic_settings)
             best = best or replace(identified, choice=choice.rows, chosen=chosen)
             if can_be_certified(choice.spec, identified.model):
                 best = replace(identified, choice=choice.rows, chosen=chosen)
@@ -131,69 +131,68 @@ class Training:
         return replace(best, seconds=time.perf_counter() - began)
 
     def _identify_choice(
-        self, choice: "Choice", data: DataSet, session: "Session"
+        self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the chosen model, on the validation records too where the choice asks for it."""
+        """Train the model of a choice, also on the validation records where the choice needs it."""
         from ssm_study.models.warm_start import simulate_validation_and_test
-        from ssm_study.training.candidates import relative_error
-        from ssm_study.training.choice import refit_words
-        from ssm_study.training.folds import with_joined_records
-        from ssm_study.training.metrics import mean_fit
+        from ssm_study.training.candidates import relative_rms_error
+        from ssm_study.training.choice import refit_sentence
+        from ssm_study.training.folds import join_training_and_validation
+        from ssm_study.training.metrics import records_fit_percent
 
         best = self._train_choice(choice, data, session)
         validation, _ = simulate_validation_and_test(best.model, data)
-        if not choice.asks_for_refit(relative_error(validation, data)):
+        if not choice.needs_refit(relative_rms_error(validation, data)):
             return best
-        words = refit_words(best.fit_validation_percent)
+        words = refit_sentence(best.fit_validation_percent)
         again = replace(session, folder=session.folder / "refit")
-        best = self._train_choice(choice, with_joined_records(data), again)
+        best = self._train_choice(choice, join_training_and_validation(data), again)
         return replace(
             best,
             ended=best.ended + words,
             refitted=True,
-            fit_validation_percent=mean_fit(best.model, data.validation, data),
+            fit_validation_percent=records_fit_percent(best.model, data.validation, data),
         )
 
     def _train_choice(
-        self, choice: "Choice", data: DataSet, session: "Session"
+        self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the output-error model where that was chosen, else take the best of several
-        trainings."""
+        """Train the linear or structured model that a choice of settings describes."""
         if not choice.is_linear:
             members = choice.spec.members
             starts = [choice.spec] * max(choice.spec.starts, members)
-            return self._best_start(starts, data, session, members, only_certified=True)
-        from ssm_study.training.candidates import linear_model
+            return self._train_best_of_several(starts, data, session, members, only_certified=True)
+        from ssm_study.training.candidates import fit_linear_model
         from ssm_study.training.metrics import Identification
 
         began = time.perf_counter()
         dead_time = int(choice.spec.dead_time)
         records = data.shift_out_dead_time(dead_time) if dead_time else data
         direct = choice.spec.feedthrough is True
-        model: Any = linear_model(records, int(choice.spec.order), direct=direct)
+        model: Any = fit_linear_model(records, int(choice.spec.order), direct=direct)
         if dead_time:
             model = model.with_dead_time(dead_time)
         seconds = time.perf_counter() - began
         ended = "the error of a linear free run no longer falls"
-        return Identification.of(model, data, seconds=seconds, curve=[], ended=ended)
+        return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
 
-    def _best_start(
+    def _train_best_of_several(
         self,
         starts: Sequence["ModelSpec"],
         data: DataSet,
-        session: "Session",
+        session: "TrainingSession",
         members: int,
         only_certified: bool = False,
     ) -> "Identification":
-        """Best of several trainings, by the rule of the specification or by validation fit.
+        """Best model of several trainings from different initial parameters.
 
         With `only_certified` those without a certified state feedback are dropped, if any has one.
         The `members` that fit the training records best predict together.
         """
         dead_time = int(getattr(starts[0], "dead_time", 0))
         records = data.shift_out_dead_time(dead_time) if dead_time else data
-        identified = self._train_starts(starts, records, session)
-        averaged = best_by_training_fit(identified, records, members)
+        identified = self._train_several_times(starts, records, session)
+        averaged = select_by_training_fit(identified, records, members)
         rule = getattr(starts[0], "among_starts", None)
         if only_certified:
             certified = [one for one in identified if can_be_certified(starts[0], one.model)]
@@ -208,11 +207,11 @@ class Training:
             best = replace(best, model=best.model.with_dead_time(dead_time))  # type: ignore[attr-defined]
         return replace(best, members=tuple(averaged), seconds=seconds)
 
-    def _train_starts(
-        self, starts: Sequence["ModelSpec"], data: DataSet, session: "Session"
+    def _train_several_times(
+        self, starts: Sequence["ModelSpec"], data: DataSet, session: "TrainingSession"
     ) -> list["Identification"]:
-        """Train several times, one after the other, each with its own initial parameters. After
-        Ctrl-C those that are done remain."""
+        """Train several times, each with its own initial parameters. After Ctrl-C those that are
+        done remain."""
         from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         identified: list[Identification] = []
@@ -220,7 +219,7 @@ class Training:
             seed = session.seed + 1000 * k
             folder = session.folder / f"start_{k}" if k else session.folder
             try:
-                start = saving.trained(
+                start = saving.train_with_lightning(
                     self, spec, data, seed, folder, session.progress, session.keep_on_interrupt
                 )
             except KeyboardInterrupt:
@@ -233,32 +232,32 @@ class Training:
         return identified
 
 
-def best_by_training_fit(
+def select_by_training_fit(
     identified: Sequence["Identification"], data: DataSet, count: int
 ) -> list[Any]:
-    """Models whose mean predicts, which are those that fit the training records best. None for one
-    model.
+    """Models with the best fit to the training records, whose mean predicts. None for one model.
 
     A mean of models that were not ranked can be worse than one of them.
     """
-    from ssm_study.training.metrics import mean_fit
+    from ssm_study.training.metrics import records_fit_percent
 
     if count < 2:
         return []
     models = [start.model for start in identified]
-    return sorted(models, key=lambda model: -mean_fit(model, data.training, data))[:count]
+    return sorted(models, key=lambda model: -records_fit_percent(model, data.training, data))[
+        :count
+    ]
 
 
 def can_be_certified(spec: "ModelSpec", model: Any) -> bool:
-    """Whether a state feedback of the model is certified at any rate. True where the specification
-    does not ask."""
+    """Whether some contraction rate of a state feedback can be certified for a model. True where
+    the specification does not ask."""
     largest_rate = getattr(getattr(spec, "among_starts", None), "largest_rate", None)
     return largest_rate is None or largest_rate(model) > 0.0
 
 
-def refuse_unknown_path(spec: "ModelSpec", data: DataSet) -> None:
-    """Raise `BadRequest` where there are measured disturbances and no path for them in the
-    model."""
+def refuse_disturbances_without_path(spec: "ModelSpec", data: DataSet) -> None:
+    """Refuse measured disturbances where the model has no path for them."""
     from ssm_study.models.spec import SSMSpec
     from ssm_study.models.structured_spec import StructuredSpec
 
@@ -270,8 +269,8 @@ def refuse_unknown_path(spec: "ModelSpec", data: DataSet) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Session:
-    """Seed, folder and options of the trainings of one identification."""
+class TrainingSession:
+    """Seed, folder and options that the trainings of one identification share."""
 
     seed: int
     folder: Path

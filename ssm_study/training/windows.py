@@ -36,12 +36,12 @@ class Windows:
             require_at_least(2, f"{field}.samples", self.samples, "use 200 or so")
             require_positive(f"{field}.continuity_weight", self.continuity_weight, "use 1")
 
-    def cut(self, records: Sequence[Trajectory], start_up_samples: int) -> "Cut":
+    def cut_records(self, records: Sequence[Trajectory], start_up_samples: int) -> "RecordWindows":
         """Cut the training records into windows. Raises `BadRequest` where a record is shorter than
         a window, or its start-up samples fill one."""
         if self.samples is None:
             unscored = (start_up_samples,) * len(records)
-            return Cut(tuple(records), unscored, tuple(range(len(records))))
+            return RecordWindows(tuple(records), unscored, tuple(range(len(records))))
         self._refuse_short_records(records, start_up_samples)
         pieces: list[Trajectory] = []
         unscored_samples: list[int] = []
@@ -52,9 +52,10 @@ class Windows:
                 name = f"{record.name}[{start}]"
                 pieces.append(replace(record[start : start + self.samples], name=name))
                 unscored_samples.append(max(0, start_up_samples - start))
-        return Cut(tuple(pieces), tuple(unscored_samples), tuple(first))
+        return RecordWindows(tuple(pieces), tuple(unscored_samples), tuple(first))
 
     def _refuse_short_records(self, records: Sequence[Trajectory], start_up_samples: int) -> None:
+        """Refuse training records that are shorter than a window."""
         assert self.samples is not None
         field = "training.windows.samples"
         shortest = min(records, key=len)
@@ -67,27 +68,28 @@ class Windows:
 
 
 @dataclass(frozen=True)
-class Cut:
-    """Windows that were cut from the records. Windows in order, the samples at the start of each
-    that are not scored, and which of them start a record."""
+class RecordWindows:
+    """Windows that were cut from the training records. Windows in order, the samples at the start
+    of each that are not scored, and which of them start a record."""
 
     pieces: Trajectories
     unscored: tuple[int, ...]
     first: tuple[int, ...]
 
     @property
-    def later(self) -> list[int]:
+    def continuing_windows(self) -> list[int]:
+        """Indices of the windows that continue an earlier one of the same record."""
         return sorted(set(range(len(self.pieces))) - set(self.first))
 
 
-def padded(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
-    """Pad records `(u, y)` with zeros at the end to one length."""
+def pad_records(pairs: "Pairs") -> tuple[Float[np.ndarray, "e T m"], Float[np.ndarray, "e T p"]]:
+    """Pad records with zeros at the end to one length."""
     longest = max(len(u) for u, _ in pairs)
-    inputs = [with_zeros_behind(u, longest) for u, _ in pairs]
-    outputs = [with_zeros_behind(y, longest) for _, y in pairs]
+    inputs = [pad_with_zeros(u, longest) for u, _ in pairs]
+    outputs = [pad_with_zeros(y, longest) for _, y in pairs]
     return np.stack(inputs), np.stack(outputs)
 
 
-def with_zeros_behind(values: Float[np.ndarray, "T c"], samples: int) -> Float[np.ndarray, "T2 c"]:
-    """Pad a signal with zeros at its end to so many samples."""
+def pad_with_zeros(values: Float[np.ndarray, "T c"], samples: int) -> Float[np.ndarray, "T2 c"]:
+    """Pad a signal with zeros at its end to a given length."""
     return np.pad(values, ((0, samples - len(values)), (0, 0)))

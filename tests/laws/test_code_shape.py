@@ -51,7 +51,7 @@ LONG_BODIES = frozenset(
         "ssm_study/models/structured_kernel.py: _sensitivity_loop",
         "ssm_study/models/structured_spec.py: __post_init__",
         "ssm_study/models/torch_recurrence.py: backward",
-        "ssm_study/training/saving.py: trained",
+        "ssm_study/training/saving.py: train_with_lightning",
         "tests/structured_adjoint.py: _derivatives",
     }
 )

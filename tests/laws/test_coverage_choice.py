@@ -20,7 +20,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     coverage_by_frequency,
     prefer_covered,
 )
-from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)

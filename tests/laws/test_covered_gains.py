@@ -21,7 +21,7 @@ from ssm_study.synthesis.measured_discs_choice import (
     coverage_by_frequency,
     prefer_covered,
 )
-from ssm_study.synthesis.measured_discs_run import coverage_columns, add_coverage_certificate
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, coverage_columns
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 SHARE = 0.2  # by which the plant answers more than its model

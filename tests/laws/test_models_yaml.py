@@ -17,8 +17,8 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.models.stored import read_model_json
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
-from ssm_study.training.choice import with_defaults
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.choice import fill_in_defaults
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.training import Training
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
@@ -53,7 +53,7 @@ def test_every_model_yaml_is_identified_and_replayed(choice: str, tmp_path: Path
     spec = read("model", choice, *fewer)
     assert isinstance(spec, ModelSpec)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
-    assert np.isfinite(mean_fit(found.model, data.training, data))
+    assert np.isfinite(records_fit_percent(found.model, data.training, data))
     text = json.dumps(found.model.to_json())
     content = json.loads(text)
     again = read_model_json(content)
@@ -71,7 +71,7 @@ def test_frozen_numbers_step_as_the_tensors_do(choice: str) -> None:
     data = data_set(samples=60, records=2)
     spec = read("model", choice)
     if isinstance(spec, StructuredSpec):
-        spec = with_defaults(spec)
+        spec = fill_in_defaults(spec)
     if isinstance(spec, SolvedSpec):
         pytest.skip("solved, not trained")
     net = (spec.without_neurons() if isinstance(spec, StructuredSpec) else spec).build(data, 0)
@@ -92,7 +92,7 @@ def test_every_scaffold_yaml_fits_both_sides(choice: str, side: str, tmp_path: P
     )
     data = data_set(samples=120, records=2)
     found = brief().identify(spec, data, seed=0, folder=tmp_path)
-    assert mean_fit(found.model, data.training, data) > 30
+    assert records_fit_percent(found.model, data.training, data) > 30
 
 
 @pytest.mark.parametrize("choice", TRAININGS)
@@ -101,7 +101,7 @@ def test_every_training_yaml_trains(choice: str, tmp_path: Path) -> None:
     data = data_set(samples=120)
     spec = read("model", "ssm", "model.order=2")
     found = training.identify(spec, data, 0, tmp_path)
-    assert mean_fit(found.model, data.training, data) > 30
+    assert records_fit_percent(found.model, data.training, data) > 30
 
 
 @pytest.mark.parametrize("choice", OPTIMISERS)

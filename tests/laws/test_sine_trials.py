@@ -20,12 +20,12 @@ from ssm_study.robustness.prediction import predict
 from ssm_study.robustness.sensitivity import sensitivity
 from ssm_study.robustness.sine_trials import (
     SineMismatch,
+    add_sines,
     measure_sine_mismatch,
     peak_lines,
-    add_sines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import test_lines, sine_columns
+from ssm_study.synthesis.sine_judgement import sine_columns, test_lines
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)

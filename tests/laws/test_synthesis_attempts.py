@@ -10,7 +10,7 @@ import scipy.linalg
 from ssm_study.certificates.frontier import Frontier, frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.synthesis.design import REPAIRS
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, solve_at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost, solve_at_tau
 from ssm_study.synthesis.minimum_energy import SHARES, minimum_energy_attempts
 from ssm_study.systems import JacobianBall
 

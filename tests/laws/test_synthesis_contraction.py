@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssm_study.bounds.gramians import controllability_gramian, bound_local_controllability
+from ssm_study.bounds.gramians import bound_local_controllability, controllability_gramian
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.frontier import controller_frontier

@@ -12,7 +12,7 @@ from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis import expected_response
 from ssm_study.synthesis.candidates import Candidates
-from ssm_study.synthesis.decay_response import NO_DECAYS, simulate_decays, largest_decay_ratios
+from ssm_study.synthesis.decay_response import NO_DECAYS, largest_decay_ratios, simulate_decays
 from ssm_study.synthesis.expected_response import FASTER, ExpectedResponse, compared_indices
 from ssm_study.systems import Gains
 

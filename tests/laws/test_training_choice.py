@@ -19,20 +19,24 @@ from ssm_study.systems import StateSpace
 from ssm_study.training.candidates import (
     Candidate,
     Trial,
-    best_of,
-    first_not_behind,
+    best_candidate,
+    fit_linear_model,
     is_hopeless,
-    linear_model,
+    simplest_good_candidate,
 )
 from ssm_study.training.choice import choose_model
 from ssm_study.training.choice_of_paths import nearly_integrates
-from ssm_study.training.choice_of_size import first_certified
-from ssm_study.training.folds import folds_of, joined_pieces, with_joined_records
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.choice_of_size import simplest_certifiable_candidate
+from ssm_study.training.folds import (
+    join_consecutive_records,
+    join_training_and_validation,
+    make_folds,
+)
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Lbfgs
 from ssm_study.training.search import Choice, Search
 from ssm_study.training.structured_fit import StructuredFit
-from ssm_study.training.structured_problem import Batch
+from ssm_study.training.structured_problem import RecordBatch
 from ssm_study.training.training import Training
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -155,24 +159,24 @@ def test_the_smallest_that_is_not_behind_is_taken() -> None:
     large = candidate("large", 4.0, 4.1, 4.1, 4.0)
     given_up = candidate("given up", 9.0, 9.0)
     candidates = [small, given_up, middle, large]
-    assert first_not_behind(candidates) is middle
+    assert simplest_good_candidate(candidates) is middle
     candidates = [small, given_up, middle, large]
-    assert best_of(candidates) is large
-    assert small.is_behind(large)
-    assert not middle.is_behind(large)
+    assert best_candidate(candidates) is large
+    assert small.is_clearly_worse(large)
+    assert not middle.is_clearly_worse(large)
 
 
 def test_a_gain_on_one_fold_alone_decides_nothing() -> None:
     plain = candidate("plain", 10.0, 10.0, 10.0, 30.0)
     lucky = candidate("lucky", 11.0, 11.0, 10.0, 10.0)
-    assert not plain.is_behind(lucky)
+    assert not plain.is_clearly_worse(lucky)
 
 
 def test_a_loss_on_one_odd_fold_does_not_hide_gains_on_all_others() -> None:
     one_layer = candidate("one layer", 28.7, 56.5, 38.0, 17.0)
     neurons = candidate("neurons", 7.0, 73.0, 25.3, 11.8)
-    assert one_layer.is_behind(neurons)
-    assert not neurons.is_behind(one_layer)
+    assert one_layer.is_clearly_worse(neurons)
+    assert not neurons.is_clearly_worse(one_layer)
 
 
 def test_far_behind_after_two_folds_is_not_tried_on() -> None:
@@ -189,7 +193,7 @@ def test_the_linear_model_as_a_state_space_is_the_recursion(direct: bool) -> Non
     """Both are simulated from rest: they differ by the recursion's offset, which decays."""
     data = data_set(noise=0.01, samples=600, records=2)
     data = changed(data, answering_at_once) if direct else data
-    model = linear_model(data, 2, direct=direct)
+    model = fit_linear_model(data, 2, direct=direct)
     delay = 0 if direct else 1
     recursion = fit_output_error(data, 2, delay)
     u = data.test[0].u
@@ -211,8 +215,8 @@ def test_lightly_damped_modes_are_found_by_a_long_regression_cut_down() -> None:
     record = replace(data.training[0], u=u, y=y, step_s=kind.step_s)
     test = (record[1000:],)
     data = replace(data, training=(record[:1000],), test=test, start_up_samples=20)
-    model = linear_model(data, 10, direct=False)
-    assert mean_fit(model, data.test, data) > 95.0
+    model = fit_linear_model(data, 10, direct=False)
+    assert records_fit_percent(model, data.test, data) > 95.0
 
 
 class OnlyLinear:
@@ -232,12 +236,12 @@ def test_what_cannot_be_certified_is_dropped_and_told() -> None:
     best = replace(candidate("best", 2.0, 2.0), example="neurons")
     search.tried += [behind, best]
     candidates = [behind, best]
-    assert first_not_behind(candidates) is best
-    assert first_certified(search, [behind, best]) is behind
-    rows = search.rows([behind])
+    assert simplest_good_candidate(candidates) is best
+    assert simplest_certifiable_candidate(search, [behind, best]) is behind
+    rows = search.candidate_rows([behind])
     certified = [row["certified"] for row in rows]
     assert certified == [True, False]
-    assert first_certified(search, [best]) is best
+    assert simplest_certifiable_candidate(search, [best]) is best
 
 
 def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> None:
@@ -259,8 +263,8 @@ def test_a_held_out_piece_starts_from_where_its_output_is_predicted_better() -> 
     data = replace(data_set(samples=400), training=(log[:1800],), validation=validation, test=test)
     trial = Trial()
     changed_data = replace(data, scale=model.scale, start_up_samples=20)
-    trial.add(model, changed_data)
-    assert trial.start == "past"
+    trial.add_fold(model, changed_data)
+    assert trial.best_start_kind == "past"
     upper_limit = trial.by_start["samples"][0]
     assert trial.errors[0] < upper_limit
 
@@ -271,11 +275,11 @@ def test_pieces_that_follow_each_other_are_joined_and_folds_cover_them() -> None
     data = data_set(samples=400)
     validation = (log[400:600],)
     data = replace(data, training=(log[:400], log[600:]), validation=validation)
-    joined = with_joined_records(data)
+    joined = join_training_and_validation(data)
     assert [len(record) for record in joined.training] == [1000]
     records = [log[:400], log[500:]]
-    assert len(joined_pieces(records)) == 2
-    folds = folds_of(data)
+    assert len(join_consecutive_records(records)) == 2
+    folds = make_folds(data)
     held_out = np.concatenate([fold.test[0].u for fold in folds])
     np.testing.assert_array_equal(held_out, u)
     for fold in folds:
@@ -297,7 +301,7 @@ def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_
     assert "trained again with the validation records" in refitted.ended
     changed_spec = replace(spec, order=2, refit=False)
     choice = Choice(spec=changed_spec, error=1.0)
-    assert not choice.asks_for_refit(100.0)
+    assert not choice.needs_refit(100.0)
 
 
 def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
@@ -321,8 +325,8 @@ def test_a_delayed_structured_model_answers_as_the_model_did() -> None:
     data = data_set(samples=300)
     spec = StructuredSpec(order=2, neurons=2, input_path="free", feedthrough=True, knots=4)
     fit = StructuredFit(spec, data, 0)
-    fit.advance(2)
-    model = fit.stored()
+    fit.take_steps(2)
+    model = fit.as_model()
     u = data.test[0].u
     late = model.with_dead_time(3).simulate(u)
     actual = late[3:]
@@ -345,7 +349,7 @@ def test_a_size_is_a_number_or_auto() -> None:
     assert AUTO == "auto"
 
 
-def moving_late(samples: int = 6000) -> Batch:
+def moving_late(samples: int = 6000) -> RecordBatch:
     """One record that stands still for its first half."""
     rng = np.random.default_rng(0)
     u = np.zeros((samples, 1))
@@ -353,27 +357,27 @@ def moving_late(samples: int = 6000) -> Batch:
     u[samples // 2 :] = rng.normal(size=(difference, 1))
     running_sum = np.cumsum(u, axis=0)
     pairs = [(u, running_sum * 0.1)]
-    return Batch.padded(pairs)
+    return RecordBatch.from_pairs(pairs)
 
 
 def test_a_start_is_made_where_the_record_moves() -> None:
     records = moving_late()
-    stretch = records.moving_stretch(2000)
+    stretch = records.find_moving_stretch(2000)
     assert stretch.u.std() > 0.8
     standard_deviation = records.cut(2000).u.std()
     assert standard_deviation == 0.0
-    late = Batch(*(part[:, 3000:] for part in records))
-    assert np.shares_memory(late.moving_stretch(2000).u, late.cut(2000).u)
+    late = RecordBatch(*(part[:, 3000:] for part in records))
+    assert np.shares_memory(late.find_moving_stretch(2000).u, late.cut(2000).u)
 
 
 def test_records_at_rest_have_no_start() -> None:
     u = np.zeros((300, 1))
     u[0] = 1.0
     pairs = [(u, np.arange(300.0)[:, None])]
-    records = Batch.padded(pairs)
-    still = Batch(records.u * 0.0, records.y, records.weight)
+    records = RecordBatch.from_pairs(pairs)
+    still = RecordBatch(records.u * 0.0, records.y, records.weight)
     with pytest.raises(BadRequest, match="no stretch of the training records moves"):
-        still.moving_stretch(100)
+        still.find_moving_stretch(100)
 
 
 def test_a_log_that_stands_still_at_first_trains() -> None:
@@ -389,5 +393,5 @@ def test_a_log_that_stands_still_at_first_trains() -> None:
     start_steps = [5, 5, 3]
     spec = StructuredSpec(order=2, neurons=1, draws=1, start_steps=start_steps)
     fit = StructuredFit(spec, data, 0)
-    fit.advance(3)
-    assert float(fit.loss) < 0.2
+    fit.take_steps(3)
+    assert float(fit.training_loss) < 0.2

@@ -20,7 +20,7 @@ from ssm_study.models.scaffolds.residual import Residual
 from ssm_study.models.scaffolds.trainable import Trainable
 from ssm_study.models.spec import SSMSpec
 from ssm_study.signals import Scale, Trajectory, fit_percent
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Adam, Lbfgs, Levenberg, OptimiserSpec
 from ssm_study.training.training import Training
 
@@ -65,7 +65,7 @@ def test_a_system_of_the_model_class_is_found(
 ) -> None:
     data = data_set()
     found = training().identify(spec(scaffold_in), data, seed=0, folder=tmp_path)
-    assert mean_fit(found.model, data.test, data) > least
+    assert records_fit_percent(found.model, data.test, data) > least
     linear_a = found.model.linear.a
     eigenvalues = np.linalg.eigvals(linear_a)
     poles = np.sort_complex(eigenvalues)
@@ -79,7 +79,7 @@ def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
     """Negative control: without the scaffolding the dead zone is out of reach."""
     data = data_set()
     found = training(max_epochs=25).identify(spec(Linear()), data, seed=0, folder=tmp_path)
-    assert mean_fit(found.model, data.test, data) < 93.0
+    assert records_fit_percent(found.model, data.test, data) < 93.0
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_a_linear_input_map_cannot_find_it(tmp_path: Path) -> None:
 def test_a_nonlinear_output_map_trains(scaffold_out: Trainable, tmp_path: Path) -> None:
     data = data_set(samples=200)
     found = training().identify(spec(scaffold_out=scaffold_out), data, seed=0, folder=tmp_path)
-    assert mean_fit(found.model, data.test, data) > 95.0
+    assert records_fit_percent(found.model, data.test, data) > 95.0
 
 
 @pytest.mark.parametrize("precision", [32, 64])
@@ -100,10 +100,10 @@ def test_the_stored_model_reproduces_its_stored_fit(precision: int, tmp_path: Pa
     text = json.dumps(found.model.to_json())
     content = json.loads(text)
     again = SSM.from_json(content)
-    assert mean_fit(again, data.validation, data) == found.fit_validation_percent
+    assert records_fit_percent(again, data.validation, data) == found.fit_validation_percent
     largest = max(row["fit_training_percent"] for row in found.curve)
     lower_limit = largest - 0.01
-    assert mean_fit(again, data.training, data) > lower_limit
+    assert records_fit_percent(again, data.training, data) > lower_limit
 
 
 def test_the_replay_of_the_stored_model_is_the_convolution(tmp_path: Path) -> None:
@@ -140,7 +140,7 @@ def test_the_fit_that_the_curve_shows_is_that_of_the_state_it_stands_beside(
     """Not of the state before the epoch's last step, nor of a trial that a line search refused."""
     data = data_set(samples=120)
     found = training(optimiser, max_epochs=1).identify(spec(), data, 0, tmp_path)
-    reached = mean_fit(found.model, data.training, data)
+    reached = records_fit_percent(found.model, data.training, data)
     assert found.curve[0]["fit_training_percent"] == pytest.approx(reached, abs=1e-4)
 
 
@@ -170,9 +170,9 @@ def test_records_of_unequal_length_train_as_they_are(tmp_path: Path) -> None:
     short = dataclasses.replace(data.training[0], u=u, y=y)
     data = dataclasses.replace(data, training=(short, *data.training[1:]), start_up_samples=20)
     found = training().identify(spec(), data, seed=0, folder=tmp_path)
-    assert mean_fit(found.model, data.test, data) > 99.0
+    assert records_fit_percent(found.model, data.test, data) > 99.0
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert mean_fit(found.model, data.training, data) == pytest.approx(shown, abs=0.5)
+    assert records_fit_percent(found.model, data.training, data) == pytest.approx(shown, abs=0.5)
 
 
 def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
@@ -183,7 +183,7 @@ def test_unknown_initial_states_are_estimated(tmp_path: Path) -> None:
     data = dataclasses.replace(data, training=moving)
     states = ("zero", "estimated")
     fits = {
-        state: mean_fit(
+        state: records_fit_percent(
             training(initial_state=state, max_epochs=25)
             .identify(spec(), data, 0, tmp_path / state)
             .model,
@@ -242,7 +242,7 @@ def test_a_saturating_input_map_is_found(tmp_path: Path) -> None:
     settings = training(roughness_weight=1e-3)
     ssm_spec = spec(hidden_width=16)
     found = settings.identify(ssm_spec, data, 0, tmp_path)
-    assert mean_fit(found.model, data.test, data) > 98.0
+    assert records_fit_percent(found.model, data.test, data) > 98.0
 
 
 def test_a_position_driven_fit_drifts_less(tmp_path: Path) -> None:

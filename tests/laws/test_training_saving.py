@@ -19,7 +19,7 @@ from test_training_identify import LBFGS, spec, training
 
 from ssm_study.training import saving as room
 from ssm_study.training.fit import Fit
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Adam, OptimiserSpec
 from ssm_study.training.saving import BestModelCheckpoint, DurableCheckpointIO
 
@@ -42,16 +42,16 @@ def test_a_killed_training_resumes_to_the_same_model(
     data = data_set(noise=0.05)
     settings = training(optimiser, max_epochs=8, checkpoint_every_s=0.0)
     whole = settings.identify(spec(), data, 0, tmp_path / "whole")
-    make = room.trainer_of
+    make = room.build_trainer
     with monkeypatch.context() as patch:
         patch.setattr(
             room,
-            "trainer_of",
+            "build_trainer",
             lambda told, calls, folder: make(told, [*calls, Interrupt(3)], folder),
         )
         with pytest.raises(InterruptedError):
             settings.identify(spec(), data, 0, tmp_path / "broken")
-    stopped = room.read(last := tmp_path / "broken" / room.LAST)
+    stopped = room.read_checkpoint(last := tmp_path / "broken" / room.LAST)
     stopped["callbacks"]["BestModelCheckpoint"]["curve"][-1]["seconds"] += 100.0
     DurableCheckpointIO().save_checkpoint(stopped, last)
     resumed = settings.identify(spec(), data, 0, tmp_path / "broken")
@@ -68,18 +68,18 @@ def test_a_loss_that_is_not_finite_stops_with_the_last_good_state(
 ) -> None:
     data = data_set(noise=0.05)
     steps = iter(range(10_000))
-    objective = Fit.loss
+    objective = Fit.training_loss
 
     def poisoned(self: Fit) -> torch.Tensor:
         loss = objective(self)
         return loss * float("nan") if next(steps) >= 20 else loss
 
-    monkeypatch.setattr(Fit, "loss", poisoned)
+    monkeypatch.setattr(Fit, "training_loss", poisoned)
     adam = Adam(learning_rate=0.02, steps_per_epoch=5, final_fraction=0.1)
     found = training(adam).identify(spec(), data, 0, tmp_path)
     assert "not finite" in found.ended
     assert "learning rate" in found.ended
-    assert mean_fit(found.model, data.training, data) > 50.0
+    assert records_fit_percent(found.model, data.training, data) > 50.0
 
 
 def test_a_training_whose_nth_write_fails_goes_on_from_the_last_good_state(
@@ -192,7 +192,7 @@ def test_epochs_that_change_nothing_end_the_training() -> None:
     for epoch, fits in enumerate(
         [(80.0, 70.0), (90.0, 75.0), (90.0, 75.0), (90.0, 75.1), (90.0, 75.1)]
     ):
-        keeper.see(epoch, *fits, module)
+        keeper.record_epoch(epoch, *fits, module)
         assert not keeper.ended
     resumed = BestModelCheckpoint(tolerance=0.0)
     state_dict = keeper.state_dict()

@@ -26,18 +26,23 @@ from ssm_study.training.levenberg import DAMPING_RANGE
 from ssm_study.training.structured_problem import (
     CORE,
     FREE_CORE,
-    Batch,
     Descent,
-    Residuals,
+    RecordBatch,
+    SimulationProblem,
     Theta,
-    ended,
-    loss,
-    minimise,
-    pack,
-    step,
-    unpack,
+    has_converged,
+    minimise_simulation_error,
+    pack_parameters,
+    regularised_loss,
+    take_step,
+    unpack_parameters,
 )
-from ssm_study.training.structured_start import LONGEST, linear_start, random_poles, screened_poles
+from ssm_study.training.structured_start import (
+    LONGEST,
+    choose_random_poles,
+    draw_poles,
+    fit_initial_linear_model,
+)
 
 SIZES = {
     "seed": st.integers(0, 2**31),
@@ -163,7 +168,7 @@ KINDS = ("tanh", "softplus", "clipped_cubic")  # smooth: a difference across a k
 
 def problem(
     seed: int, rate: float | None, integrating_output: bool = False
-) -> tuple[Residuals, Theta]:
+) -> tuple[SimulationProblem, Theta]:
     rng = np.random.default_rng(seed)
     n = 3
     m = 2
@@ -189,8 +194,8 @@ def problem(
     scaffold_out = 0.6 * rng.normal(size=len(read.parameter_channels))
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
     theta["x0"] = rng.normal(size=(2, n + p * integrating_output))
-    records = Batch.padded(pairs)
-    one = Residuals(
+    records = RecordBatch.from_pairs(pairs)
+    one = SimulationProblem(
         records=records,
         neurons=KINDS,
         lift=lift,
@@ -208,13 +213,14 @@ def test_the_jacobian_is_that_of_differences(rate: float | None, integrating_out
     scaffoldings, unequal records, their starts."""
     one, theta = problem(3, rate, integrating_output)
     free = (*(FREE_CORE if rate else CORE), *"bcdgh", "bias", "scaffold_in", "scaffold_out", "x0")
-    flat = pack(theta, free)
-    r, j, turn = one.linearised(theta, free)
-    expected = one.residual(theta)
+    flat = pack_parameters(theta, free)
+    r, j, turn = one.residual_and_jacobian(theta, free)
+    expected = one.weighted_error(theta)
     np.testing.assert_allclose(r, expected, atol=1e-13)
     steps = 1e-6 * np.eye(len(flat))
     ahead, behind = (
-        [one.residual(theta | unpack(flat + s * h, theta, free)) for h in steps] for s in (1, -1)
+        [one.weighted_error(theta | unpack_parameters(flat + s * h, theta, free)) for h in steps]
+        for s in (1, -1)
     )
     difference = np.stack(ahead) - np.stack(behind)
     differences = difference.T / 2e-6
@@ -230,7 +236,7 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     scaffold_out = np.zeros(0)
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}
     free = (*CORE, *"bcdgh", "bias")
-    r, j, _ = one.linearised(theta, free)
+    r, j, _ = one.residual_and_jacobian(theta, free)
     by_adjoint = stepped_gradient(one, theta)
     actual = 2 * j.T @ r
     expected = np.concatenate([by_adjoint[name].ravel() for name in free])
@@ -240,18 +246,18 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
 def test_the_ridge_weighs_the_squares_of_the_parameters_that_are_moved() -> None:
     one, theta = problem(0, None)
     free = ("a", "b", "bias", "x0")
-    bare = loss(one, theta, ())
+    bare = regularised_loss(one, theta, ())
     squares = float(
         np.square(theta["b"]).sum() + np.square(theta["bias"]).sum()
     )  # coordinates and starts are free
     weighed = replace(one, ridge=0.3)
-    assert loss(one, theta, free) == pytest.approx(bare)
+    assert regularised_loss(one, theta, free) == pytest.approx(bare)
     expected = bare + 0.3 * squares
-    assert loss(weighed, theta, free) == pytest.approx(expected)
-    descent_loss = loss(weighed, theta, free)
+    assert regularised_loss(weighed, theta, free) == pytest.approx(expected)
+    descent_loss = regularised_loss(weighed, theta, free)
     at = Descent(theta=theta, loss=descent_loss, damping=1e-2)
-    after = step(weighed, at, free)
-    expected = loss(weighed, after.theta, free)
+    after = take_step(weighed, at, free)
+    expected = regularised_loss(weighed, after.theta, free)
     assert after.loss == pytest.approx(expected)
     assert after.loss < at.loss
 
@@ -263,20 +269,20 @@ def test_a_step_whose_damped_matrix_overflows_has_failed_and_ends_nothing() -> N
     read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     pairs = [(np.ones((900, 1)), np.arange(900.0)[:, None])]
-    records = Batch.padded(pairs)
-    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
+    records = RecordBatch.from_pairs(pairs)
+    one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(0)
-    theta = linear_start(one, 1, False, rng)
+    theta = fit_initial_linear_model(one, 1, False, rng)
     a = np.array([[1.48]])
     begun = theta | {"a": a}
-    descent_loss = loss(one, begun, ())
+    descent_loss = regularised_loss(one, begun, ())
     at = Descent(theta=begun, loss=descent_loss, damping=1e6)
-    normal = np.square(one.linearised(begun, ("a",))[1]).sum()
+    normal = np.square(one.residual_and_jacobian(begun, ("a",))[1]).sum()
     assert np.isfinite(at.loss)
     assert np.isfinite(normal)
     with np.errstate(over="ignore"):
         assert not np.isfinite(normal * at.damping)
-    after = step(one, at, ("a",))
+    after = take_step(one, at, ("a",))
     assert after.theta is begun
     assert after.loss == at.loss
 
@@ -289,15 +295,15 @@ def test_a_refused_step_does_not_end_the_linear_fit_of_a_start() -> None:
     lift = TrainablePieces(1, 16, 0.1, 1.0)
     read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
-    batch = Batch.padded(scale_records(recording))
-    records = batch.cut(2000)
-    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
+    batch = RecordBatch.from_pairs(scale_records(recording))
+    records = batch.take_whole_records(2000)
+    one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
     rng = np.random.default_rng(8)
-    begun = linear_start(one, 5, False, rng)
-    assert loss(one, begun, ()) > 0.05
-    assert minimise(one, begun, ("a", "b", "c"), 15).loss < 0.0055
-    assert not ended(1.0, 1.0, 1.0)
-    assert ended(1.0, 1.0, DAMPING_RANGE[1])
+    begun = fit_initial_linear_model(one, 5, False, rng)
+    assert regularised_loss(one, begun, ()) > 0.05
+    assert minimise_simulation_error(one, begun, ("a", "b", "c"), 15).loss < 0.0055
+    assert not has_converged(1.0, 1.0, 1.0)
+    assert has_converged(1.0, 1.0, DAMPING_RANGE[1])
 
 
 def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input() -> None:
@@ -316,12 +322,12 @@ def test_slow_modes_are_found_where_the_next_sample_hardly_depends_on_the_input(
     read = TrainablePieces(1, 0, 0.1, 1.0)
     maps = {"lift": lift, "read": read}
     pairs = [(u, y)]
-    records = Batch.padded(pairs)
-    one = Residuals(records=records, neurons=(), **maps)  # type: ignore[arg-type]
-    begun = linear_start(one, 2, False, rng)
-    found = screened_poles(one, begun, True, rng)
-    assert loss(one, begun, ()) > 0.5
-    assert loss(one, found, ()) < 0.1
+    records = RecordBatch.from_pairs(pairs)
+    one = SimulationProblem(records=records, neurons=(), **maps)  # type: ignore[arg-type]
+    begun = fit_initial_linear_model(one, 2, False, rng)
+    found = choose_random_poles(one, begun, True, rng)
+    assert regularised_loss(one, begun, ()) > 0.5
+    assert regularised_loss(one, found, ()) < 0.1
     eigenvalues = np.linalg.eigvals(found["a"])
     for mode, true in zip(sorted(np.abs(eigenvalues)), (0.96, 0.975), strict=True):
         assert mode == pytest.approx(true, abs=0.03)
@@ -364,7 +370,7 @@ def test_lambda_is_balanced_whatever_stands_on_the_diagonal() -> None:
 def testrandom_poles_decay_over_one_to_the_longest_count_of_samples() -> None:
     rng = np.random.default_rng(0)
     for _ in range(200):
-        poles = np.linalg.eigvals(random_poles(5, rng))
+        poles = np.linalg.eigvals(draw_poles(5, rng))
         samples = -1.0 / np.log(np.abs(poles))
         assert (samples > 1 - 1e-9).all()
         upper_limit = LONGEST * (1 + 1e-9)

@@ -14,7 +14,7 @@ from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.training.optimisers import Lbfgs
-from ssm_study.training.structured_fit import StructuredFit, pruned
+from ssm_study.training.structured_fit import StructuredFit, prune_neurons
 from ssm_study.training.training import Training
 
 
@@ -104,7 +104,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
     neurons = ("tanh", "softplus")
     idle = replace(spare, e=e, f=f, g=g, h=h, bias=bias, neurons=neurons)
     records = data.training[:1]
-    left = pruned(idle, records)
+    left = prune_neurons(idle, records)
     assert left.neurons == ("tanh",)
     test_u = data.test[0].u
     actual = left.simulate(test_u)
@@ -115,7 +115,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
     h = np.array([[0.0, 1e-9]])
     through = replace(idle, g=g, h=h)
     records = data.training[:1]
-    structured_ssm = pruned(through, records)
+    structured_ssm = prune_neurons(through, records)
     neurons = structured_ssm.neurons
     assert neurons == idle.neurons  # its mean slope would be a feedthrough
     h = np.array([[0.0, 1e-9]])
@@ -123,7 +123,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
     g = np.array([[0.0], [1.0]])
     for beside in (changed_idle, replace(idle, g=g)):
         records = data.training[:1]
-        structured_ssm = pruned(beside, records)
+        structured_ssm = prune_neurons(beside, records)
         neurons = structured_ssm.neurons
         assert neurons == ("tanh",)
 
@@ -154,7 +154,7 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     spec = StructuredSpec(order=2, neurons=1, knots=0, starts=1, integrating_output=True)
     fit = StructuredFit(spec, data, 0)
     fit.training_step(None, 0)
-    model = fit.stored()
+    model = fit.as_model()
     assert model.order == 3
     eigenvalues = np.linalg.eigvals(model.a)
     spectral_radius = np.abs(eigenvalues).max()
@@ -162,7 +162,7 @@ def test_an_integrated_model_is_stored_with_its_integrator(data: DataSet) -> Non
     assert "hankel_largest" not in model_bound_columns(
         model
     )  # no infinite-horizon Gramian: withheld, and no refusal
-    y = fit.problem.output(fit.theta)[0]
+    y = fit.problem.simulate_output(fit.parameter_blocks)[0]
     training_u = data.training[0].u
     response = model.simulate(training_u)
     actual = data.scale.scaled_output(response)

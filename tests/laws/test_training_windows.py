@@ -18,7 +18,7 @@ from ssm_study.models.spec import ModelSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.training.fit import Fit
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 from ssm_study.training.optimisers import Levenberg, OptimiserSpec
 from ssm_study.training.windows import Windows
 
@@ -56,7 +56,7 @@ def fit_of(model: ModelSpec, data: DataSet, windows: Windows | None = None, **se
 
 def step_of(fit: Fit) -> tuple[Tensor, dict[str, Tensor]]:
     """The objective, and its gradient by the names of the model's parameters."""
-    loss = fit.loss()
+    loss = fit.training_loss()
     loss.backward()
     return loss.detach(), {n: p.grad for n, p in fit.model.named_parameters() if p.grad is not None}
 
@@ -95,13 +95,13 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     data = unequal()
     fit = fit_of(model, data, SHOOTING)
     whole = fit_of(model, data)
-    y_hat, defects = fit.run()
+    y_hat, defects = fit.simulate_windows()
     expected = (4, fit.model.states)
     assert defects.shape == expected  # 100 and 83 samples in windows of 40: three each
     largest = defects.abs().max()
     assert largest < 1e-9
-    actual = fit.training_records.loss(y_hat)
-    expected = whole.training_records.loss(whole.run()[0])
+    actual = fit.training_records.squared_error(y_hat)
+    expected = whole.training_records.squared_error(whole.run()[0])
     torch.testing.assert_close(actual, expected)
 
 
@@ -133,7 +133,7 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
         free = fit.starts.free
         fit.starts.free += 0.3 * torch.randn(free.shape, generator=rng, dtype=torch.float64)
     direction = [torch.randn(p.shape, generator=rng, dtype=torch.float64) for p in parameters]
-    loss = fit.loss()
+    loss = fit.training_loss()
     slope = sum(
         (g * d).sum() for g, d in zip(torch.autograd.grad(loss, parameters), direction, strict=True)
     )
@@ -142,7 +142,7 @@ def test_the_gradient_of_shooting_is_that_of_finite_differences(model: ModelSpec
         with torch.no_grad():
             for p, d in zip(parameters, direction, strict=True):
                 p += side * d
-            moved = fit.loss()
+            moved = fit.training_loss()
             for p, d in zip(parameters, direction, strict=True):
                 p -= side * d
         seen.append(float(moved))
@@ -157,11 +157,11 @@ def test_the_residuals_of_shooting_are_its_objective() -> None:
     with torch.no_grad():
         fit.starts.free += 0.5
     flat = torch.cat([p.detach().flatten() for p in fit.parameters() if p.requires_grad])
-    objective = fit.loss()
-    actual = fit.residual(flat).square().sum()
+    objective = fit.training_loss()
+    actual = fit.residual_at(flat).square().sum()
     expected = objective.detach()
     torch.testing.assert_close(actual, expected)
-    assert fit.run()[1].square().sum() > 0.1
+    assert fit.simulate_windows()[1].square().sum() > 0.1
 
 
 @pytest.mark.parametrize(
@@ -179,9 +179,11 @@ def test_windows_find_the_system(
 ) -> None:
     data = data_set()
     found = training(optimiser, windows=windows, max_epochs=12).identify(spec(), data, 0, tmp_path)
-    assert mean_fit(found.model, data.test, data) > 95.0  # a linear input map stops below 93
+    assert (
+        records_fit_percent(found.model, data.test, data) > 95.0
+    )  # a linear input map stops below 93
     shown = max(row["fit_training_percent"] for row in found.curve)
-    assert mean_fit(found.model, data.training, data) == pytest.approx(
+    assert records_fit_percent(found.model, data.training, data) == pytest.approx(
         shown, abs=0.5
     )  # the curve shows whole records
 
@@ -202,7 +204,7 @@ def test_records_in_motion_are_shot_at_too(tmp_path: Path) -> None:
     }
     shown = {state: found.curve[-1]["fit_training_percent"] for state, found in fits.items()}
     model = fits["estimated"].model
-    assert mean_fit(model, data.test, data) > 97.0
+    assert records_fit_percent(model, data.test, data) > 97.0
     largest = max(97.0, shown["zero"] + 1.0)
     assert shown["estimated"] > largest
 
@@ -219,7 +221,7 @@ def test_equal_seeds_and_float32_shoot_alike(tmp_path: Path) -> None:
     for optimiser, least in ((settings.optimiser, 80.0), (levenberg, 50.0)):
         single = dataclasses.replace(settings, precision=32, optimiser=optimiser)
         low = single.identify(spec(), data, 3, tmp_path / type(optimiser).__name__)
-        assert mean_fit(low.model, data.training, data) > least
+        assert records_fit_percent(low.model, data.training, data) > least
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ import worst_case
 
 from ssm_study.bounds.gramians import (
     balanced_realization,
-    hankel_singular_values,
     bound_local_controllability,
+    hankel_singular_values,
 )
 from ssm_study.bounds.network import Network, PortableMap, invert_map, slope_interval
 from ssm_study.bounds.slopes import spectral_norm_bound

@@ -27,9 +27,9 @@ from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.signals import Trajectory
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.measured_discs_run import (
-    coverage_columns,
-    certificate_weights,
     add_coverage_certificate,
+    certificate_weights,
+    coverage_columns,
 )
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 

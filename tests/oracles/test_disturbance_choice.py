@@ -20,9 +20,9 @@ from ssm_study.models.warm_start import preceding_log, state_from_past
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Scale, Trajectory
 from ssm_study.systems import StateSpace
-from ssm_study.training.candidates import linear_model, linear_trial
+from ssm_study.training.candidates import fit_linear_model, try_linear_model
 from ssm_study.training.choice_of_paths import nearly_integrates
-from ssm_study.training.folds import folds_of, with_joined_records
+from ssm_study.training.folds import join_training_and_validation, make_folds
 
 SLOW = 0.99
 SAMPLES = 1200
@@ -87,9 +87,9 @@ def test_the_past_of_a_piece_is_driven_by_its_disturbance() -> None:
 def test_folds_have_the_disturbance_of_their_own_samples() -> None:
     data = dataset()
     whole = log_of_slow_model()
-    (joined,) = with_joined_records(data).training
+    (joined,) = join_training_and_validation(data).training
     assert len(joined.d) == len(joined) == len(data.training[0]) + len(data.validation[0])
-    for fold in folds_of(data):
+    for fold in make_folds(data):
         for record in (*fold.training, *fold.test):
             first = record.first
             expected = whole.d[first : first + len(record)]
@@ -99,7 +99,7 @@ def test_folds_have_the_disturbance_of_their_own_samples() -> None:
 def test_linear_candidates_are_told_the_disturbance() -> None:
     """With it a first-order model is exact; with it left out most of the output is missed."""
     data = dataset()
-    trial = linear_trial(folds_of(data), 1, 1)
+    trial = try_linear_model(make_folds(data), 1, 1)
     told = trial.errors
     training = tuple(replace(one, d=None) for one in data.training)
     validation = tuple(replace(one, d=None) for one in data.validation)
@@ -115,7 +115,7 @@ def test_linear_candidates_are_told_the_disturbance() -> None:
         data, disturbances=(), training=training, validation=validation, test=test, scale=scale
     )
     assert told.max() < 1.0
-    trial = linear_trial(folds_of(without), 1, 1)
+    trial = try_linear_model(make_folds(without), 1, 1)
     errors = trial.errors
     mean = errors.mean()
     assert mean > 30.0
@@ -126,7 +126,7 @@ def test_linear_candidates_are_told_the_disturbance() -> None:
 def test_a_linear_model_of_the_choice_has_a_path_for_the_disturbance(direct: bool) -> None:
     """The disturbance is no input of it, or it would be commanded."""
     data = dataset()
-    model = linear_model(data, 1, direct=direct)
+    model = fit_linear_model(data, 1, direct=direct)
     linear_b = model.linear.b
     expected = model.linear.d.shape
     assert linear_b.shape == expected == (1, 1)

@@ -10,7 +10,7 @@ from loop_cases import motor_design, motor_model, motor_record, random_model
 from ssm_study.certificates.theorems.integral_action import linear_output_gain
 from ssm_study.models.identified import SSM
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.integrated_error import relative_areas, comparison_scenario
+from ssm_study.synthesis.integrated_error import comparison_scenario, relative_areas
 from ssm_study.systems import Gains, StateSpace
 
 PAIR = np.zeros((1, 2), dtype=int)

@@ -10,7 +10,7 @@ from synthesis_ratio import ratio_limit
 
 from ssm_study.bounds.frequency import largest_gains
 from ssm_study.certificates.certificate import Design, Infeasible
-from ssm_study.certificates.theorems.integral_action import controlled_system, append_internal_model
+from ssm_study.certificates.theorems.integral_action import append_internal_model, controlled_system
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.loop.certified_bound import relative_bound_excess
 from ssm_study.loop.controller import ObserverFeedback

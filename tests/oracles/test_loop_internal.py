@@ -10,9 +10,9 @@ from loop_cases import BALLS, INPUT_BALL, motor, motor_model, random_model
 from ssm_study.bounds.frequency import frequency_response, largest_gains
 from ssm_study.certificates.certificate import Design
 from ssm_study.certificates.theorems.integral_action import (
+    append_internal_model,
     controlled_system,
     internal_model,
-    append_internal_model,
 )
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.cli.request import quote_sines

@@ -16,7 +16,7 @@ from loop_cases import (
     random_model,
 )
 
-from ssm_study.bounds.frequency import largest_gains, hinf_norm
+from ssm_study.bounds.frequency import hinf_norm, largest_gains
 from ssm_study.refusal import BadRequest
 from ssm_study.robustness.bands import ANGLES as BANDS
 from ssm_study.robustness.mismatch import Mismatch, measure_mismatch

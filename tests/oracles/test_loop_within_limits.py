@@ -26,11 +26,11 @@ from ssm_study.signals import Scale
 from ssm_study.study.design_claims import stored_starts
 from ssm_study.synthesis.deployed import (
     WithinLimits,
-    output_range,
+    certify_input_limits,
     equilibrium_corners,
     equilibrium_starts,
-    certify_input_limits,
     limits_proof,
+    output_range,
 )
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.metrics import limit_columns

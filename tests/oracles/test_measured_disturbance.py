@@ -176,10 +176,10 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
         order=2, neurons=1, knots=3, input_path="free", feedthrough=True, starts=1, draws=1
     )
     fit = StructuredFit(spec, data, 0)
-    fit.advance(4)
-    theta = fit.theta
-    free = fit._moving_blocks
-    r, j, turn = fit.problem.linearised(theta, free)
+    fit.take_steps(4)
+    theta = fit.parameter_blocks
+    free = fit._trained_blocks
+    r, j, turn = fit.problem.residual_and_jacobian(theta, free)
     sizes = [theta[n].size for n in free]
     running_sum = np.cumsum(sizes)
     block = dict(zip(free, np.split(j @ turn, running_sum[:-1], 1), strict=True))
@@ -187,7 +187,7 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
         for entry in range(2):
             moved = theta[name].copy()
             moved.ravel()[entry] += 1e-6
-            difference = fit.problem.residual(theta | {name: moved}) - r
+            difference = fit.problem.weighted_error(theta | {name: moved}) - r
             expected = difference / 1e-6
             if name != "b" and entry == 1:
                 assert not block[name][:, entry].any()
@@ -195,7 +195,7 @@ def test_a_structured_model_is_trained_with_the_load(tmp_path: Path) -> None:
             else:
                 actual = block[name][:, entry]
                 np.testing.assert_allclose(actual, expected, atol=1e-5)
-    model = fit.stored()
+    model = fit.as_model()
     x0 = theta["x0"][0]
     training_u = data.training[0].u
     training_d = data.training[0].d

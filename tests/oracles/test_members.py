@@ -18,7 +18,7 @@ from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained
-from ssm_study.training.metrics import Identification, mean_fit
+from ssm_study.training.metrics import Identification, records_fit_percent
 
 SMALL = {"order": 2, "neurons": 1, "knots": 0, "draws": 1, "start_steps": (5, 3, 3)}
 
@@ -56,7 +56,7 @@ def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
 
 def test_members_are_those_that_fit_the_training_records_best(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
-    fits = [mean_fit(model, data.training, data) for model in trained.members]
+    fits = [records_fit_percent(model, data.training, data) for model in trained.members]
     expected = sorted(fits, reverse=True)
     assert fits == expected
     assert trained.model.to_json() in [model.to_json() for model in trained.members]
@@ -87,7 +87,7 @@ def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
     trained = read_trained(folder)
-    identification = Identification.of(
+    identification = Identification.from_model(
         trained.model, data, seconds=1.0, curve=[], ended="", members=trained.members
     )
     model = Model(simulator=trained.model, data=data, identification=identification)

@@ -13,7 +13,7 @@ from ssm_study.models.baselines.regression import (
 from ssm_study.models.baselines.solved import NARX, OutputError
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Channel, DataSet, Trajectory
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 
 KNOWN = {1001: 1.2, 1002: -0.5, 2001: 0.3}  # y[k] = 1.2 y[k-1] - 0.5 y[k-2] + 0.3 u[k-1]
 CHANNELS = (Channel(name="u", unit="V"),), (Channel(name="y", unit="m"),)
@@ -92,11 +92,11 @@ def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     data = records(start_up=20, product=0.15, noise=0.02)
     best = fit_best_baseline(data)
     assert best is not None
-    assert "NARX" in best.words
-    assert mean_fit(best.model, data.test, data) > 90.0
+    assert "NARX" in best.describe
+    assert records_fit_percent(best.model, data.test, data) > 90.0
     model = OutputError(order=2).solve(data)
-    linear = mean_fit(model, data.test, data)
-    upper_limit = mean_fit(best.model, data.test, data) - 5.0
+    linear = records_fit_percent(model, data.test, data)
+    upper_limit = records_fit_percent(best.model, data.test, data) - 5.0
     assert linear < upper_limit
 
 
@@ -104,7 +104,7 @@ def test_measured_start_up_samples_are_the_past_of_a_regression() -> None:
     data = records(start_up=20)
     narx = NARX(lags=2, degree=1)
     model = narx.solve(data)
-    assert mean_fit(model, data.test, data) > 99.9
+    assert records_fit_percent(model, data.test, data) > 99.9
     piece = data.test[0]
     response = model.simulate(piece.u)
     from_rest = response[:40] - piece.y[:40]

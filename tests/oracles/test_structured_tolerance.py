@@ -18,7 +18,7 @@ from ssm_study.certificates.theorems.integral_action import controlled_system
 from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
 from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
 from ssm_study.robustness.sensitivity import sensitivity
-from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates, none_if_unsolved
+from ssm_study.synthesis.deployed import at_largest_rate, none_if_unsolved, with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
 from ssm_study.synthesis.structured_lmi import largest_rate

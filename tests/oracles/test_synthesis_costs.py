@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssm_study.certificates.problem import NoSolution
 from ssm_study.certificates.riccati import solve_riccati, solve_riccati_by_doubling
-from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, solve_at_tau, guaranteed_cost
+from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis, guaranteed_cost, solve_at_tau
 from ssm_study.synthesis.lmi import CompiledLmi
 from ssm_study.systems import JacobianBall
 

@@ -17,8 +17,8 @@ from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import NoSolution, Problem, Solution
 from ssm_study.certificates.theorem import (
     VerificationContext,
-    smallest_eigenvalue,
     scale_to_unit_diagonal,
+    smallest_eigenvalue,
 )
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.refusal import BadRequest

@@ -73,8 +73,8 @@ from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
     VerificationContext,
-    multiplier_matrix,
     assemble_blocks,
+    multiplier_matrix,
 )
 from ssm_study.systems import JacobianBall, error_input_matrix
 

@@ -61,9 +61,9 @@ from ssm_study.certificates.theorem import (
     Blocks,
     Theorem,
     VerificationContext,
+    assemble_blocks,
     multiplier_matrix,
     symmetric_from_upper,
-    assemble_blocks,
 )
 from ssm_study.systems import JacobianBall, StateSpace, error_input_matrix
 

@@ -15,7 +15,7 @@ class ExcelReader(Reader, names=(".xlsx", ".xls", ".ods", ".xlsm")):
     """Reader of the first sheet of a spreadsheet file. The first sheet, taken apart as a text with
     tabs is: names, units, dates, missing values."""
 
-    def output_at(self, path: Path, names: list[str]) -> Table:
+    def read(self, path: Path, names: list[str]) -> Table:
         return self._text_reader(path).read(path, names)
 
     def contents(self, path: Path) -> Table:

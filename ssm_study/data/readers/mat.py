@@ -76,7 +76,7 @@ class MatReader(Reader, names=(".mat",)):
     refuses a file that is not whole.
     """
 
-    def output_at(self, path: Path, names: list[str]) -> Table:
+    def read(self, path: Path, names: list[str]) -> Table:
         columns, skipped, texts = read_numeric_variables(path)
         owners: list[str] = []
         where = f"{path.name} (variable)"

@@ -14,7 +14,7 @@ from ssm_study.refusal import require
 class McapReader(Reader, names=(".mcap",)):
     """Reader of MCAP recordings. The named fields, their units, and the log times they share."""
 
-    def output_at(self, path: Path, names: list[str]) -> Table:
+    def read(self, path: Path, names: list[str]) -> Table:
         groups, _ = read_mcap(path)
         fields = [
             (group, index, channel)

@@ -17,7 +17,7 @@ class ParquetReader(Reader, names=(".parquet",)):
     """Reader of Parquet files. The named columns; page checksums are verified where the file has
     them. Refuses a file that is not whole."""
 
-    def output_at(self, path: Path, names: list[str]) -> Table:
+    def read(self, path: Path, names: list[str]) -> Table:
         where = f"{path.name} (column)"
         try:
             schema = parquet.read_schema(path)
@@ -60,7 +60,7 @@ class ParquetReader(Reader, names=(".parquet",)):
         skipped = {
             name: f"holds {schema.field(name).type}" for name in schema.names if name not in numeric
         }
-        table = self.output_at(path, numeric) if numeric else Table(columns={})
+        table = self.read(path, numeric) if numeric else Table(columns={})
         return replace(table, skipped=skipped)
 
 

@@ -64,7 +64,7 @@ class Reader(Family):
     settings: TextSettings = TextSettings()
 
     @abstractmethod
-    def output_at(self, path: Path, names: list[str]) -> Table:
+    def read(self, path: Path, names: list[str]) -> Table:
         """Read the named columns of a log file. Raises `BadRequest` for a file that is not whole, a
         missing or ambiguous column."""
 

@@ -12,7 +12,7 @@ from ssm_study.signals import DataSet
 from ssm_study.study.recordings import read_simulation, states_to_text, write_records
 from ssm_study.study.stages.files import write_json
 from ssm_study.study.stages.model import Trained, read_model
-from ssm_study.training.metrics import mean_fit
+from ssm_study.training.metrics import records_fit_percent
 
 if TYPE_CHECKING:
     from ssm_study.bounds.reduction import Reduction
@@ -65,7 +65,7 @@ def measure_score(simulated: ModelRun, data: DataSet, _: Trained) -> Facts:
     """Columns of the free run: fits in percent, errors in the output's unit, a benchmark's
     score."""
     scores = benchmark_rmse(data, simulated.test.simulated) if "benchmark" in data.metadata else ()
-    train = {"fit_train_percent": mean_fit(simulated.model, data.training, data)}
+    train = {"fit_train_percent": records_fit_percent(simulated.model, data.training, data)}
     fits = fit_columns(simulated.validation, simulated.test, scores)
     return train | fits | piece_start_columns(simulated.model, data, simulated.test)
 

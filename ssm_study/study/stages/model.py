@@ -11,7 +11,7 @@ from ssm_study.models.metrics import size_columns
 from ssm_study.models.stored import read_model_json
 from ssm_study.signals import DataSet
 from ssm_study.study.stages.files import read_json, write_json
-from ssm_study.training.metrics import training_facts
+from ssm_study.training.metrics import training_columns
 
 if TYPE_CHECKING:
     from ssm_study.models.spec import ModelSpec
@@ -73,7 +73,7 @@ def read_trained(folder: Path) -> Trained:
 def measure_model(trained: Trained, data: DataSet) -> Facts:
     """Columns of the training: its time, why it ended, the model's size, what the log chose, and a
     baseline's fit."""
-    facts = training_facts(trained.seconds, trained.ended) | size_columns(trained.model)
+    facts = training_columns(trained.seconds, trained.ended) | size_columns(trained.model)
     if trained.chosen:
         facts["model_choice"] = trained.chosen
     return facts | member_columns(trained.members, data) | (trained.baseline or {})

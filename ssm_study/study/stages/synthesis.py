@@ -37,7 +37,7 @@ def compute_synthesis(
     from ssm_study.synthesis.auto import Auto
     from ssm_study.synthesis.decay_response import simulate_decays
     from ssm_study.synthesis.deployed import with_gain_certificates
-    from ssm_study.synthesis.measured_discs_run import is_coverage_sought, add_coverage_certificate
+    from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, is_coverage_sought
 
     model = bounded.model
     balls = certified_balls(model)
