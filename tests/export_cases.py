@@ -93,7 +93,7 @@ def products(device: Device, folder: Path) -> int:
     outputs = device.controller.scale.outputs
     inputs = device.controller.scale.inputs
     sizes = (outputs, outputs, inputs)
-    called = "track(&state, y, r, u)" if device.set_points else "step(&state, y, u)"
+    called = "track(&state, y, r, u)" if device.set_point_maps else "step(&state, y, u)"
     body = "controller_state state; Real y[{}], r[{}], u[{}]; controller_reset(&state);".format(
         *sizes
     )

@@ -22,8 +22,6 @@ resolved_margin controller_radius predicted_stable
 """
 COLUMNS = SCHEMA.split()
 
-MODELLED = COLUMNS[COLUMNS.index("fit_train_percent") : COLUMNS.index("controller_rate_limit") + 1]
-
 
 def table(runs: int = 60, seed: int = 0) -> pd.DataFrame:
     """Runs of every kind: settled, lost, infeasible, failed; missing is null."""

@@ -42,6 +42,79 @@ def _add_outer(left, right, out):  # out[i, j] += left[i] right[j], record by re
                 out[i, j, r] += left[i, r] * right[j, r]
 
 
+@register_jitable(error_model="numpy")
+@no_type_check
+def _simulate(k, v, still, x, w, slope, z):
+    """States, neurons and their slopes over one block of records, from `x[0]` on."""
+    q = k.e.shape[1]
+    for t in range(v.shape[0]):
+        for i in range(q):
+            z[i] = k.bias[i]
+        _add(k.f, x[t], z)
+        _add(k.g, v[t], z)
+        for i in range(q):
+            if k.kinds[i] == 0:  # tanh by one exponential: four times as fast, to 4e-16
+                for r in range(AT_ONCE):
+                    value = 1.0 - 2.0 / (exp(2.0 * z[i, r]) + 1.0)
+                    w[t, i, r] = value - still[i]
+                    slope[t, i, r] = 1.0 - value * value
+                continue
+            for r in range(AT_ONCE):
+                value, slope[t, i, r] = activation_and_slope(k.kinds[i], z[i, r])
+                w[t, i, r] = value - still[i]
+        x[t + 1] = 0.0
+        _add(k.a, x[t], x[t + 1])
+        _add(k.b, v[t], x[t + 1])
+        _add(k.e, w[t], x[t + 1])
+
+
+@register_jitable(error_model="numpy")
+@no_type_check
+def _weigh_errors(k, v, y, weight, x, w, g):
+    """`g = 2 weight^2 (ybar - y)` over one block of records."""
+    for t in range(v.shape[0]):
+        g[t] = -y[t]
+        _add(k.c, x[t], g[t])
+        _add(k.d, v[t], g[t])
+        _add(k.h, w[t], g[t])
+        for o in range(k.c.shape[0]):
+            for r in range(AT_ONCE):
+                g[t, o, r] *= 2.0 * weight[t, 0, r] ** 2
+
+
+@register_jitable(error_model="numpy")
+@no_type_check
+def _accumulate(k, v, rest, x, w, slope, g, sums):
+    """Backwards over one block of records, the derivatives added to `sums`."""
+    da, de, df, db, dg, dbias, dc, dd, dh = sums
+    n, q = k.e.shape
+    dw = np.empty((q, AT_ONCE))
+    dz = np.empty((q, AT_ONCE))
+    ahead = np.zeros((n, AT_ONCE))
+    here = np.empty((n, AT_ONCE))
+    for t in range(v.shape[0] - 1, -1, -1):
+        dw[:] = 0.0
+        here[:] = 0.0
+        _add(k.e.T, ahead, dw)
+        _add(k.h.T, g[t], dw)
+        _add(k.a.T, ahead, here)
+        _add(k.c.T, g[t], here)
+        _add_outer(ahead, x[t], da)
+        _add_outer(ahead, v[t], db)
+        _add_outer(ahead, w[t], de)
+        _add_outer(g[t], x[t], dc)
+        _add_outer(g[t], v[t], dd)
+        _add_outer(g[t], w[t], dh)
+        for i in range(q):
+            for r in range(AT_ONCE):
+                dz[i, r] = slope[t, i, r] * dw[i, r]
+                dbias[i, r] += dz[i, r] - rest[i] * dw[i, r]
+        _add(k.f.T, dz, here)
+        _add_outer(dz, x[t], df)
+        _add_outer(dz, v[t], dg)
+        ahead, here = here, ahead
+
+
 @njit(error_model="numpy")
 @no_type_check
 def _derivatives(k, v, x0, y, weight):
@@ -52,11 +125,6 @@ def _derivatives(k, v, x0, y, weight):
     m = v.shape[2]
     p = k.c.shape[0]
     samples = v.shape[1]
-    at = k.a.T.copy()
-    et = k.e.T.copy()
-    ft = k.f.T.copy()
-    ct = k.c.T.copy()
-    ht = k.h.T.copy()
     da = np.zeros((n, n, AT_ONCE))
     db = np.zeros((n, m, AT_ONCE))
     de = np.zeros((n, q, AT_ONCE))
@@ -71,63 +139,17 @@ def _derivatives(k, v, x0, y, weight):
     w = np.empty((samples, q, AT_ONCE))
     slope = np.empty((samples, q, AT_ONCE))
     z = np.empty((q, AT_ONCE))
-    dw = np.empty((q, AT_ONCE))
-    ahead = np.empty((n, AT_ONCE))
-    here = np.empty((n, AT_ONCE))
     still = np.empty(q)
     rest = np.empty(q)
     for i in range(q):
         still[i], rest[i] = activation_and_slope(k.kinds[i], k.bias[i])
+    sums = (da, de, df, db, dg, dbias, dc, dd, dh)
     for block in range(v.shape[0]):
         x[0] = x0[block]
-        for t in range(samples):
-            for i in range(q):
-                z[i] = k.bias[i]
-            _add(k.f, x[t], z)
-            _add(k.g, v[block, t], z)
-            for i in range(q):
-                if k.kinds[i] == 0:  # tanh by one exponential: four times as fast, to 4e-16
-                    for r in range(AT_ONCE):
-                        value = 1.0 - 2.0 / (exp(2.0 * z[i, r]) + 1.0)
-                        w[t, i, r], slope[t, i, r] = value - still[i], 1.0 - value * value
-                    continue
-                for r in range(AT_ONCE):
-                    value, slope[t, i, r] = activation_and_slope(k.kinds[i], z[i, r])
-                    w[t, i, r] = value - still[i]
-            x[t + 1] = 0.0
-            _add(k.a, x[t], x[t + 1])
-            _add(k.b, v[block, t], x[t + 1])
-            _add(k.e, w[t], x[t + 1])
-            g[t] = -y[block, t]
-            _add(k.c, x[t], g[t])
-            _add(k.d, v[block, t], g[t])
-            _add(k.h, w[t], g[t])
-            for o in range(p):
-                for r in range(AT_ONCE):
-                    g[t, o, r] *= 2.0 * weight[block, t, 0, r] ** 2
-        ahead[:] = 0.0
-        for t in range(samples - 1, -1, -1):
-            dw[:] = 0.0
-            here[:] = 0.0
-            _add(et, ahead, dw)
-            _add(ht, g[t], dw)
-            _add(at, ahead, here)
-            _add(ct, g[t], here)
-            _add_outer(ahead, x[t], da)
-            _add_outer(ahead, v[block, t], db)
-            _add_outer(ahead, w[t], de)
-            _add_outer(g[t], x[t], dc)
-            _add_outer(g[t], v[block, t], dd)
-            _add_outer(g[t], w[t], dh)
-            for i in range(q):
-                for r in range(AT_ONCE):
-                    z[i, r] = slope[t, i, r] * dw[i, r]  # dz
-                    dbias[i, r] += z[i, r] - rest[i] * dw[i, r]
-            _add(ft, z, here)
-            _add_outer(z, x[t], df)
-            _add_outer(z, v[block, t], dg)
-            ahead, here = here, ahead
-    return da, de, df, db, dg, dbias, dc, dd, dh
+        _simulate(k, v[block], still, x, w, slope, z)
+        _weigh_errors(k, v[block], y[block], weight[block], x, w, g)
+        _accumulate(k, v[block], rest, x, w, slope, g, sums)
+    return sums
 
 
 def gradient(one, theta, derivatives=_derivatives):  # type: ignore[no-untyped-def]
@@ -140,7 +162,7 @@ def gradient(one, theta, derivatives=_derivatives):  # type: ignore[no-untyped-d
         return np.ascontiguousarray(np.moveaxis(side.reshape(-1, AT_ONCE, *side.shape[1:]), 1, -1))
 
     u, y, weight = map(blocks, one.records)
-    parts = derivatives(one.matrices(theta), u, blocks(one.starts(theta)[0]), y, weight)
+    parts = derivatives(one.matrices(theta), u, blocks(one.initial_conditions(theta)[0]), y, weight)
     names = ("a", "e", "f", "b", "g", "bias", "c", "d", "h")
     return {name: part.sum(axis=-1) for name, part in zip(names, parts, strict=True)}
 

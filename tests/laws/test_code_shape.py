@@ -52,7 +52,6 @@ LONG_BODIES = frozenset(
         "ssm_study/models/structured_spec.py: __post_init__",
         "ssm_study/models/torch_recurrence.py: backward",
         "ssm_study/training/saving.py: train_with_lightning",
-        "tests/structured_adjoint.py: _derivatives",
     }
 )
 

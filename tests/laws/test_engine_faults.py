@@ -22,8 +22,6 @@ from ssm_study.engine.settings import digest_of_value
 from ssm_study.engine.store import Store, intact_manifest
 from ssm_study.table.gather import PARQUET, gather
 
-OPERATIONS = ("open", "write", "fsync", "replace", "rename", "mkdir")
-
 
 class FailingDisk:
     """Counts every operation that can meet a full or broken disk and lets the n-th fail."""

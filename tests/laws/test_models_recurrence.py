@@ -252,7 +252,7 @@ def test_a_start_is_nearer_to_its_records_than_no_model(
         white_noise = rng.standard_normal((240, 1))
         records = [(u[:240, None], y[:240, None] + 0.001 * white_noise)]
         start = estimate_initial_system(records, order, np.random.default_rng(0), feedthrough)
-        made = start.free_run(records[0][0])
+        made = start.simulate_output(records[0][0])
         largest = np.abs(made).max()
         upper_limit = 10 * np.abs(y).max()
         assert largest < upper_limit

@@ -66,7 +66,7 @@ def test_every_other_start_has_half_the_states_and_the_last_no_neurons() -> None
     assert sizes == expected
     best = replace(spec, among_starts=None)
     expected = [best] * 3
-    assert [best.for_training_run(k) for k in range(best.trainings)] == expected
+    assert [best.for_training_run(k) for k in range(best.training_count)] == expected
 
 
 def test_neurons_that_do_nothing_leave_the_exact_limit() -> None:

@@ -197,6 +197,6 @@ def test_epochs_that_change_nothing_end_the_training() -> None:
     resumed = BestModelCheckpoint(tolerance=0.0)
     state_dict = keeper.state_dict()
     resumed.load_state_dict(state_dict)
-    resumed.see(5, 90.0, 75.1, module)
+    resumed.record_epoch(5, 90.0, 75.1, module)
     assert resumed.ended == "the optimiser no longer moves"
     assert resumed.kept_training == 90.0

@@ -231,7 +231,7 @@ def test_the_gradient_is_that_of_the_adjoint() -> None:
     one, theta = problem(5, None)
     lift = TrainablePieces(2, 0, 0.1, 1.0)
     read = TrainablePieces(2, 0, 0.1, 1.0)
-    one = replace(one, lift=lift, output_at=read)
+    one = replace(one, lift=lift, read=read)
     scaffold_in = np.zeros(0)
     scaffold_out = np.zeros(0)
     theta |= {"scaffold_in": scaffold_in, "scaffold_out": scaffold_out}

@@ -1,6 +1,5 @@
 """Coverage: what records show by frequency, two ways; plants that must not come out covered; what
-is
-refused."""
+is refused."""
 
 from dataclasses import replace
 

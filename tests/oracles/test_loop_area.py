@@ -13,8 +13,6 @@ from ssm_study.signals import Trajectory
 from ssm_study.synthesis.integrated_error import comparison_scenario, relative_areas
 from ssm_study.systems import Gains, StateSpace
 
-PAIR = np.zeros((1, 2), dtype=int)
-
 
 def record(model: SSM, samples: int = 240, seed: int = 0) -> Trajectory:
     input_equilibrium = model.scale.input_equilibrium
