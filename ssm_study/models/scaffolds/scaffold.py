@@ -170,7 +170,7 @@ class Scaffold(Family, Explicit):
     def from_json(cls, data: Mapping[str, Any]) -> Any:
         """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown one,
         and as `Explicit` does."""
-        if "portable" not in cls.__abstractmethods__:
+        if "as_portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         require_one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
         return kinds[data["kind"]].from_json(data)
