@@ -158,7 +158,12 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "numbers": "variables",
     },
     "models.identified.ScaffoldedModel": {"lift": "map_input", "read": "output_at"},
-    "models.scaffolds.scaffold.Scaffold": {"portable": "as_portable"},
+    "models.scaffolds.scaffold.Scaffold": {
+        "after": "compose_with_output_matrix",
+        "before": "compose_with_input_matrix",
+        "centre": "jacobian_centre",
+        "portable": "as_portable",
+    },
     "models.scaffolds.trainable.Trainable": {"frozen": "freeze", "start": "initial_values"},
     "engine.stages.Stages": {
         "aside": "unrecorded",

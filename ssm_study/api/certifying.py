@@ -90,6 +90,7 @@ class Certification:
         return "\n".join(["Certification", *rows])
 
     def _repr_html_(self) -> str:
+        """HTML table of the certificates for notebooks."""
         return html_table("Certification", self.summary())
 
 

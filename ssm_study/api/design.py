@@ -156,10 +156,10 @@ class Design:
 
         Per sample, with the slopes of the maps and of the neurons at rest.
         """
-        from ssm_study.api.pictures.poles import pole_groups
+        from ssm_study.api.pictures.poles import eigenvalue_groups
 
         gains = self.certificate.pair
-        return pole_groups(self.model, gains)
+        return eigenvalue_groups(self.model, gains)
 
     def within(self, lower: Values, upper: Values) -> WithinLimits:
         """Guarantee of the design under input limits, in physical units.
@@ -212,6 +212,7 @@ class Design:
         return text_table("Design", self.summary())
 
     def _repr_html_(self) -> str:
+        """HTML table of the design's properties for notebooks."""
         return html_table("Design", self.summary())
 
     def plot(self, y0: Values | None = None, *, plant: "Plant | None" = None) -> Any:

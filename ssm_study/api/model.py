@@ -197,6 +197,7 @@ class Model:
         return text_table("Model", self.summary())
 
     def _repr_html_(self) -> str:
+        """HTML table of the model's properties for notebooks."""
         return html_table("Model", self.summary())
 
     def plot(self) -> Any:

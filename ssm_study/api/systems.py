@@ -28,7 +28,8 @@ def read_linear_system(system: Any) -> tuple[StateSpace, float]:
 
 
 def read_sampling_time(step_s: Any) -> float:
-    """Read the sampling time of a discrete-time system. Raises `BadRequest` for anything else."""
+    """Check the sampling time of a discrete-time system and convert it to a number. Raises
+    `BadRequest` for anything else."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
     discrete = is_number and 0 < float(step_s) < np.inf
     remedy = "sample it: control.c2d(system, step_s)"

@@ -150,7 +150,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     remedy = "export it as CSV with a line of names and rows of numbers"
     require(body, "data.path", path, "has no header and no rows", remedy)
     separator, decimal = find_separators([line for _, line in body], settings)
-    body, repeats = without_repeated_names(body)
+    body, repeats = remove_repeated_header_lines(body)
     cells = [split_cells(line, separator) for _, line in body[:SAMPLED_ROWS]]
     sample = [split_cells(line, separator) for line in sample_lines([line for _, line in body])]
     columns = Counter(map(len, sample)).most_common(1)[0][0]
@@ -321,9 +321,8 @@ def refuse_shifted_names(
         raise BadRequest(path.name, names, problem, "correct the line of names")
 
 
-def without_repeated_names(body: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], int]:
-    """Numbered lines without those that repeat one of the first lines and hold no number, and how
-    many these are.
+def remove_repeated_header_lines(body: list[tuple[int, str]]) -> tuple[list[tuple[int, str]], int]:
+    """Remove lines that repeat the header of a text file, and count them.
 
     A logger that is switched on again writes its line of names again.
     """
@@ -342,16 +341,16 @@ def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, lis
     for k in reversed(range(len(above))):
         if any(folded_word(cell) in CLOCK_WORDS for cell in above[k]):
             below = above[k + 1 : k + 2]
-            units = below[0] if below and could_be_units(below[0], len(above[k])) else []
+            units = below[0] if below and are_possible_units(below[0], len(above[k])) else []
             return above[k], [cell.strip("()[] ") for cell in units]
     *before, last = above
-    if before and could_be_units(last, len(before[-1])):
+    if before and are_possible_units(last, len(before[-1])):
         return before[-1], [cell.strip("()[] ") for cell in last]
     return last, []
 
 
-def could_be_units(cells: list[str], columns: int) -> bool:
-    """Whether the filled cells of a row below the names could all be units."""
+def are_possible_units(cells: list[str], columns: int) -> bool:
+    """Whether the cells of a row below the column names could all be units."""
     filled = [cell for cell in cells if cell]
     return len(cells) == columns and all(map(UNIT.fullmatch, filled))
 

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from numpy.lib.stride_tricks import sliding_window_view
 
 from ssm_study.data.log_dynamics import input_shares
-from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
 from ssm_study.models.spec import fit_arx_matrices, scale_records
 from ssm_study.models.warm_start import join_log_stretches
 from ssm_study.signals import DataSet
@@ -67,16 +67,16 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
             f"{100 * float(share):.0f} % of its power"
         )
         yield (
-            note(f"{told}.")
+            make_note(f"{told}.")
             if float(share) >= LEAST_SHARE
-            else doubt(f"{told}: move the set point more.")
+            else make_doubt(f"{told}: move the set point more.")
         )
     earlier = feedback_share(case.data, 1)
     present = feedback_share(case.data, 0)
     closed = shows_closed_loop(case.data, earlier, present)
     at_once = closed and earlier < EARLIER and responds_within_sample(case.data)
     if at_once and not case.model.linear.d.any():
-        yield doubt(
+        yield make_doubt(
             f"The output answers the input within the sample ({100 * present:.0f} % of what is new "
             "in the one is in the other, and earlier outputs explain nothing of the input): use "
             "model.feedthrough=true."
@@ -88,7 +88,9 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
             if share
             else "name its set point, data.reference, or PI"
         )
-        yield doubt(f"{shared}, as in a closed-loop log: {remedy}, or record with the loop open.")
+        yield make_doubt(
+            f"{shared}, as in a closed-loop log: {remedy}, or record with the loop open."
+        )
     integrated = case.model.linear.spectral_radius >= 1 - ROUNDING
     in_loop = (closed and not at_once) or share is not None
     yield from judge_instability(case.data, closed=in_loop, integrated=integrated)
@@ -167,7 +169,7 @@ def judge_instability(
             )
     if reason:
         remedy = "use model.integrating_output=true"
-        yield doubt(f"The output integrates its input ({reason}): {remedy}.")
+        yield make_doubt(f"The output integrates its input ({reason}): {remedy}.")
 
 
 def integrator_share(data: DataSet) -> float | None:

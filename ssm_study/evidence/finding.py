@@ -20,8 +20,8 @@ CANNOT_JUDGE = "cannot judge"
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One sentence about the records or the model, with its severity. A `note` leaves the evidence
-    sound, a `doubt` qualifies a prediction, `cannot judge` forbids one.
+    """One sentence about the records or the model, with its severity. A `make_note` leaves the
+    evidence sound, a `make_doubt` qualifies a prediction, `cannot judge` forbids one.
 
     Levels follow size, never a p-value alone: every free run of a nonlinear plant fails a whiteness
     test.
@@ -87,12 +87,12 @@ class Case:
                 yield u[start:], y[start:], error[start:]
 
 
-def note(sentence: str) -> Finding:
+def make_note(sentence: str) -> Finding:
     """Construct a finding of the level `note`, which leaves the evidence sound."""
     return Finding(level="note", sentence=sentence)
 
 
-def doubt(sentence: str) -> Finding:
+def make_doubt(sentence: str) -> Finding:
     """Construct a finding of the level `doubt`, which qualifies a prediction."""
     return Finding(level="doubt", sentence=sentence)
 
@@ -102,4 +102,4 @@ def grade_by_size(size: float, doubtful: float, hopeless: float, sentence: str) 
     from `doubtful` on, `cannot judge` from `hopeless` on, nothing below."""
     if size >= hopeless:
         return [Finding(level="cannot judge", sentence=sentence)]
-    return [doubt(sentence)] if size >= doubtful else []
+    return [make_doubt(sentence)] if size >= doubtful else []

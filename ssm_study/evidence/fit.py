@@ -4,7 +4,7 @@ and test against predictors that know nothing, or are linear."""
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.evidence.finding import Case, Finding, doubt, grade_by_size, note
+from ssm_study.evidence.finding import Case, Finding, grade_by_size, make_doubt, make_note
 from ssm_study.models.metrics import Simulation
 from ssm_study.models.warm_start import simulate_other_start
 from ssm_study.signals import fit_from_relative_error, fit_percent, lagged_inputs
@@ -32,14 +32,16 @@ def judge_fit(case: Case) -> list[Finding]:
     samples = [sum(len(r) for r in part.records) for part in (case.validation, case.test)]
     if not found and min(samples) >= FEW and abs(validation - test) > APART:
         sentence = f"Validation fits by {validation:.0f} %, test by {test:.0f} %"
-        found = [doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")]
+        found = [
+            make_doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")
+        ]
     linear = fir_fit_percent(case)
     if not found and linear > test + LINEAR_BETTER:
         sentence = (
             f"A linear filter of {LAGS} taps fits the test record by {linear:.0f} %, the model "
             f"by {test:.0f} %"
         )
-        found = [doubt(f"{sentence}: raise model.order or training.starts.")]
+        found = [make_doubt(f"{sentence}: raise model.order or training.starts.")]
     found += judge_initial_state(case)
     owed = unmodelled_input_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
@@ -62,7 +64,7 @@ def judge_poor_fit(case: Case) -> list[Finding]:
     share = relative_rms_error(case)
     if share < SMALL_ERROR and pooled < POOR_FIT:
         return [
-            doubt(
+            make_doubt(
                 f"{sentence}; its error is {100 * share:.2g} % of the output's range, so these "
                 "records move too little for a percentage: test where the output moves."
             )
@@ -84,7 +86,7 @@ def judge_initial_state(case: Case) -> list[Finding]:
         f"validation records prefer), {other.fit_percent:.1f} % {words[not from_past]}. Test on a "
         "longer record."
     )
-    return [doubt(sentence)]
+    return [make_doubt(sentence)]
 
 
 def fir_fit_percent(case: Case) -> float:
@@ -182,4 +184,4 @@ def judge_whiteness(case: Case) -> list[Finding]:
         f"The model's error is correlated in time ({outside} of {len(lags)} lags), as in most "
         "free runs."
     )
-    return [note(sentence)] if outside > 3 else []
+    return [make_note(sentence)] if outside > 3 else []

@@ -12,7 +12,16 @@ from ssm_study.data.missing_codes import CODES
 from ssm_study.data.recording import ASSUMED_SECOND
 from ssm_study.evidence import autonomous_motion as own_motion
 from ssm_study.evidence import feedback, fit, records, response
-from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT, SOUND, Case, Finding, Level, doubt, note
+from ssm_study.evidence.finding import (
+    CANNOT_JUDGE,
+    DOUBT,
+    SOUND,
+    Case,
+    Finding,
+    Level,
+    make_doubt,
+    make_note,
+)
 from ssm_study.models.metrics import NOT_KEPT, Simulation
 from ssm_study.models.structured import Model
 from ssm_study.refusal import require, require_one_of
@@ -28,7 +37,7 @@ COLUMNS = (
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
     """All findings about the evidence that the records give for a model. The worst level of the
-    findings: `sound` (notes at most), `doubt` or `cannot judge`."""
+    findings: `sound` (notes at most), `make_doubt` or `cannot judge`."""
 
     findings: tuple[Finding, ...]
 
@@ -76,16 +85,16 @@ def collect_findings(
     if data.disturbances:
         names = ", ".join(channel.name for channel in data.disturbances)
         found.append(
-            note(
+            make_note(
                 f"Measured disturbances ({names}) drive model and observer; the controller does "
                 "not compensate them, and the loop on the model runs with them at equilibrium."
             )
         )
     if "split" in data.metadata:
-        found.append(note(f"The log was cut {data.metadata['split']}."))
+        found.append(make_note(f"The log was cut {data.metadata['split']}."))
     found += judge_reading(data.metadata.get("reading", ""))
     if data.metadata.get("reading"):
-        found.append(note(f"The log was read so: {data.metadata['reading']}."))
+        found.append(make_note(f"The log was read so: {data.metadata['reading']}."))
     return Judgement(findings=tuple(found))
 
 
@@ -95,17 +104,17 @@ def judge_reading(reading: str) -> list[Finding]:
     doubts = []
     if ASSUMED_SECOND in reading:
         doubts.append(
-            doubt(
+            make_doubt(
                 "How long a row lasts is unknown: the first column counts the rows, "
                 f"{ASSUMED_SECOND}. Give data.step_s."
             )
         )
     codes = [remark for remark in reading.split("; ") if remark.endswith(CODES)]
-    doubts += [doubt(f"{remark}. If so, leave those cells empty.") for remark in codes]
+    doubts += [make_doubt(f"{remark}. If so, leave those cells empty.") for remark in codes]
     for unit in (MAYBE_SMALLER, MAYBE_DAYS):
         if unit in reading:
             doubts.append(
-                doubt(
+                make_doubt(
                     f"The unit of the clock is unknown ({unit}). Give data.step_s, or write the "
                     "unit into the column's name."
                 )

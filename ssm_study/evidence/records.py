@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ssm_study.data.log_dynamics import FOLLOWS, input_shares, largest_explained_level
 from ssm_study.evidence.feedback import ROUNDING, integrator_share
-from ssm_study.evidence.finding import Case, Finding, ScaledRecord, doubt, note
+from ssm_study.evidence.finding import Case, Finding, ScaledRecord, make_doubt, make_note
 from ssm_study.evidence.response import INTEGRATES, slowest_mode_remainder
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.models.warm_start import join_log_stretches
@@ -58,7 +58,7 @@ def judge_records(case: Case, mismatch: Mismatch) -> list[Finding]:
         _judge_repetition,
         _judge_spectrum,
     )
-    doubts = [doubt(sentence) for look in looks for sentence in look(case)]
+    doubts = [make_doubt(sentence) for look in looks for sentence in look(case)]
     return [*doubts, *_judge_saturation(case), *_judge_rest(case, mismatch)]
 
 
@@ -158,12 +158,12 @@ def _judge_saturation(case: Case) -> Iterator[Finding]:
             if share <= AT_LIMIT:
                 continue
             if limit == 0:
-                yield note(
+                yield make_note(
                     f"{channel.name} stands at 0 in {100 * share:.0f} % of samples while the input "
                     "moves: a dead zone, or the end of the sensor."
                 )
             else:
-                yield doubt(
+                yield make_doubt(
                     f"{channel.name} reads its {name} value in {100 * share:.0f} % of samples: "
                     "it saturates."
                 )
@@ -347,13 +347,13 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     if not mismatch.comes_to_rest:
         left = mismatch.left_at_rest
         told = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
-        yield doubt(
+        yield make_doubt(
             f"The output does not come to rest by itself ({told}): no loop is predicted to "
             "settle it."
         )
     elif off > AT_REST:
         told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
-        yield doubt(
+        yield make_doubt(
             f"{told}: friction, play or several rests; a loop without integrators may stop "
             "as far off. "
             "Record more returns to rest."
@@ -367,9 +367,9 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
             apart > AT_REST
         ):  # what the short ones show is no proof of friction, and no reason for silence
             told = f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
-            yield doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
+            yield make_doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
         else:
-            yield note(
+            yield make_note(
                 f"{problem}: whether the output rests by itself is unknown; add such returns."
             )
     elif mismatch.left_at_rest > FAINT:
@@ -377,16 +377,16 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
             f"{mismatch.left_at_rest:.2g} output scales are left at rest input: a small limit "
             "cycle, or a slow decay"
         )
-        yield doubt(
+        yield make_doubt(
             f"{told}. A loop may swing farther, and settles in no narrower band. Record "
             "longer rests."
         )
     if len(mismatch.views) == 1:
         amplitude = f"{mismatch.views[0].amplitude:.2g} input scales, rms"
-        yield note(
+        yield make_note(
             f"All records have one amplitude ({amplitude}): below it the mismatch is unknown."
         )
     if mismatch.unexcited:
         hertz = min(mismatch.unexcited) / (2 * np.pi * case.data.step_s)
         bands = f"{len(mismatch.unexcited)} of {len(ANGLES)} bands, from {hertz:.3g} Hz"
-        yield note(f"The input has no power in {bands}: the mismatch is poorly known there.")
+        yield make_note(f"The input has no power in {bands}: the mismatch is poorly known there.")

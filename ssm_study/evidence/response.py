@@ -14,7 +14,7 @@ import scipy
 from jaxtyping import Complex, Float
 
 from ssm_study.bounds.frequency import largest_gains
-from ssm_study.evidence.finding import Case, Finding, doubt, note
+from ssm_study.evidence.finding import Case, Finding, make_doubt, make_note
 from ssm_study.evidence.fit import LAGS
 from ssm_study.robustness.return_to_rest import RESPONSES
 
@@ -74,7 +74,7 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
             f"Input and output go together (coherence above {COHERENT:g}) in "
             f"{100 * (1 - share):.0f} % of the band"
         )
-        yield doubt(
+        yield make_doubt(
             f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or "
             "measure with less noise."
         )
@@ -117,10 +117,10 @@ def _judge_sampling(case: Case) -> Iterator[Finding]:
     if case.data.metadata.get("source") != "recorded":
         return
     if response <= COARSE:
-        yield note(f"{told}: sample more often, or the controller cannot act within it.")
+        yield make_note(f"{told}: sample more often, or the controller cannot act within it.")
     elif response >= FINE and slowest_mode_remainder(case) <= INTEGRATES:
         keep = response // ENOUGH
-        yield note(
+        yield make_note(
             f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "
             f"in {keep}."
         )
@@ -135,9 +135,9 @@ def _judge_dead_time(case: Case) -> Iterator[Finding]:
     told = f"The output answers {late} samples late"
     if late > order:
         remedy = f"use model=delayed model.dead_time={late}, or a longer step_s"
-        yield doubt(f"{told}, more than model.order={order} can delay it: {remedy}.")
+        yield make_doubt(f"{told}, more than model.order={order} can delay it: {remedy}.")
     else:
-        yield note(f"{told}, which takes as many of the {order} states.")
+        yield make_note(f"{told}, which takes as many of the {order} states.")
 
 
 def dead_time_samples(case: Case) -> int:

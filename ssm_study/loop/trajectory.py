@@ -188,13 +188,13 @@ def _invert_scalar_map(scaffold: Scaffold, w: Vector) -> Vector:
     """
     from scipy.optimize import elementwise  # slow to load
 
-    def residual(v: Vector, w: Vector) -> Vector:
+    def map_residual(v: Vector, w: Vector) -> Vector:
         return scaffold(v[:, None])[:, 0] - w
 
     # SciPy takes a square root of rounding where it does not need it.
     with np.errstate(invalid="ignore"):
-        around = elementwise.bracket_root(residual, -1.0, 1.0, args=(w,), maxiter=60)
-        root = elementwise.find_root(residual, around.bracket, args=(w,))
+        around = elementwise.bracket_root(map_residual, -1.0, 1.0, args=(w,), maxiter=60)
+        root = elementwise.find_root(map_residual, around.bracket, args=(w,))
     return np.asarray(root.x)
 
 
@@ -204,12 +204,12 @@ def _invert_vector_map(scaffold: Scaffold, w: Matrix) -> Matrix:
     start = np.zeros(scaffold.inputs)
     tolerance = 1e-2 * INVERSION_TOLERANCE
 
-    def residual(v: Vector, w: Vector) -> Vector:
+    def map_residual(v: Vector, w: Vector) -> Vector:
         return scaffold(v[None])[0] - w
 
     rows = []
     for row in values:
-        of_row = partial(residual, w=row)
+        of_row = partial(map_residual, w=row)
         rows.append(_solve_newton(of_row, scaffold.jacobian, start, tolerance))
     return np.stack(rows)[index.reshape(-1)]
 

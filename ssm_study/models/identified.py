@@ -32,7 +32,7 @@ class Simulator(Family, Explicit):
         """Simulate the model in free run from its equilibrium. Inputs and outputs are in physical
         units."""
 
-    def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
+    def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:  # noqa: ARG002
         """Simulate the model in free run after the first, measured outputs. A model that cannot use
         them starts at the equilibrium."""
         return self.simulate(u)
@@ -312,7 +312,7 @@ def _factor_out_centre(
     if (
         scaffold.inputs != scaffold.outputs
         or scaffold.inputs == 1
-        or (m := scaffold.centre()) is None
+        or (m := scaffold.jacobian_centre()) is None
     ):
         return None
     if not np.linalg.cond(m) < 1e8:

@@ -186,7 +186,7 @@ def simulate_record(
         return model.simulate(record.u, np.asarray(start, dtype=np.float64))
     if start_up_samples == 0:
         return model.simulate(record.u)
-    return model.simulate_after(record.u, record.y[:start_up_samples])
+    return model.simulate_from_outputs(record.u, record.y[:start_up_samples])
 
 
 def estimate_initial_state(

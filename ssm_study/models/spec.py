@@ -232,7 +232,8 @@ class ModelSpec(ABC):
             require_at_least(1, f"model.{name}", getattr(self, name), "use a positive whole number")
 
     @abstractmethod
-    def build(self, data: DataSet, seed: int) -> "TorchModel": ...
+    def build(self, data: DataSet, seed: int) -> "TorchModel":
+        """Build the trainable model with initial parameters of a seed."""
 
     def for_training_run(self, start: int) -> "ModelSpec":  # noqa: ARG002
         """Settings for one of several trainings, by its number. They are the same for all, as each
@@ -295,6 +296,7 @@ class SSMSpec(ModelSpec):
         )
 
     def build(self, data: DataSet, seed: int) -> "TorchSSM":
+        """Build the trainable linear recurrence between static maps."""
         from ssm_study.models.torch_ssm import LRU, TorchSSM
 
         rng = np.random.default_rng(seed)

@@ -45,6 +45,7 @@ class ChunkedRecurrence(torch.autograd.Function):
     def forward(
         ctx: Any, decay: Tensor, b: Tensor, c: Tensor, d: Tensor, u: Tensor, x0: Tensor | None
     ) -> Tensor:
+        """Simulate the recurrence block by block, and store what the gradient needs."""
         rate = decay.to(
             torch.complex128
         )  # in which powers are taken: a phase grows with its sample
@@ -69,6 +70,7 @@ class ChunkedRecurrence(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the loss by the recurrence's parameters, its input and its initial state."""
         turns, power, b, c, lift, read, within, blocks, x = ctx.saved_tensors
         m = b.shape[1]
         p = len(c)

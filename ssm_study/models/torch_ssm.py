@@ -89,6 +89,7 @@ class _PiecewiseEvaluation(torch.autograd.Function):
         order: Place,
         back: Place,
     ) -> Sample:
+        """Evaluate the piecewise-linear map at sorted inputs."""
         ctx.save_for_backward(counts, ranked, order)
         slope, offset = (
             torch.repeat_interleave(part, counts, output_size=len(ranked))
@@ -98,6 +99,7 @@ class _PiecewiseEvaluation(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the loss by the slopes and offsets of the map's pieces."""
         counts, ranked, order = ctx.saved_tensors
         sorted_upstream = upstream[0].index_select(0, order)
         parts = (sorted_upstream * ranked, sorted_upstream)  # by the slopes, by the offsets

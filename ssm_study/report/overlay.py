@@ -38,13 +38,15 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
         name: None if run.any_model is None else run.any_model.order
         for name, run in zip(names, runs, strict=True)
     }
+    measured = [case.values for case in first.signals("measured")]
+    start_up_samples = max(run.start_up_samples for run in runs)
     return compare_simulations(
-        [case.values for case in first.signals("measured")],
+        measured,
         simulated,
         output_names=first.labels("measured"),
         step_s=first.step_s("measured"),
         states=states,
-        start_up_samples=max(run.start_up_samples for run in runs),
+        start_up_samples=start_up_samples,
     )
 
 

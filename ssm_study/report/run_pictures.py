@@ -11,7 +11,7 @@ from ssm_study.api.pictures.loop_response import set_point_picture
 from ssm_study.api.pictures.margin import margin_picture
 from ssm_study.api.pictures.nyquist import nyquist_picture
 from ssm_study.api.pictures.picture import NothingToShow, Picture
-from ssm_study.api.pictures.poles import pole_groups, poles_picture
+from ssm_study.api.pictures.poles import eigenvalue_groups, poles_picture
 from ssm_study.api.pictures.residual_correlation import residual_correlation_picture
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.loop.regulation import IdentifiedPlant, Loop, has_direct_feedthrough
@@ -77,7 +77,7 @@ def show_bode(run: RunFolder) -> Picture:
 def show_poles(run: RunFolder) -> Picture:
     """Picture of the poles of model, loop and observer."""
     model, gains, design = present(run, "any_model", "gains", "design")
-    return poles_picture(pole_groups(model, gains), design.certified_rate("state_feedback"))
+    return poles_picture(eigenvalue_groups(model, gains), design.certified_rate("state_feedback"))
 
 
 def show_residuals(run: RunFolder) -> Picture:

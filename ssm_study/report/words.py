@@ -2,7 +2,7 @@
 a choice, and what became of a run, with its colour and mark."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -186,8 +186,6 @@ def scatter(
         edge, width = (
             (verdict.colour, 0.9) if verdict.marker == "x" else ("white", 0.3)
         )  # a cross is all edge
-        axes.scatter(
-            x[here] + k * dodge, y[here], s=18, c=verdict.colour, marker=verdict.marker,
-            edgecolors=edge,
-            linewidths=width, label=verdict.word, zorder=3,
-        )  # fmt: skip
+        look: dict[str, Any] = {"s": 18, "c": verdict.colour, "marker": verdict.marker}
+        look |= {"edgecolors": edge, "linewidths": width, "zorder": 3}
+        axes.scatter(x[here] + k * dodge, y[here], label=verdict.word, **look)

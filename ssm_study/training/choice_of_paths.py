@@ -50,7 +50,9 @@ def choose_between_two(
         search.decided[name] = values[0]
         return
     size = TRIED_SIZE | {"input_path": "none"}
-    without, with_it = (search.try_structured(question, size | {name: value}) for value in values)
+    without, with_it = (
+        search.score_structured_model(question, size | {name: value}) for value in values
+    )
     is_needed = without.is_clearly_worse(with_it, gain)
     search.adopt_settings(with_it if is_needed else without, {name: values[int(is_needed)]})
 

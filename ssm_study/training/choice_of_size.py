@@ -36,14 +36,14 @@ def try_model_sizes(search: Search) -> list[Candidate]:
         return []
     candidates = [] if search.has_integrator else try_sizes_without_neurons(search)
     sizes = INTEGRATING_SIZES if search.has_integrator else SIZES
-    candidates += [search.try_structured("size", size) for size in sizes]
+    candidates += [search.score_structured_model("size", size) for size in sizes]
     first_order = candidates[0].settings.get("order")  # None where the order is given
     needs_order = first_order is not None and int(first_order) > int(TRIED_SIZE["order"])
     for larger in LARGER:
         if simplest_good_candidate(candidates) is not candidates[-1] and not needs_order:
             break
         needs_order = False
-        candidates.append(search.try_structured("size", larger))
+        candidates.append(search.score_structured_model("size", larger))
     return candidates
 
 
@@ -58,22 +58,22 @@ def try_sizes_without_neurons(search: Search) -> list[Candidate]:
         candidates.append(
             linear
             if search.allows_linear_model
-            else search.try_structured("size", {"order": order, "neurons": 0, "knots": 0})
+            else search.score_structured_model("size", {"order": order, "neurons": 0, "knots": 0})
         )
     least, most = ONE_LAYER_ORDERS
     one_layer = {"order": min(max(order, least), most), "neurons": 0, "knots": 16}
-    return [*candidates, search.try_structured("size", one_layer)]
+    return [*candidates, search.score_structured_model("size", one_layer)]
 
 
 def choose_linear_order(search: Search) -> Candidate:
     """Linear output-error model of the smallest order that is not clearly worse than the best."""
     feedthrough = search.setting_value("feedthrough") is True
     delay = 0 if feedthrough else 1 + int(search.setting_value("dead_time"))
-    tried = [search.try_linear("linear order", order, delay) for order in LINEAR_ORDERS]
+    tried = [search.score_linear_model("linear order", order, delay) for order in LINEAR_ORDERS]
     for order in HIGH_LINEAR_ORDERS:
         if simplest_good_candidate(tried) is not tried[-1]:
             break
-        tried.append(search.try_linear("linear order", order, delay))
+        tried.append(search.score_linear_model("linear order", order, delay))
     return simplest_good_candidate(tried)
 
 

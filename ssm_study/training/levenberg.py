@@ -98,10 +98,12 @@ class LevenbergMarquardt(torch.optim.Optimizer):
         scale = normal.diagonal().clamp(min=FORWARD.weakest * float(normal.diagonal().max()))
 
         def solve_damped(damping: float) -> Tensor:
+            """Solve the damped normal equations, with the step limited."""
             step = torch.linalg.solve(normal + torch.diag(damping * scale), -gradient)
             return torch.maximum(torch.minimum(step, self.limits), -self.limits)
 
         def loss_at(step: Tensor) -> float:
+            """Loss after a step from the current parameters."""
             trial = residual(flat + step)
             return float(trial @ trial)
 

@@ -33,7 +33,8 @@ class OptimiserSpec(ABC):
         return self.steps_per_epoch
 
     @abstractmethod
-    def build(self, fit: "Fit") -> Any: ...
+    def build(self, fit: "Fit") -> Any:
+        """Build the optimiser of a training."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +52,7 @@ class Lbfgs(OptimiserSpec):
         return 1  # it iterates by itself
 
     def build(self, fit: "Fit") -> "torch.optim.Optimizer":
+        """Build the L-BFGS optimiser of a training."""
         sizes: dict[str, Any] = {"max_iter": self.steps_per_epoch, "history_size": self.history}
         search: dict[str, Any] = {
             "line_search_fn": "strong_wolfe",
@@ -74,6 +76,7 @@ class Levenberg(OptimiserSpec):
         require_positive("optimiser.longest_step", self.longest_step, "use 0.5")
 
     def build(self, fit: "Fit") -> "torch.optim.Optimizer":
+        """Build the Levenberg-Marquardt optimiser of a training."""
         from ssm_study.training.levenberg import LevenbergMarquardt
 
         named = [(name, p) for name, p in fit.named_parameters() if p.requires_grad]
@@ -101,9 +104,11 @@ class Adam(OptimiserSpec):
         )
 
     def build(self, fit: "Fit") -> dict[str, Any]:
+        """Build the Adam optimiser of a training, with a decaying learning rate."""
         optimiser = torch.optim.Adam(trainable_parameters(fit), lr=self.learning_rate, fused=True)
 
         def decay_factor(epoch: int) -> float:
+            """Factor of the learning rate at an epoch."""
             along = epoch / fit.settings.max_epochs
             return (
                 self.final_fraction

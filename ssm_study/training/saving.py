@@ -63,6 +63,7 @@ class DurableCheckpointIO(CheckpointIO):
         path: str | Path,
         storage_options: Any | None = None,  # noqa: ARG002
     ) -> None:
+        """Write a checkpoint so that the file survives a crash."""
         target = Path(path)
         memory = io.BytesIO()
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -76,6 +77,7 @@ class DurableCheckpointIO(CheckpointIO):
     def load_checkpoint(
         self, path: str | Path, map_location: Any | None = None, weights_only: bool | None = True
     ) -> dict[str, Any]:  # fmt: skip
+        """Read a checkpoint from a file."""
         del weights_only  # never anything else: a checkpoint must not be able to run code
         whole = Path(path).read_bytes()
         content = whole[:-SEAL_BYTES]
@@ -87,6 +89,7 @@ class DurableCheckpointIO(CheckpointIO):
         )
 
     def remove_checkpoint(self, path: str | Path) -> None:
+        """Remove a checkpoint file."""
         Path(path).unlink(missing_ok=True)
 
 
@@ -187,6 +190,7 @@ class OriginalSignals(Callback):
         self.handlers = {number: signal.getsignal(number) for number in self.numbers}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        """Restore the signal handlers when the training starts."""
         if threading.current_thread() is not threading.main_thread():
             return  # neither Lightning nor we may set a handler there
         for number, handler in self.handlers.items():
@@ -273,15 +277,18 @@ class ProgressLine(Callback):
         self.task = self.progress.add_task("", total=max_epochs)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        """Show the progress line when the training starts."""
         self.progress.start()
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        """Show the fits of the epoch on the progress line."""
         training, validation = (f"{trainer.callback_metrics[name]:.2f} %" for name in FITS)
         epoch = trainer.current_epoch + 1
         told = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
         self.progress.update(self.task, completed=epoch, description=told)
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:  # noqa: ARG002
+        """Remove the progress line when the training ends."""
         self.progress.stop()
 
 
@@ -327,9 +334,11 @@ class BestModelCheckpoint(Callback):
         self.still = 0
 
     def state_dict(self) -> dict[str, Any]:
+        """State of the callback that a checkpoint stores."""
         return {name: getattr(self, name) for name in self.remembered}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore the state of the callback from a checkpoint."""
         for name in self.remembered:
             setattr(self, name, state_dict[name])
         self.began -= self.curve[-1]["seconds"] if self.curve else 0.0  # as if it had never stopped
@@ -342,18 +351,22 @@ class BestModelCheckpoint(Callback):
     def on_save_checkpoint(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]  # noqa: ARG002
     ) -> None:  # fmt: skip
+        """Add the identity of the training to a checkpoint."""
         checkpoint["fingerprint"] = self.belongs_to
 
     def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        """Write a checkpoint if the last one is old enough."""
         if time.monotonic() - self.saved_at >= self.every_s:
             trainer.save_checkpoint(self.folder / LAST)
             self.saved_at = time.monotonic()
 
     def on_train_epoch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:  # noqa: ARG002
+        """Keep the initial state of the model until an epoch has ended."""
         if self.kept is None:  # until an epoch has ended, the starting point is the state to return
             self.kept = copy.deepcopy(pl_module.state_dict())
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Record the fits of the epoch, and keep the best state of the model."""
         fits = {name: float(trainer.callback_metrics[name]) for name in FITS}
         self.record_epoch(trainer.current_epoch, fits[FITS[0]], fits[FITS[1]], pl_module)
         self.curve.append({"epoch": float(trainer.current_epoch), "seconds": self.seconds, **fits})

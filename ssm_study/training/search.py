@@ -76,7 +76,7 @@ class Search:
         """Whether a setting was left to the records and is not decided yet."""
         return bool(getattr(self.spec, name) == AUTO) and name not in self.decided
 
-    def try_structured(self, question: str, settings: Settings) -> Candidate:
+    def score_structured_model(self, question: str, settings: Settings) -> Candidate:
         """Score a structured model with given settings on the folds."""
         spec = self.complete_settings(settings)
         settings = {name: getattr(spec, name) for name in self.spec.automatic_settings}
@@ -98,7 +98,7 @@ class Search:
             replace(self.spec, **{name: wanted[name] for name in automatic if name in wanted})
         )
 
-    def try_linear(self, question: str, order: int, delay: int) -> Candidate:
+    def score_linear_model(self, question: str, order: int, delay: int) -> Candidate:
         """Score a linear output-error model on the folds."""
         settings = {"order": order, "delay": delay}
         known = self.find_candidate(LINEAR, settings)

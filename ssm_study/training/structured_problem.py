@@ -292,12 +292,15 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
     scale = np.maximum(diagonal, WRITTEN_OUT.weakest * diagonal.max())
 
     def parameters_after(by: Float[np.ndarray, "P"]) -> Theta:
+        """Parameter blocks after a step."""
         return at.theta | unpack_parameters(flat + by, at.theta, free)
 
     def solve_damped(damping: float) -> Float[np.ndarray, "P"] | None:
+        """Solve the damped normal equations for a step."""
         return solve_damped_equations(normal + np.diag(damping * scale), gradient)
 
     def loss_at(by: Float[np.ndarray, "P"]) -> float:
+        """Loss after a step from the current parameters."""
         return regularised_loss(problem, parameters_after(by), free)
 
     with np.errstate(over="ignore"):  # a damped matrix that overflows is a step that failed

@@ -112,10 +112,10 @@ def test_gains_around_a_monotone_scaffold_become_part_of_it(gain: float) -> None
     scaffold = random_scaffold("monotone", 0, 1)
     v = np.linspace(-3, 3, 41)[:, None]
     m = np.array([[gain]])
-    actual = scaffold.before(m)(v)
+    actual = scaffold.compose_with_input_matrix(m)(v)
     expected = scaffold(gain * v)
     np.testing.assert_allclose(actual, expected, atol=1e-12)
-    actual = scaffold.after(m)(v)
+    actual = scaffold.compose_with_output_matrix(m)(v)
     expected = gain * scaffold(v)
     np.testing.assert_allclose(actual, expected, atol=1e-12)
 

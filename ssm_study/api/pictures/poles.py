@@ -43,7 +43,7 @@ def poles_picture(groups: Mapping[str, Poles], rate: float | None = None) -> Pic
     return Picture(title=title, panels=(panel,))
 
 
-def pole_groups(model: Model, gains: Gains) -> dict[str, Poles]:
+def eigenvalue_groups(model: Model, gains: Gains) -> dict[str, Poles]:
     """Eigenvalues of the model, the controlled model and the estimation error at the equilibrium.
     `A + B J_u K`, `A + L J_y C`."""
     linear = linearise_at_equilibrium(model)

@@ -81,7 +81,7 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
                 columns[title] = values
         drop_empty_last_column(columns, titles[-1], layout.names is None)
         dated = date_column_names(table, places)
-        of_day = time_of_day_beside_date(table)
+        of_day = find_time_of_day_column(table)
         if of_day is not None:
             title = titles[of_day[0]]
             columns[title] = of_day[1]
@@ -152,6 +152,7 @@ def parse_rows(path: Path, layout: TextLayout) -> pa.Table:
     misfits: list[arrow_csv.InvalidRow] = []
 
     def note_misfit_row(row: arrow_csv.InvalidRow) -> str:
+        """Note a row with a wrong number of cells, and skip it."""
         misfits.append(row)
         return "skip"
 
@@ -235,9 +236,9 @@ def parse_dates(
     return seconds, ""
 
 
-def time_of_day_beside_date(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"]] | None:
-    """Place of a column of times of day beside one of dates without times, and the seconds since
-    the first of date and time together; None without such a pair."""
+def find_time_of_day_column(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"]] | None:
+    """Find a column of times of day beside one of dates, and combine both to seconds since the
+    first."""
     for place in range(table.num_columns):
         if not all_match(table.column(place), TIME_ALONE):
             continue

@@ -72,6 +72,7 @@ class TorchRecurrent(TorchModel):
         return self.read(y), (end if self.kind == "gru" else torch.cat(end, -1))[0]
 
     def freeze(self, data: DataSet) -> Recurrent:
+        """Trained recurrent model as explicit numbers, with its scales."""
         names = ("weight_ih", "weight_hh", "bias_ih", "bias_hh")
         weights = {name: tensor_to_numpy(getattr(self.cell, f"{name}_l0")) for name in names}
         weights |= {
@@ -94,6 +95,7 @@ class RecurrentSpec(ModelSpec):
         require_at_least(1, "model.hidden", self.hidden, "use 16 or so")
 
     def build(self, data: DataSet, seed: int) -> TorchRecurrent:
+        """Build the trainable GRU or LSTM model with random initial weights."""
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             return TorchRecurrent(self.cell, self.hidden, data.scale)

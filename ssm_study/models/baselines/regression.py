@@ -56,9 +56,9 @@ class Polynomial(Simulator, names=("narx",)):
 
     def simulate(self, u: Inputs) -> Outputs:
         """Simulate the polynomial model in free run from the equilibrium."""
-        return self.simulate_after(u, np.zeros((*u.shape[:-2], 0, 1)))
+        return self.simulate_from_outputs(u, np.zeros((*u.shape[:-2], 0, 1)))
 
-    def simulate_after(self, u: Inputs, y_start: Measured) -> Outputs:
+    def simulate_from_outputs(self, u: Inputs, y_start: Measured) -> Outputs:
         """Simulate the polynomial model in free run, with measured outputs as its first ones."""
         v = self.scale.scaled_input(u)
         measured = self.scale.scaled_output(y_start)[..., 0]

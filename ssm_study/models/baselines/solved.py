@@ -32,7 +32,8 @@ class SolvedSpec(ModelSpec, ABC):
     without training; `solve` returns its explicit numbers."""
 
     @abstractmethod
-    def solve(self, data: DataSet) -> Simulator: ...
+    def solve(self, data: DataSet) -> Simulator:
+        """Solve for the model that fits the training records."""
 
     def build(self, data: DataSet, seed: int) -> Any:  # noqa: ARG002
         """Refuse to build a torch model, as this model is solved without training."""

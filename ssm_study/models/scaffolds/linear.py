@@ -42,10 +42,10 @@ class LinearScaffold(Scaffold, names=("linear",)):
             return bound_from_interval(gain, gain, "construction")
         return bound_from_ball(ball_around_identity(self.gain, 0.0), "construction")
 
-    def centre(self) -> Square:
+    def jacobian_centre(self) -> Square:
         return self.gain
 
-    def after(self, m: Square) -> "LinearScaffold":
+    def compose_with_output_matrix(self, m: Square) -> "LinearScaffold":
         return self.identity(len(m))
 
     def as_portable(self) -> PortableMap:

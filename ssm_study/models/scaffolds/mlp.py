@@ -42,16 +42,16 @@ class MlpScaffold(Scaffold, names=("mlp",)):
     def bound(self) -> SlopeBound:
         return network_bound(self.network)
 
-    def centre(self) -> Square:
+    def jacobian_centre(self) -> Square:
         from ssm_study.bounds.lipsdp import lipsdp_ball
 
         return lipsdp_ball(self.network)[0]
 
-    def after(self, m: Square) -> "MlpScaffold":
+    def compose_with_output_matrix(self, m: Square) -> "MlpScaffold":
         *inner, last = self.network.weights
         return MlpScaffold(network=replace(self.network, weights=(*inner, m @ last)))
 
-    def before(self, m: Square) -> "MlpScaffold":
+    def compose_with_input_matrix(self, m: Square) -> "MlpScaffold":
         first, *inner = self.network.weights
         return MlpScaffold(network=replace(self.network, weights=(first @ m, *inner)))
 

@@ -61,13 +61,13 @@ class MonotoneScaffold(Scaffold, names=("monotone",)):
         values = [Fraction(float(slope)) for slope in self.slopes.ravel()]
         return bound_from_interval(min(values), max(values), "construction")
 
-    def centre(self) -> Square:
+    def jacobian_centre(self) -> Square:
         return np.diag((self.slopes.max(axis=1) + self.slopes.min(axis=1)) / 2)
 
-    def after(self, m: Square) -> "MonotoneScaffold":
+    def compose_with_output_matrix(self, m: Square) -> "MonotoneScaffold":
         return replace(self, slopes=np.diagonal(m)[:, None] * self.slopes)
 
-    def before(self, m: Square) -> "MonotoneScaffold":
+    def compose_with_input_matrix(self, m: Square) -> "MonotoneScaffold":
         gains = np.diagonal(m)[:, None]
         breakpoints = self.breakpoints / gains
         slopes = gains * self.slopes

@@ -63,7 +63,7 @@ class ResidualScaffold(Scaffold, names=("residual",)):
             return network_bound(self.as_portable().as_network())
         return bound_from_ball(JacobianBall(alpha=self.alpha, beta=self.beta), "construction")
 
-    def centre(self) -> None:
+    def jacobian_centre(self) -> None:
         """No centre, since the Jacobians already lie around a multiple of the identity."""
         return
 

@@ -149,18 +149,19 @@ class Scaffold(Family, Explicit):
         """Ball that contains all Jacobians of the static map. `alpha I + beta Delta`."""
 
     @abstractmethod
-    def centre(self) -> Square | None:
+    def jacobian_centre(self) -> Square | None:
         """Centre matrix of the map's Jacobians, which may be moved into the linear part. None if
         there is none."""
 
-    def after(self, m: Square) -> "Scaffold":
-        """Static map followed by a matrix. `v -> m S(v)`, m the inverse of `centre()`; asked of
-        scaffoldings that have one."""
+    def compose_with_output_matrix(self, m: Square) -> "Scaffold":
+        """Static map whose output is multiplied by a matrix. `v -> m S(v)`, m the inverse of
+        `jacobian_centre()`; asked of scaffoldings that have one."""
         raise NotImplementedError(f"{self.kind}: no centre, so nothing to move")
 
-    def before(self, m: Square) -> "Scaffold":
-        """Static map preceded by a matrix. `v -> S(m v)`, m the inverse of `centre()`."""
-        return self.after(m)
+    def compose_with_input_matrix(self, m: Square) -> "Scaffold":
+        """Static map of a matrix times the input. `v -> S(m v)`, m the inverse of
+        `jacobian_centre()`."""
+        return self.compose_with_output_matrix(m)
 
     @abstractmethod
     def as_portable(self) -> PortableMap:
@@ -170,7 +171,7 @@ class Scaffold(Family, Explicit):
     def from_json(cls, data: Mapping[str, Any]) -> Any:
         """Read a static map of any kind from its JSON form. Raises `BadRequest` for an unknown one,
         and as `Explicit` does."""
-        if "portable" not in cls.__abstractmethods__:
+        if "as_portable" not in cls.__abstractmethods__:
             return super().from_json(data)
         require_one_of(kinds := Scaffold.members(scaffolds), "kind", data.get("kind"))
         return kinds[data["kind"]].from_json(data)

@@ -167,13 +167,13 @@ def _points(*brushed: Literal["x", "y"]) -> alt.Chart:
     points = alt.Chart().mark_point(
         filled=True, strokeWidth=2, aria=False, tooltip=alt.TooltipContent("data")
     )
-    return points.encode(
-        color=alt.Color("verdict:N", scale=colours, legend=None),
-        shape=alt.Shape("verdict:N", scale=shapes, legend=None),
-        opacity=alt.condition(known, alt.value(0.85), alt.value(0.06)),
-        size=alt.condition(here, alt.value(220), alt.value(45)),
-        stroke=alt.condition(here, alt.value(style.INK), alt.value(None)),
-    ).add_params(_brush(*brushed), mask, chosen)
+    color = alt.Color("verdict:N", scale=colours, legend=None)
+    shape = alt.Shape("verdict:N", scale=shapes, legend=None)
+    opacity = alt.condition(known, alt.value(0.85), alt.value(0.06))
+    size = alt.condition(here, alt.value(220), alt.value(45))
+    stroke = alt.condition(here, alt.value(style.INK), alt.value(None))
+    looks = {"color": color, "shape": shape, "opacity": opacity, "size": size, "stroke": stroke}
+    return points.encode(**looks).add_params(_brush(*brushed), mask, chosen)
 
 
 def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:

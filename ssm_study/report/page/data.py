@@ -56,21 +56,20 @@ ALSO_FIRST = (
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Collect everything that the page's script needs, as plain JSON values."""
     table = best_ordered(study.table)
-    return {
-        "study": study.name,
-        "folder": study.folder.resolve().name,
-        "verdicts": [vars(verdict) for verdict in VERDICTS],
-        "columns": {str(name): coded(table[name]) for name in table},
-        "words": {str(name): words(name) for name in table},
-        "menus": by_part(map(str, table)),
-        "known_columns": [c.name for c in DECLARED if c.word],
-        "first": first_columns(table),
-        "parameters": swept_settings(table),
-        "trajectories": trajectories(study, table),
-        "pictures": pictures(study, table),
-        "comparisons": comparisons(study, table),
-        "slider": slider(table),
-    }
+    names = [str(name) for name in table]
+    data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
+    data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
+    data["columns"] = {name: coded(table[name]) for name in names}
+    data["words"] = {name: words(name) for name in names}
+    data["menus"] = by_part(names)
+    data["known_columns"] = [column.name for column in DECLARED if column.word]
+    data["first"] = first_columns(table)
+    data["parameters"] = swept_settings(table)
+    data["trajectories"] = trajectories(study, table)
+    data["pictures"] = pictures(study, table)
+    data["comparisons"] = comparisons(study, table)
+    data["slider"] = slider(table)
+    return data
 
 
 def first_columns(table: pd.DataFrame) -> list[str]:
@@ -113,27 +112,22 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
         for word, said in on.items()
         if (names := sorted({*said} - {""}))
     )
-    parts: dict[str, Any] = {
-        "title": study.name,
-        "swept": f"{subject}{counts(table)}. {parameters_line(table)}",
-        "question": question(table),
-        "several": len(table) > 1,
-        "answers": answers(table),
-        "provenance": provenance(study, table),
-        "configuration": config.read_text() if config and config.is_file() else "",
-        "failures": failure_groups(table),
-        "most_reasons": MOST_REASONS,
-        "most_runs": MOST_RUNS,
-        "names": text(table, "run").tolist(),
-    }
+    parts: dict[str, Any] = {"title": study.name, "question": question(table)}
+    parts["swept"] = f"{subject}{counts(table)}. {parameters_line(table)}"
+    parts["several"] = len(table) > 1
+    parts["answers"] = answers(table)
+    parts["provenance"] = provenance(study, table)
+    parts["configuration"] = config.read_text() if config and config.is_file() else ""
+    parts["failures"] = failure_groups(table)
+    parts["most_reasons"] = MOST_REASONS
+    parts["most_runs"] = MOST_RUNS
+    parts["names"] = text(table, "run").tolist()
     if len(table):
         first = record_of(table.iloc[0])
-        parts |= {
-            "introduction": introduction(table),
-            "settings": settings_line(table),
-            "cards": cards(first),
-            "remarks": list(remarks(first)),
-        }
+        parts["introduction"] = introduction(table)
+        parts["settings"] = settings_line(table)
+        parts["cards"] = cards(first)
+        parts["remarks"] = list(remarks(first))
     return parts
 
 
@@ -239,8 +233,10 @@ def _recordings(run: RunFolder) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if (loop := run.closed_loop) is not None:
         until = int(np.searchsorted(loop.time_s("output"), loop.settled_time_s)) + 1
-        found["loop"] = _packed(loop, until, y="output", u="input", alone="uncontrolled")
-        found["loop"] |= {"band": loop.settling_band, "goal": float(loop["reference"][0, -1, 0])}
+        packed_loop = _packed(loop, until, y="output", u="input", alone="uncontrolled")
+        packed_loop["band"] = loop.settling_band
+        packed_loop["goal"] = float(loop["reference"][0, -1, 0])
+        found["loop"] = packed_loop
     if (record := run.validation) is not None:
         found["validation"] = _packed(record, LONGEST, y="measured", model="simulated")
     return found
@@ -252,7 +248,9 @@ def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any
     about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
     if "u" in names:
         about["input"] = recording.label(names["u"])
-    return about | {short: packed(recording[name][:, :until, 0]) for short, name in names.items()}
+    for short, name in names.items():
+        about[short] = packed(recording[name][:, :until, 0])
+    return about
 
 
 def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
@@ -260,4 +258,5 @@ def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
     a plot, a tenth of the size of text."""
     step = float(np.abs(rows).max()) / 32767 or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
-    return {"step": step, "rows": len(rows), "steps": base64.b64encode(steps.tobytes()).decode()}
+    coded_steps = base64.b64encode(steps.tobytes()).decode()
+    return {"step": step, "rows": len(rows), "steps": coded_steps}

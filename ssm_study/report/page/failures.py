@@ -38,15 +38,15 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
         record = record_of(needed.iloc[place])
         sentence = f"{record['verdict']}: {reason_of(record)}"
         groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
-    ordered = sorted(groups.items(), key=lambda group: (severity(group[0]), group[0]))
-    return [
-        FailureGroup(
-            reason=with_ranges([sentence for _, sentence in runs]),
-            count=len(runs),
-            places=tuple(place for place, _ in runs[:MOST_RUNS]),
-        )
-        for _, runs in ordered
-    ]
+    worst_first = sorted(groups, key=lambda sentence: (severity(sentence), sentence))
+    return [group_of(groups[sentence]) for sentence in worst_first]
+
+
+def group_of(runs: list[tuple[int, str]]) -> FailureGroup:
+    """Group of runs with one reason; each run has its place in the table and its sentence."""
+    reason = with_ranges([sentence for _, sentence in runs])
+    places = tuple(place for place, _ in runs[:MOST_RUNS])
+    return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
 def severity(sentence: str) -> int:

@@ -211,11 +211,13 @@ def remarks(record: Record) -> Iterator[Remark]:
         serious = [text for text in findings if text and text not in notes]
         plain = [re.sub(r"^[a-z ]+: ", "", text) for text in serious]
         support = SUPPORT.get(str(evidence))  # None of a word that another version wrote
+        support_and_doubts = " ".join(filter(None, [support, *plain]))
+        is_warning = evidence in (DOUBT, CANNOT_JUDGE)
         yield Remark(
             title=f"Evidence: {evidence}",
-            text=" ".join(filter(None, [support, *plain])),
-            notes=tuple(capitalised(note) for note in notes),
-            is_warning=evidence in (DOUBT, CANNOT_JUDGE),
+            text=support_and_doubts,
+            notes=tuple(map(capitalised, notes)),
+            is_warning=is_warning,
         )
 
 

@@ -61,9 +61,8 @@ class LivePage:
 
     def current_mark(self) -> str:
         """Mark of the study's present state, which changes whenever a record does."""
-        return str(
-            hash(tuple(sorted((name, *mark) for name, mark in record_marks(self.study).items())))
-        )
+        marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
+        return str(hash(tuple(marks)))
 
     def state(self) -> dict[str, str]:
         """Mark and progress in one line, as `12 runs: 9 ok, 1 failed, 2 running`."""

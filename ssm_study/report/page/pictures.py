@@ -100,22 +100,18 @@ def series_layer(
         transform.append({"window": [{"op": "row_number", "as": "k"}]})
         encoding["order"] = {"field": "k"}
     dash = {"strokeDash": [5, 3]} if series.dashed else {}
-    return {
-        "data": {"values": [{"x": short_numbers(x), "y": short_numbers(y)}]},
-        "transform": transform,
-        "mark": {**MARKS[series.mark], **dash, "clip": True},
-        "encoding": encoding,
-    }
+    values = [{"x": short_numbers(x), "y": short_numbers(y)}]
+    mark = {**MARKS[series.mark], **dash, "clip": True}
+    data = {"values": values}
+    return {"data": data, "transform": transform, "mark": mark, "encoding": encoding}
 
 
 def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
     """Vega-Lite layer of a line across the panel."""
-    place = {"y": {"datum": rule.y}} if rule.x is None else {"x": {"datum": rule.x}}
-    return {
-        "data": {"values": [{}]},
-        "mark": STROKES,
-        "encoding": {**place, "color": colour_of(rule.name, INK, legend)},
-    }
+    axis = "y" if rule.x is None else "x"
+    place = rule.y if rule.x is None else rule.x
+    encoding = {axis: {"datum": place}, "color": colour_of(rule.name, INK, legend)}
+    return {"data": {"values": [{}]}, "mark": STROKES, "encoding": encoding}
 
 
 def band_layer(
@@ -126,16 +122,13 @@ def band_layer(
     high = cut(band.x, band.high, panel.x_range)[1]
     every = _stride(len(x))
     edges = {"x": x, "y": low, "y2": high}
-    return {
-        "data": {"values": [{name: short_numbers(edge[::every]) for name, edge in edges.items()}]},
-        "transform": [{"flatten": ["x", "y", "y2"]}],
-        "mark": {"type": "area", "opacity": 0.5, "clip": True},
-        "encoding": {
-            **axes,
-            "y2": {"field": "y2"},
-            "color": colour_of(band.name, band.colour, legend),
-        },
-    }
+    values = {name: short_numbers(edge[::every]) for name, edge in edges.items()}
+    layer: dict[str, Any] = {"data": {"values": [values]}}
+    layer["transform"] = [{"flatten": ["x", "y", "y2"]}]
+    layer["mark"] = {"type": "area", "opacity": 0.5, "clip": True}
+    colour = colour_of(band.name, band.colour, legend)
+    layer["encoding"] = {**axes, "y2": {"field": "y2"}, "color": colour}
+    return layer
 
 
 def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:

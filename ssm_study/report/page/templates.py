@@ -40,16 +40,12 @@ def templates(table: pd.DataFrame) -> dict[str, Any]:
 
 def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
     """Layer that draws lines over time from the data set `rows`."""
-    return {
-        "data": {"name": "rows"},
-        "mark": {"type": "line", "strokeWidth": 1.4, "clip": True, **mark},
-        "encoding": {
-            "x": quantitative("t", TIME),
-            "y": quantitative("value", None, zero=False, nice=False),
-            "color": colour,
-            "detail": {"field": "case"},
-        },
-    }
+    line = {"type": "line", "strokeWidth": 1.4, "clip": True, **mark}
+    encoding: dict[str, Any] = {"x": quantitative("t", TIME)}
+    encoding["y"] = quantitative("value", None, zero=False, nice=False)
+    encoding["color"] = colour
+    encoding["detail"] = {"field": "case"}
+    return {"data": {"name": "rows"}, "mark": line, "encoding": encoding}
 
 
 def responses() -> dict[str, Any]:
@@ -61,13 +57,9 @@ def responses() -> dict[str, Any]:
 
 def signals() -> dict[str, Any]:
     """Chart of several named signals in one axis."""
-    by_name = {
-        "field": "kind",
-        "type": "nominal",
-        "sort": None,
-        "scale": {"range": [GREY, *CYCLE]},  # what was measured first
-        "legend": {"title": None, "orient": "top", "columns": 3, "labelLimit": 220},
-    }
+    by_name: dict[str, Any] = {"field": "kind", "type": "nominal", "sort": None}
+    by_name["scale"] = {"range": [GREY, *CYCLE]}  # what was measured first
+    by_name["legend"] = {"title": None, "orient": "top", "columns": 3, "labelLimit": 220}
     return framed({"layer": [BAND, line_layer(by_name)]}, "")
 
 
@@ -77,24 +69,22 @@ def played() -> dict[str, Any]:
     one = {"filter": "datum.case === start"}
     until = {"filter": "datum.t <= moment"}
     at_moment = [one, until, {"joinaggregate": [{"op": "max", "field": "t", "as": "last"}]}]
-    point = {
-        "transform": [*at_moment, {"filter": "datum.t === datum.last"}],
-        "mark": {"type": "point", "filled": True, "size": 80, "color": INK, "opacity": 1},
-    }
-    whole = {
-        "transform": [one],
-        "mark": {"type": "line", "color": GREY, "opacity": 0.45, "strokeWidth": 1.2},
-    }
-    past = {"transform": [one, until], "mark": {"type": "line", "color": BLUE, "strokeWidth": 2}}
+    last = [*at_moment, {"filter": "datum.t === datum.last"}]
+    dot = {"type": "point", "filled": True, "size": 80, "color": INK, "opacity": 1}
+    point = {"transform": last, "mark": dot}
+    faint = {"type": "line", "color": GREY, "opacity": 0.45, "strokeWidth": 1.2}
+    whole = {"transform": [one], "mark": faint}
+    strong = {"type": "line", "color": BLUE, "strokeWidth": 2}
+    past = {"transform": [one, until], "mark": strong}
     drawn: list[dict[str, Any]] = [whole, past, point]
-    encoding = {
-        "x": quantitative("t", TIME),
-        "y": quantitative("value", None, zero=False, nice=False),
-    }
+    y = quantitative("value", None, zero=False, nice=False)
+    encoding = {"x": quantitative("t", TIME), "y": y}
     layer = [{"data": {"name": "rows"}, "encoding": encoding, **part} for part in drawn]
+    start = {"input": "range", "min": 0, "name": "Start "}
+    moment = {"input": "range", "min": 0, "name": "Time (s) "}
     params = [
-        {"name": "start", "value": 0, "bind": {"input": "range", "min": 0, "name": "Start "}},
-        {"name": "moment", "value": 0, "bind": {"input": "range", "min": 0, "name": "Time (s) "}},
+        {"name": "start", "value": 0, "bind": start},
+        {"name": "moment", "value": 0, "bind": moment},
     ]
     return framed({"params": params, "layer": [BAND, *layer]}, "One start under control, played")
 
@@ -113,21 +103,14 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
     known = {"filter": "isValid(datum.value) && isNumber(datum.value)"}
     fold: list[dict[str, Any]] = [{"fold": names, "as": ["key", "value"]}, known]
     opacity = 0.15 if len(table) > PALE_FROM else 0.6
-    lines = {
-        "transform": [*fold, *scaled],
-        "mark": {"type": "line", "strokeWidth": 1.3, "opacity": opacity},
-        "encoding": {
-            "x": x,
-            "y": {"field": "share", "type": "quantitative", "axis": None},
-            "detail": {"field": "i"},
-            "color": BY_OUTCOME,
-        },
-    }
+    mark = {"type": "line", "strokeWidth": 1.3, "opacity": opacity}
+    y = {"field": "share", "type": "quantitative", "axis": None}
+    encoding = {"x": x, "y": y, "detail": {"field": "i"}, "color": BY_OUTCOME}
+    lines = {"transform": [*fold, *scaled], "mark": mark, "encoding": encoding}
     labels = [end_label(op, fold, x) for op in ("min", "max")]
     description = f"All runs over {', '.join(map(words, names))}: one line per run"
-    return framed({"data": {"name": "rows"}, "layer": [lines, *labels]}, description, 230) | {
-        "usermeta": {"fields": names}
-    }
+    spec = {"data": {"name": "rows"}, "layer": [lines, *labels], "usermeta": {"fields": names}}
+    return framed(spec, description, 230)
 
 
 def parallel_axis(names: list[str]) -> dict[str, Any]:
@@ -146,12 +129,7 @@ def parallel_axis(names: list[str]) -> dict[str, Any]:
 def end_label(op: str, fold: list[dict[str, Any]], x: dict[str, Any]) -> dict[str, Any]:
     """Vega-Lite layer with the number at one end of each axis."""
     aggregated = {"aggregate": [{"op": op, "field": "value", "as": op}], "groupby": ["key"]}
-    return {
-        "transform": [*fold, aggregated],
-        "mark": {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK},
-        "encoding": {
-            "x": x,
-            "y": {"datum": 1 if op == "max" else 0, "type": "quantitative"},
-            "text": {"field": op, "format": ".3~g"},
-        },
-    }
+    mark = {"type": "text", "dx": 6, "align": "left", "fontSize": 10, "color": INK}
+    y = {"datum": 1 if op == "max" else 0, "type": "quantitative"}
+    encoding = {"x": x, "y": y, "text": {"field": op, "format": ".3~g"}}
+    return {"transform": [*fold, aggregated], "mark": mark, "encoding": encoding}
