@@ -28,7 +28,7 @@ DENSITY = {
     "ssm_study/export": (12.0, 3.8),
     "ssm_study/loop": (12.5, 2.6),
     "ssm_study/models": (13.8, 7.0),
-    "ssm_study/report": (12.0, 3.0),
+    "ssm_study/report": (12.1, 3.0),
     "ssm_study/robustness": (14.0, 6.5),
     "ssm_study/study": (10.8, 1.8),
     "ssm_study/synthesis": (12.0, 4.1),
