@@ -24,7 +24,8 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-from IPython.display import Image, display
+import pandas as pd
+from IPython.display import display
 
 from ssm_study import style
 from ssm_study.bounds.slopes import certified_balls
@@ -74,29 +75,22 @@ for ratio, limit in zip(ratios, limits, strict=True):
         part = synthesis.state_feedback(linear, JacobianBall.from_slopes(ratio, 1.0))
         verdicts.append((ratio, rate, not isinstance(part, Infeasible) and part.certified))
 
+table = pd.DataFrame(verdicts, columns=["ratio", "rate", "certified"])
+certified = table[table["certified"]]
+refused = table[~table["certified"]]
+print(f"{len(certified)} certified, {len(refused)} refused")
+
 with style.paper_style():
     figure = style.new_figure(style.COLUMN_IN, 2.4)
     axes = figure.add_subplot()
     axes.semilogx(ratios, limits, color=style.INK, lw=0.8, label="exact frontier")
-    for certified, label, marker, colour in (
-        (True, "below: certified", "o", style.BLUE),
-        (False, "above: refused", "x", style.VERMILLION),
-    ):
-        points = np.array(
-            [(ratio, rate) for ratio, rate, verdict in verdicts if verdict is certified]
-        ).reshape(-1, 2)
-        axes.plot(*points.T, marker, color=colour, ls="", ms=3, label=label)
-    style.place_legend_above(axes, columns=2)
-    axes.set(
-        xlabel="Slope ratio of S$_u$, smallest / largest (–)",
-        ylabel="Controller rate, ρ (1/sample)",
-    )
-    png, _ = style.save_figure(
-        figure, RESULTS / EXPERIMENT / "figures", "both_sides_of_the_frontier"
-    )
-display(Image(filename=str(png), retina=True))
-
-print(f"{sum(v for *_, v in verdicts)} certified, {sum(not v for *_, v in verdicts)} refused")
+    look = {"ls": "", "ms": 3}
+    axes.plot("ratio", "rate", "o", data=certified, color=style.BLUE, label="certified", **look)
+    axes.plot("ratio", "rate", "x", data=refused, color=style.VERMILLION, label="refused", **look)
+    style.place_legend_above(axes, columns=3)
+    axes.set_xlabel("Slope ratio of S$_u$, smallest / largest (–)")
+    axes.set_ylabel("Controller rate, ρ (1/sample)")
+    display(figure)
 
 # %% [markdown]
 # ## What does a rate cost?

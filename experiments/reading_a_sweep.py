@@ -17,7 +17,7 @@
 import os
 from pathlib import Path
 
-from IPython.display import Image, Markdown, display
+from IPython.display import Markdown, display
 
 from ssm_study.cli.main import main
 from ssm_study.report import figures
@@ -71,9 +71,7 @@ for answer in answers(study.table):
 # *whatever* the solver.
 
 # %%
-png, _ = figures.draw(["feasibility_map"], study.folder)
-caption = figures.caption("feasibility_map")
-display(Image(filename=str(png), retina=True), Markdown(f"*{caption}*"))
+figures.captioned_figure("feasibility_map", study)
 
 # %% [markdown]
 # ## Why is a run infeasible?
