@@ -211,7 +211,7 @@ MADE_AGAIN = (
     "ssm_study.study.design_claims.failed_checks",
     "ssm_study.study.design_claims.measure_mismatch",
     "ssm_study.study.design_claims.measure_premise",
-    "ssm_study.study.run_files.judge",
+    "ssm_study.study.run_files.collect_findings",
     "ssm_study.study.run_files.measure_mismatch",
 )
 

@@ -169,7 +169,8 @@ class Fit(pl.LightningModule):
         )
         cut = settings.windows.cut_records(data.training, data.start_up_samples)
         training, validation = (
-            Windows().cut(r, data.start_up_samples) for r in (data.training, data.validation)
+            Windows().cut_records(r, data.start_up_samples)
+            for r in (data.training, data.validation)
         )
         self.model = model
         self.data = data
