@@ -130,7 +130,7 @@ class Server:
             for stream in (sys.stdout, sys.stderr):
                 stream.flush()  # what waits in a buffer would be written again by every job
             self.line, theirs = Pipe()
-            self.pid = os.fork_job()
+            self.pid = os.fork()
             if self.pid == 0:
                 # The server must not hold the sweep's end, or it would never see it close.
                 self.line.close()
@@ -169,7 +169,7 @@ def _run_server(sweep: Connection, tasks: Sequence[Callable[[], object]], thread
 def _fork_job(sweep: Connection, task: Callable[[], object]) -> int:
     """Fork a process that does one task, and return its process id."""
     server = os.getpid()
-    pid = os.fork_job()
+    pid = os.fork()
     if pid:
         return pid
     status = 1

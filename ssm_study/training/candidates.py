@@ -193,7 +193,7 @@ def try_structured_model(
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
         fit.take_steps(STEPS)
-        trial.add_fold(fit.as_model() if np.isfinite(float(fit.training_loss)) else None, part)
+        trial.add_fold(fit.as_model() if np.isfinite(float(fit.loss)) else None, part)
     return trial
 
 

@@ -87,11 +87,11 @@ class RecordBatch(NamedTuple):
     def _relative_movement(self, stretch: "RecordBatch") -> float:
         """Standard deviation within a stretch relative to that of all records. It is the smaller of
         input and output."""
-        if not stretch.scored.any():
+        if not stretch.recorded_mask.any():
             return 0.0
         shares = []
         for name in ("u", "y"):
-            inside = getattr(stretch, name)[stretch.scored]
+            inside = getattr(stretch, name)[stretch.recorded_mask]
             everywhere = getattr(self, name)[self.recorded_mask]
             deviation = float(np.linalg.norm(everywhere.std(axis=0)))
             deviation_inside = float(np.linalg.norm(inside.std(axis=0)))

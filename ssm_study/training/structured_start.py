@@ -65,7 +65,7 @@ def unpadded_records(
 ) -> list[tuple[Float[np.ndarray, "T m"], Float[np.ndarray, "T p"]]]:
     """Inputs and outputs of each record, without padding."""
     inputs, outputs, _ = problem.records
-    scored = problem.records.scored
+    scored = problem.records.recorded_mask
     return [(u[there], y[there]) for u, y, there in zip(inputs, outputs, scored, strict=True)]
 
 
@@ -97,7 +97,7 @@ def normalise_states(problem: SimulationProblem, theta: Theta) -> Theta:
 def states_at_scored_samples(problem: SimulationProblem, theta: Theta) -> Float[np.ndarray, "N n"]:
     """States before each scored sample of all records, one below another."""
     _, _, states = problem.simulate_signals(theta)
-    return states[:, :-1][problem.records.scored]
+    return states[:, :-1][problem.records.recorded_mask]
 
 
 def choose_random_poles(
@@ -243,7 +243,7 @@ def contracting_initial_parameters(problem: SimulationProblem, theta: Theta, rat
     """Initial parameters of a contracting model near a given one. It is the nearest on the path of
     `contracting.project_to_contracting`."""
     v, _, states = problem.simulate_signals(theta)
-    scored = problem.records.scored
+    scored = problem.records.recorded_mask
     x = states[:, :-1][scored]
     z = x @ theta["f"].T + v[scored] @ theta["g"].T + theta["bias"]
     mean_slope = evaluate_activations(problem.neurons, z, "slope").mean(axis=0)

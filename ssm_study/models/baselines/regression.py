@@ -373,7 +373,7 @@ def baseline_columns(data: DataSet) -> dict[str, object] | None:
         return None
     with np.errstate(all="ignore"):
         fit = Simulation.simulate_records(best.model, data.test, data.start_up_samples).fit_percent
-    return {"baseline": best.describe, "fit_baseline_percent": fit if np.isfinite(fit) else None}
+    return {"baseline": best.words, "fit_baseline_percent": fit if np.isfinite(fit) else None}
 
 
 def _score_baseline(words: str, model: Polynomial, data: DataSet) -> Baseline:
