@@ -57,18 +57,18 @@ function withoutBrush(spec) {
 
 const DRAWS = []; // what draws each plot again
 
-/** The points in the colours of a setting instead of the outcome, whose shapes stay. */
+/** The points in the colours of a setting instead of the outcome, whose shapes stay. Numbers go from dark to light, which
+ * every eye and a grey print tell apart; few names have a colour each. */
 function coloured(spec) {
   const name = state.colour,
     copy = structuredClone(spec);
   if (!name) return copy;
-  const values = [...new Set(COLUMNS[name].map((_, i) => setting(name, i)))]
-    .sort(inOrder)
-    .map(printed);
-  const few = values.length <= CYCLE.length;
+  const settings = [...new Set(COLUMNS[name].map((_, i) => setting(name, i)))].sort(inOrder);
+  const values = settings.map(printed);
+  const few = values.length <= CYCLE.length && settings.some((value) => typeof value !== "number");
   const scale = few
     ? { domain: values, range: CYCLE.slice(0, values.length) }
-    : { domain: values, scheme: "viridis" };
+    : { domain: values, scheme: { name: "viridis", extent: [0, 0.9] } };
   const legend = { orient: "top", title: shortWord(name), columns: 6, symbolType: "circle" };
   copy.layer.at(-1).encoding.color = {
     field: "colour",

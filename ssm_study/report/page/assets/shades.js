@@ -23,7 +23,7 @@ function shaded(spec) {
   const painted = JSON.parse(
     JSON.stringify(spec, (key, value) => {
       if (key === "values" || key === "datasets") return undefined; // put back below
-      if (key === "scheme") return { name: value, extent: [0.3, 1] }; // without the shades that sink into the ground
+      if (key === "scheme") return { name: value.name || value, extent: [0.3, 1] }; // without the shades that sink into the ground
       return typeof value === "string" ? shade(value) : value;
     }),
   );
