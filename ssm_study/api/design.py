@@ -16,7 +16,7 @@ from ssm_study.api.arguments import Values
 from ssm_study.api.design_files import write_records
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
-from ssm_study.api.summaries import html_table, summarise_design, text_table
+from ssm_study.api.summaries import html_table, render_text_table, summarise_design
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -209,7 +209,7 @@ class Design:
         return summarise_design(self)
 
     def __repr__(self) -> str:
-        return text_table("Design", self.summary())
+        return render_text_table("Design", self.summary())
 
     def _repr_html_(self) -> str:
         """HTML table of the design's properties for notebooks."""

@@ -8,23 +8,24 @@ from ssm_study.signals import DataSet
 
 
 def write_records(data: DataSet, folder: Path) -> None:
-    """Write training inputs and validation outputs, for ranges and names in the export."""
+    """Write training inputs and validation outputs, from which the export takes ranges and
+    names."""
     metadata = {"step_s": repr(data.step_s)}
-    inputs = (*input_groups(data), *disturbance_groups(data))
+    inputs = (*group_training_inputs(data), *group_training_disturbances(data))
     write_mcap(folder / "excitation.mcap", inputs, metadata)
-    write_mcap(folder / "validation.mcap", tuple(output_groups(data)), metadata)
+    write_mcap(folder / "validation.mcap", tuple(group_validation_outputs(data)), metadata)
 
 
-def input_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Inputs of the training records, each under its topic."""
+def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
+    """Inputs of the training records, each under its own topic."""
     channels = tuple(data.inputs)
     for i, record in enumerate(data.training):
         topic = f"/record_{i}/input"
         yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.u)
 
 
-def disturbance_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records that have any."""
+def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
+    """Measured disturbances of the training records, each under its own topic."""
     channels = tuple(data.disturbances)
     for i, record in enumerate(data.training):
         if record.d is not None:
@@ -32,8 +33,8 @@ def disturbance_groups(data: DataSet) -> Iterator[SignalGroup]:
             yield SignalGroup(topic=topic, time_s=record.time_s, channels=channels, values=record.d)
 
 
-def output_groups(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured outputs of the validation records."""
+def group_validation_outputs(data: DataSet) -> Iterator[SignalGroup]:
+    """Measured outputs of the validation records, each under its own topic."""
     channels = tuple(data.outputs)
     for i, record in enumerate(data.validation):
         topic = f"/record_{i}/measured"

@@ -23,8 +23,8 @@ def import_python_control(function: str) -> Any:
     return control
 
 
-def linearise(model: SSM | StructuredSSM) -> "python_control.StateSpace":
-    """State space of deviations from the equilibrium, in physical units.
+def linearise_model(model: SSM | StructuredSSM) -> "python_control.StateSpace":
+    """Linearise a model at its equilibrium, as a state space in physical units.
 
     `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
     within A, B, C, D.
@@ -42,8 +42,9 @@ def linearise(model: SSM | StructuredSSM) -> "python_control.StateSpace":
     return python_control.StateSpace(linear.a, b, c, d, model.step_s)
 
 
-def undo_sampling(discrete: "python_control.StateSpace") -> "python_control.StateSpace":
-    """Continuous system whose input is held, by the matrix logarithm of `[A B; 0 I]`.
+def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_control.StateSpace":
+    """Convert a sampled system with held input to continuous time, by the matrix logarithm of `[A
+    B; 0 I]`.
 
     Raises `BadRequest` where a pole lies on the negative real axis or at zero.
     """
@@ -63,10 +64,11 @@ def undo_sampling(discrete: "python_control.StateSpace") -> "python_control.Stat
     return python_control.StateSpace(a, b, discrete.C, discrete.D)
 
 
-def response_table(
+def tabulate_frequency_response(
     system: "python_control.StateSpace", inputs: list[str], outputs: list[str], points: int
 ) -> pd.DataFrame:
-    """Frequency response from each input to each output, up to half the sampling rate."""
+    """Table of the frequency response from each input to each output, up to half the sampling
+    rate."""
     nyquist = np.pi / system.dt
     omega = np.geomspace(nyquist * 1e-4, nyquist, points)
     z = np.exp(1j * omega * system.dt)

@@ -12,9 +12,13 @@ import pandas as pd
 from jaxtyping import Complex, Float
 
 from ssm_study.api.arguments import Values
-from ssm_study.api.linearisation import linearise, response_table, undo_sampling
+from ssm_study.api.linearisation import (
+    convert_to_continuous,
+    linearise_model,
+    tabulate_frequency_response,
+)
 from ssm_study.api.steps import judge_evidence, measure_mismatch
-from ssm_study.api.summaries import html_table, summarise_model, text_table
+from ssm_study.api.summaries import html_table, render_text_table, summarise_model
 from ssm_study.bounds.metrics import model_bound_columns
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.data.arrays import check_time_index, disturbance_values, signal_columns
@@ -170,7 +174,7 @@ class Model:
         `x+ = A x + B J_u u/s_u,  y = s_y J_y (C x + D J_u u/s_u)`, neurons by their slopes at rest
         within A, B, C, D. Raises `BadRequest` for a baseline, which has no state space.
         """
-        return linearise(self.ssm)
+        return linearise_model(self.ssm)
 
     def to_continuous(self) -> "python_control.StateSpace":
         """Linearise the model at its equilibrium and convert it to continuous time.
@@ -178,7 +182,7 @@ class Model:
         By the matrix logarithm of `[A B; 0 I]`. Raises `BadRequest` where a pole lies on the
         negative real axis or at zero, for then no such system of the same order exists.
         """
-        return undo_sampling(self.to_control())
+        return convert_to_continuous(self.to_control())
 
     def frequency_response(self, points: int = 200) -> pd.DataFrame:
         """Frequency response at the equilibrium from each input to each output.
@@ -187,14 +191,14 @@ class Model:
         sampling rate.
         """
         system = self.to_control()
-        return response_table(system, self.input_names, self.output_names, points)
+        return tabulate_frequency_response(system, self.input_names, self.output_names, points)
 
     def summary(self) -> pd.Series:
         """Table of the model's properties: class, size, fits, poles, slopes and evidence."""
         return summarise_model(self)
 
     def __repr__(self) -> str:
-        return text_table("Model", self.summary())
+        return render_text_table("Model", self.summary())
 
     def _repr_html_(self) -> str:
         """HTML table of the model's properties for notebooks."""

@@ -28,7 +28,7 @@ def summarise_model(model: "Model") -> pd.Series:
     if data.disturbances:
         lines["measured disturbances"] = ", ".join(map(name_with_unit, data.disturbances))
     lines["sampling time"] = f"{data.step_s:g} s"
-    lines["samples"] = words_on_samples(data)
+    lines["samples"] = sample_count_words(data)
     for part in ("train", "validation", "test"):
         name = "training" if part == "train" else part
         lines[f"fit on the {name} records"] = f"{facts[f'fit_{part}_percent']:.1f} %"
@@ -39,12 +39,13 @@ def summarise_model(model: "Model") -> pd.Series:
     if model.identification.chosen:
         lines["chosen by the records"] = model.identification.chosen
     if isinstance(model.simulator, SSM | StructuredSSM):
-        lines |= state_space_lines(model, model.simulator)
+        lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
 
 
-def state_space_lines(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
-    """Lines that only a state-space model has: states, neurons, pole, slopes, evidence."""
+def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dict[str, Any]:
+    """Lines of the summary that only a state-space model has: states, neurons, pole, slopes and
+    evidence."""
     facts = model.facts
     slowest = np.abs(model.eigenvalues()).max()
     lines: dict[str, Any] = {"states": simulator.order}
@@ -76,12 +77,12 @@ def summarise_design(design: "Design") -> pd.Series:
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     if design.origin is not None:
-        lines |= prediction_lines(design.facts)
+        lines |= summarise_prediction(design.facts)
     return pd.Series(lines, name="design", dtype=object)
 
 
-def prediction_lines(facts: dict[str, Any]) -> dict[str, str]:
-    """Lines that predict how the plant behaves in closed loop."""
+def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:
+    """Lines of the summary that predict how the plant behaves in closed loop."""
     margin = facts.get("resolved_margin")
     suffix = "" if margin is None else f" (stability margin {margin:.3g})"
     coverage = facts.get("coverage")
@@ -101,8 +102,8 @@ def name_with_unit(channel: Any) -> str:
     return f"{channel.name} ({channel.unit})" if channel.unit else channel.name
 
 
-def words_on_samples(data: DataSet) -> str:
-    """Numbers of samples in training, validation and test, in words."""
+def sample_count_words(data: DataSet) -> str:
+    """Numbers of samples for training, validation and test, in words."""
     counts = []
     for part in ("training", "validation", "test"):
         samples = sum(len(record) for record in getattr(data, part))
@@ -110,8 +111,8 @@ def words_on_samples(data: DataSet) -> str:
     return ", ".join(counts)
 
 
-def text_table(title: str, summary: pd.Series) -> str:
-    """Render a summary as lines of text, names and values in two columns."""
+def render_text_table(title: str, summary: pd.Series) -> str:
+    """Render a summary as lines of text, with names and values in two columns."""
     width = max(map(len, summary.index))
     rows = [f"  {name:<{width}}  {value}" for name, value in summary.items()]
     return "\n".join([title, *rows])

@@ -84,7 +84,7 @@ def combine_signal_columns(
 
 
 def refuse_clocks_and_copies(titles: Sequence[str], values: Float[np.ndarray, "T c"]) -> None:
-    """Refuse a column that is a clock, and one that holds the numbers of another."""
+    """Refuse a column that is a clock, and one that repeats the numbers of another."""
     for k, (title, column) in enumerate(zip(titles, values.T, strict=True)):
         is_clock = is_clock_name(title) and bool((np.diff(column) > 0).all())
         problem = "is the clock: it increases from row to row"

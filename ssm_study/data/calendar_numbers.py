@@ -26,16 +26,16 @@ MAYBE_DAYS = "no unit: taken for days, as a spreadsheet counts them, though it m
 Times = Float[np.ndarray, "T"]
 
 
-def calendar_seconds(title: str, times: Times) -> tuple[Times, str] | None:
-    """Seconds since the first time where numbers without a unit are those of a calendar, and in
-    words how they were read; None elsewhere."""
+def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None:
+    """Convert numbers that are calendar dates to seconds since the first, and say how they were
+    read."""
     known = times[np.isfinite(times)]
     if len(known) < 2:
         return None
-    seconds = seconds_of_digits(times)
+    seconds = parse_digit_dates(times)
     if seconds is not None:
         return seconds, "digits of a date"
-    words = words_of_days(title, known)
+    words = describe_day_numbers(title, known)
     if words:
         return DAY_S * (times - known[0]), words
     largest = float(np.abs(known).max())
@@ -45,8 +45,8 @@ def calendar_seconds(title: str, times: Times) -> tuple[Times, str] | None:
     return None
 
 
-def counts_since_1970(times: Times) -> bool:
-    """Whether rising numbers are times since 1970, in seconds or a smaller unit."""
+def are_unix_times(times: Times) -> bool:
+    """Whether increasing numbers are times since 1970, in seconds or a smaller unit."""
     known = times[np.isfinite(times)]
     if len(known) < 3 or known.min() <= 0:
         return False
@@ -57,9 +57,9 @@ def counts_since_1970(times: Times) -> bool:
     return bool(in_range and np.ptp(known) < 0.1 * largest)
 
 
-def seconds_of_digits(times: Times) -> Times | None:
-    """Seconds since the first of dates that are written as whole numbers, `20260305100000`; None
-    where a number is no such date."""
+def parse_digit_dates(times: Times) -> Times | None:
+    """Convert dates written as whole numbers, `20260305100000`, to seconds since the first; None
+    for other numbers."""
     known = times[np.isfinite(times)]
     if not np.array_equal(known, np.round(known)) or known.min() < 10 ** (min(DIGITS) - 1):
         return None
@@ -82,8 +82,8 @@ def seconds_of_digits(times: Times) -> Times | None:
     return seconds
 
 
-def words_of_days(title: str, known: Times) -> str:
-    """Words on numbers that count days; empty where they do not.
+def describe_day_numbers(title: str, known: Times) -> str:
+    """Sentence on numbers that count days; empty for other numbers.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """
@@ -99,9 +99,9 @@ def words_of_days(title: str, known: Times) -> str:
     if not len(rising):
         return ""
     step = float(np.median(rising))
-    return MAYBE_DAYS if is_round(DAY_S * step) and not is_round(step) else ""
+    return MAYBE_DAYS if has_two_digits(DAY_S * step) and not has_two_digits(step) else ""
 
 
-def is_round(number: float) -> bool:
-    """Whether a positive number has two digits, up to rounding."""
+def has_two_digits(number: float) -> bool:
+    """Whether a positive number has at most two significant digits, up to rounding."""
     return abs(float(f"{number:.2g}") - number) <= ROUND * number

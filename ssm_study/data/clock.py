@@ -85,7 +85,7 @@ def refuse_decreasing_times(time_s: Float[np.ndarray, "T"], where: str) -> None:
 def refuse_repeated_row(
     time_s: Float[np.ndarray, "T"], values: Float[np.ndarray, "T c"], where: str
 ) -> None:
-    """Refuse a row that repeats the one before, time and all, where hardly any other does."""
+    """Refuse a row that repeats the whole row before it, where rows hardly ever repeat."""
     is_still = np.diff(time_s) == 0
     if not is_still.any() or is_still.mean() > FEW_REPEATS:
         return

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.data.calendar_numbers import calendar_seconds, counts_since_1970
+from ssm_study.data.calendar_numbers import are_unix_times, parse_calendar_numbers
 from ssm_study.data.clock_restarts import find_clock_restarts
-from ssm_study.data.clock_wraps import continued_clock
+from ssm_study.data.clock_wraps import unwrap_clock
 from ssm_study.data.readers.reader import Table, fold_title, title_without_unit
 from ssm_study.data.rounded_times import rounded_period_s
 from ssm_study.refusal import BadRequest, require
@@ -114,16 +114,20 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     """
     free = [title for title in table.columns if title not in signals]
     named = [title for title in free if is_clock_name(title)]
-    clocks = [title for title in named if is_clock(table, title)]
-    strict = [title for title in clocks if is_increasing(run_on_times(table, title), strictly=True)]
+    clocks = [title for title in named if is_clock_column(table, title)]
+    strict = [
+        title for title in clocks if is_increasing(unwrap_column_times(table, title), strictly=True)
+    ]
     if clocks:
         return (strict or clocks)[0]
     for title in free:
-        if has_clock_word(title) and is_increasing(run_on_times(table, title), strictly=True):
+        if has_clock_word(title) and is_increasing(
+            unwrap_column_times(table, title), strictly=True
+        ):
             return title
     for title in free:
         times = table.columns[title]
-        if counts_since_1970(times) and is_increasing(times, strictly=True):
+        if are_unix_times(times) and is_increasing(times, strictly=True):
             return title
     for title in free:
         times = table.columns[title]
@@ -141,15 +145,15 @@ def find_clock_column(table: Table, signals: Collection[str]) -> str | None:
     return first if mostly or rounded_period_s(known) is not None else None
 
 
-def run_on_times(table: Table, title: str) -> Float[np.ndarray, "T"]:
-    """Times of a column, which run on where a counter is full or summer time ends."""
-    return continued_clock(table.columns[title], is_dated=title in table.dated)[0]
+def unwrap_column_times(table: Table, title: str) -> Float[np.ndarray, "T"]:
+    """Times of a column, made to increase where a counter overflows or summer time ends."""
+    return unwrap_clock(table.columns[title], is_dated=title in table.dated)[0]
 
 
-def is_clock(table: Table, title: str) -> bool:
+def is_clock_column(table: Table, title: str) -> bool:
     """Whether the numbers of a column are those of a clock, or of several experiments' clocks."""
     times = table.columns[title]
-    return is_increasing(run_on_times(table, title)) or bool(find_clock_restarts(times))
+    return is_increasing(unwrap_column_times(table, title)) or bool(find_clock_restarts(times))
 
 
 def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
@@ -186,7 +190,7 @@ def clock_column_seconds(
     Whole numbers without a unit, several apart, are taken for seconds with a doubt, unless the
     sampling time is stated: they may count milliseconds.
     """
-    times, undone = continued_clock(table.columns[title], is_dated=title in table.dated)
+    times, undone = unwrap_clock(table.columns[title], is_dated=title in table.dated)
     words = f"clock {title or 'the nameless first column'}"
     after = f", {undone}" if undone else ""
     if title in table.dated:
@@ -194,7 +198,7 @@ def clock_column_seconds(
     factor = clock_unit_s(title, table.units.get(title, ""))
     if factor is not None:
         return factor * times, f"{words}{after}"
-    read = calendar_seconds(title, times)
+    read = parse_calendar_numbers(title, times)
     if read is not None:
         return read[0], f"{words} ({read[1]}){after}"
     if not is_stated and is_in_small_units(times):
@@ -261,13 +265,14 @@ def refuse_clock_as_signal(contents: Table, taken: list[str], file: Path) -> Non
         require(not is_clock, f"{file.name} (column)", title, problem, "name a signal")
 
 
-def unread_clocks(contents: Table) -> list[str]:
-    """Remarks on columns that are named like a clock and hold what is not read."""
+def unread_clock_remarks(contents: Table) -> list[str]:
+    """Remarks on columns that are named like a clock but cannot be read as one."""
     named = [title for title in contents.skipped if is_clock_name(title)]
     return [f"{UNREAD} {title}: {contents.skipped[title]}" for title in named]
 
 
-def unread_clock(remarks: list[str]) -> str:
-    """Words for a refusal on the column that is named like a clock and was not read."""
+def unread_clock_sentence(remarks: list[str]) -> str:
+    """Sentence of a refusal on the columns that are named like a clock but cannot be read as
+    one."""
     unread = [remark for remark in remarks if remark.startswith(UNREAD)]
     return f" ({unread[0]})" if unread else ""

@@ -16,9 +16,9 @@ Times = Float[np.ndarray, "T"]
 Steps = Float[np.ndarray, "_"]
 
 
-def continued_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
-    """Times that run on behind a full counter or the end of summer time, and words on what was
-    undone; unchanged and no words where nothing was."""
+def unwrap_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
+    """Make times increase past a counter overflow or the end of summer time, and describe what was
+    changed."""
     if len(times) < FEWEST or not np.isfinite(times).all():
         return times, ""
     steps = np.diff(times)
@@ -27,27 +27,27 @@ def continued_clock(times: Times, *, is_dated: bool) -> tuple[Times, str]:
         return times, ""
     period = float(np.median(rising))
     if is_dated:
-        return _without_summer_time(times, steps, period)
+        return _undo_summer_time(times, steps, period)
     is_back = steps < 0
     for size in COUNTERS:
         fits = times.min() >= 0 and times.max() < size
-        if fits and is_back.any() and _runs_on(steps[is_back] + size, period).all():
+        if fits and is_back.any() and _are_one_period(steps[is_back] + size, period).all():
             turns = np.concatenate([[0], np.cumsum(is_back)])
             bits = int(size).bit_length() - 1
             return times + size * turns, f"a counter of {bits} bits began again"
     return times, ""
 
 
-def _without_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times, str]:
-    """Times with one hour more behind each step back that an hour explains, and words on it."""
+def _undo_summer_time(times: Times, steps: Steps, period: float) -> tuple[Times, str]:
+    """Add an hour to the times after each step back that the end of summer time explains."""
     is_back = (steps <= 0) & (period <= HOUR_S)
-    if not is_back.any() or not _runs_on(steps[is_back] + HOUR_S, period).all():
+    if not is_back.any() or not _are_one_period(steps[is_back] + HOUR_S, period).all():
         return times, ""
     hours = np.concatenate([[0], np.cumsum(is_back)])
     row = int(np.argmax(is_back)) + 1
     return times + HOUR_S * hours, f"an hour stands twice at row {row}: end of summer time"
 
 
-def _runs_on(steps: Steps, period: float) -> np.ndarray:
-    """Which steps are one period long."""
+def _are_one_period(steps: Steps, period: float) -> np.ndarray:
+    """Which time steps are one sampling period long."""
     return np.abs(steps - period) <= NEAR * period

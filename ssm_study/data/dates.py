@@ -31,12 +31,12 @@ def is_date(cell: str) -> bool:
     """Whether a cell of a table is a date, with or without a time, or a time of day."""
     if any(re.fullmatch(form, cell) for form in (DATE, TIME_OF_DAY, MINUTES)):
         return True
-    return form_of_named_month(cell) is not None
+    return guess_date_format(cell) is not None
 
 
-def form_of_named_month(cell: str) -> str | None:
-    """Form of a date with the name of its month, or of digits and a letter T, as pandas guesses it;
-    None for anything else."""
+def guess_date_format(cell: str) -> str | None:
+    """Format of a date with the name of its month, or of digits and a letter T; None for anything
+    else."""
     has_letter = any(letter.isalpha() for letter in cell)
     if not has_letter or not any(letter.isdigit() for letter in cell) or len(cell) > LONGEST:
         return None
@@ -58,13 +58,13 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     of_day = series.str.extract(f"^{TIME_OF_DAY}$")
     of_watch = series.str.extract(f"^{MINUTES}$")
     first = next((cell for cell in cells if is_date(cell)), "")
-    form = None if re.fullmatch(DATE, first) else form_of_named_month(first)
+    form = None if re.fullmatch(DATE, first) else guess_date_format(first)
     if of_day["hour"].notna().sum() > len(cells) / 2:
         seconds = unwrap_midnight(seconds_since_midnight(of_day))
     elif of_watch["minute"].notna().sum() > len(cells) / 2:
         seconds = seconds_since_midnight(of_watch)
     elif form is not None:
-        seconds = named_month_seconds(series, form)
+        seconds = parse_named_month_dates(series, form)
     else:
         dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
         seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
@@ -72,8 +72,8 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     return seconds - known[0] if len(known) else seconds
 
 
-def named_month_seconds(series: pd.Series, form: str) -> Float[np.ndarray, "T"]:
-    """Seconds since 1970 of dates of one form that names the month."""
+def parse_named_month_dates(series: pd.Series, form: str) -> Float[np.ndarray, "T"]:
+    """Convert dates that name the month to seconds since 1970."""
     dates = pd.to_datetime(series, format=form, errors="coerce", utc=True)
     since = (dates - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1)
     return since.to_numpy(dtype=float)

@@ -231,12 +231,12 @@ def input_shares(u: Signal, y: Signal) -> InputShares:
         if shares.change > best.change:
             best = shares
         if shares.change > MOVED:
-            return with_later_loss(u, y, shares)
+            return add_long_window_loss(u, y, shares)
     return best
 
 
-def with_later_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
-    """Shares with the largest loss of level that windows up to four times as long show."""
+def add_long_window_loss(u: Signal, y: Signal, shares: InputShares) -> InputShares:
+    """Input shares with the largest loss of level that longer windows show."""
     longer = [w for w in WINDOWS if shares.window < w <= LONGER * shares.window]
     losses = [input_shares_over_window(u, y, w).lost_in_log for w in longer if len(u) >= 8 * w]
     return replace(shares, lost_in_log=max([shares.lost_in_log, *losses]))

@@ -123,18 +123,18 @@ def look(
     """
     path = Path(path)
     stated = LogSettings(
-        input=as_name(input),
-        output=as_name(output),
-        time=as_name(time),
+        input=column_name(input),
+        output=column_name(output),
+        time=column_name(time),
         step_s=step_s,
-        disturbance=as_name(disturbance),
+        disturbance=column_name(disturbance),
         text=settings or TextSettings(),
     )
     table = choose_reader(path, stated.text).contents(path)
     require(table.columns, "data.path", path, "has no column of numbers", "export it as CSV")
     facts = [column_facts(name, table) for name in table.columns]
     clock = stated.time if stated.time is not None else clock_column_name(table)
-    u, y = signals_of(table, facts, clock, stated)
+    u, y = choose_signals(table, facts, clock, stated)
     sentences = [f"read: {table.remark}"] if table.remark else []
     reading = Reading(records=[], step_is_known=True, sentences=[])
     if u is None or y is None:
@@ -172,15 +172,15 @@ class Reading:
     sentences: list[str]
 
 
-def as_name(column: str | int | None) -> str | None:
-    """Name of a column that is given by name or number."""
+def column_name(column: str | int | None) -> str | None:
+    """Convert the name or number of a column to text."""
     return None if column is None else str(column)
 
 
-def signals_of(
+def choose_signals(
     table: Table, facts: Sequence[ColumnFacts], clock: str | None, stated: LogSettings
 ) -> tuple[str | None, str | None]:
-    """Names of input and output: those stated, else those guessed."""
+    """Names of the input and output columns: the stated ones, otherwise guessed."""
     uneven = [column for column in facts if not is_evenly_spaced(table.columns[column.name])]
     free = [column for column in uneven if column.name != stated.disturbance]
     u, y = guess_signals(free, clock)

@@ -17,9 +17,9 @@ FAR = 2.0  # ranges of all other values, between these and a code
 CODES = "a number that may stand for a missing value"
 
 
-def missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
-    """Extreme value of a column that may stand for a missing one, and how often it occurs; None
-    without one."""
+def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
+    """Find an extreme value of a column that may stand for missing values, and how often it
+    occurs."""
     known = values[np.isfinite(values)]
     if not len(known):
         return None
@@ -34,11 +34,11 @@ def missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
     return None
 
 
-def code_remarks(table: Table, signals: Sequence[str]) -> list[str]:
-    """Remarks on signals that hold such a number."""
+def missing_code_remarks(table: Table, signals: Sequence[str]) -> list[str]:
+    """Remarks on signals with a number that may stand for missing values."""
     remarks = []
     for name in signals:
-        found = missing_code(table.columns[name])
+        found = find_missing_code(table.columns[name])
         if found is not None:
             code, count = found
             rows = "row" if count == 1 else "rows"

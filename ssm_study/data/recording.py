@@ -13,12 +13,12 @@ from ssm_study.data.clock_column import (
     first_column_counts_rows,
     refuse_backward_clock,
     refuse_clock_as_signal,
-    unread_clock,
-    unread_clocks,
+    unread_clock_remarks,
+    unread_clock_sentence,
 )
 from ssm_study.data.clock_restarts import resample_experiments
 from ssm_study.data.log_refusals import refusal_with_look_command
-from ssm_study.data.missing_codes import code_remarks
+from ssm_study.data.missing_codes import missing_code_remarks
 from ssm_study.data.plain_names import plain_name
 from ssm_study.data.readers.reader import (
     Reader,
@@ -199,7 +199,7 @@ class Columns:
         if time_s is None:
             period_s = stated_s if self.step_s is None else self.step_s
             if period_s is None:
-                problem = "the sampling time is unknown" + unread_clock(remarks)
+                problem = "the sampling time is unknown" + unread_clock_sentence(remarks)
                 remedy = "give it, or name the column data.time"
                 raise BadRequest("data.step_s", None, problem, remedy)
             if stated_s is not None:
@@ -273,7 +273,7 @@ class Columns:
             wanted[str(self.time)] = ""
         table = read_table(file, wanted, missing=True, reader=reader)
         remarks = [f"{file.name}: {table.remark}"] if table.remark else []
-        remarks += code_remarks(table, list(units))
+        remarks += missing_code_remarks(table, list(units))
         refuse_equal_columns(table, list(units), file)
         time_s = table.time_s
         if self.time is not None:
@@ -303,7 +303,7 @@ class Columns:
         if title is None or len(contents.columns[title]) != length:
             refuse_backward_clock(contents, taken, file, is_stated=self.step_s is not None)
             time_s, remarks = self._row_number_times(contents, length)
-            return time_s, [*remarks, *unread_clocks(contents)]
+            return time_s, [*remarks, *unread_clock_remarks(contents)]
         time_s, words = clock_column_seconds(title, contents, is_stated=self.step_s is not None)
         return time_s, [words]
 

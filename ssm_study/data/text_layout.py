@@ -115,7 +115,7 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
     packed = next((word for mark, word in PACKED.items() if content.startswith(mark)), "")
     require(not packed, "data.path", path, f"is packed ({packed})", "unpack it first")
     content = content.rstrip(b"\0\x1a")  # a logger's unwritten end, and that of old DOS
-    encoding = wide_encoding(content)
+    encoding = detect_wide_encoding(content)
     if encoding:
         whole = content + b"\0" * (len(content) % 2)
         return whole.decode(encoding, errors="replace"), encoding
@@ -129,8 +129,9 @@ def decode_text(path: Path, content: bytes) -> tuple[str, str]:
         return content.decode("cp1252", errors="replace"), "cp1252"
 
 
-def wide_encoding(content: bytes) -> str:
-    """Encoding of a text of two bytes a letter without a byte order mark; empty for another."""
+def detect_wide_encoding(content: bytes) -> str:
+    """Encoding of a text with two bytes for each letter and no byte order mark; empty for another
+    text."""
     halves = {"utf-16-le": content[1::2], "utf-16-be": content[::2]}
     zeros = {name: half.count(0) / max(len(half), 1) for name, half in halves.items()}
     wide = [name for name, share in zeros.items() if share > MOSTLY_ZERO]
@@ -339,7 +340,7 @@ def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, lis
     if not above:
         return None, []
     for k in reversed(range(len(above))):
-        if any(folded_word(cell) in CLOCK_WORDS for cell in above[k]):
+        if any(fold_header_cell(cell) in CLOCK_WORDS for cell in above[k]):
             below = above[k + 1 : k + 2]
             units = below[0] if below and are_possible_units(below[0], len(above[k])) else []
             return above[k], [cell.strip("()[] ") for cell in units]
@@ -355,8 +356,8 @@ def are_possible_units(cells: list[str], columns: int) -> bool:
     return len(cells) == columns and all(map(UNIT.fullmatch, filled))
 
 
-def folded_word(cell: str) -> str:
-    """Small letters of a title, without its unit in brackets."""
+def fold_header_cell(cell: str) -> str:
+    """Title of a column in lower case, without its unit in brackets."""
     return re.sub(r"[\W_]+", "", re.sub(r"[\[(].*", "", cell)).lower()
 
 

@@ -15,19 +15,19 @@ AMBIGUOUS = "its mark may stand between thousands, or before decimals"
 FORTRAN = r"^([-+]?[\d.]+)[dD]([-+]?\d+)$"
 
 
-def plain_numbers(
+def normalise_numbers(
     cells: pa.ChunkedArray, missing: pa.ChunkedArray, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Cells with a decimal point and nothing else in their numbers, and what is ambiguous in them;
-    no words where nothing is."""
+    """Rewrite numbers with a decimal point and no group separators, and describe what is
+    ambiguous."""
     cells = pc.replace_substring(cells, "\u2212", "-")
-    cells = _without_bare_groups(cells)
+    cells = _remove_plain_separators(cells)
     filled = pc.filter(cells, pc.invert(missing))
     if not len(filled):
         return cells, ""
     group = "," if decimal == "." else "."
     if pc.any(pc.match_substring(filled, group)).as_py():
-        cells, problem = _without_groups(cells, filled, group, decimal)
+        cells, problem = _remove_group_separators(cells, filled, group, decimal)
         if problem:
             return cells, problem
     if decimal == ",":
@@ -35,21 +35,21 @@ def plain_numbers(
     cells = pc.replace_substring_regex(cells, FORTRAN, r"\1e\2")
     if pc.all(pc.ends_with(filled, "%")).as_py():
         cells = pc.utf8_rtrim(cells, "% ")
-    return _without_words(cells, filled), ""
+    return _replace_switch_words(cells, filled), ""
 
 
-def _without_bare_groups(cells: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Cells without apostrophes and narrow spaces between groups of three digits."""
+def _remove_plain_separators(cells: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Remove apostrophes and narrow spaces between groups of three digits."""
     pattern = rf"^[-+]?\d{{1,3}}([{BARE_GROUPS}]\d{{3}})+([.,]\d+)?$"
     is_grouped = pc.match_substring_regex(cells, pattern)
     bare = pc.replace_substring_regex(cells, f"[{BARE_GROUPS}]", "")
     return pc.if_else(is_grouped, bare, cells)
 
 
-def _without_groups(
+def _remove_group_separators(
     cells: pa.ChunkedArray, filled: pa.ChunkedArray, group: str, decimal: str
 ) -> tuple[pa.ChunkedArray, str]:
-    """Cells without the mark between groups of three digits, if the column shows that it groups."""
+    """Remove the mark between groups of three digits, if the column shows that it is one."""
     mark = "," if group == "," else r"\."
     point = r"\." if decimal == "." else ","
     grouped = rf"^[-+]?[1-9]\d{{0,2}}({mark}\d{{3}})+({point}\d+)?$"
@@ -63,8 +63,8 @@ def _without_groups(
     return pc.if_else(is_grouped, pc.replace_substring(cells, group, ""), cells), ""
 
 
-def _without_words(cells: pa.ChunkedArray, filled: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Cells with 1 and 0 for the words of a switch, where the column holds nothing else."""
+def _replace_switch_words(cells: pa.ChunkedArray, filled: pa.ChunkedArray) -> pa.ChunkedArray:
+    """Replace the words of a switch, such as on and off, by 1 and 0."""
     words = pa.array(list(WORDS))
     if not pc.all(pc.is_in(pc.utf8_lower(filled), value_set=words)).as_py():
         return cells

@@ -99,8 +99,8 @@ def collect_findings(
 
 
 def judge_reading(reading: str) -> list[Finding]:
-    """Doubts where the sampling time rests on a clock whose unit nobody stated, and where a value
-    may stand for a missing one."""
+    """Doubts about how the log was read: a clock of unknown unit, or values that may stand for
+    missing ones."""
     doubts = []
     if ASSUMED_SECOND in reading:
         doubts.append(

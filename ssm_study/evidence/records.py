@@ -203,11 +203,11 @@ def _judge_length(case: Case) -> Iterator[str]:
     if sum(samples) < FEWEST_SAMPLES:
         yield f"{sum(samples)} training samples are too few for a nonlinear model: record more."
     elif slowest_mode_remainder(case) > INTEGRATES:
-        yield _integrating(case)
+        yield _judge_slow_mode(case)
     elif max(samples) < RESPONSES * response:
         remedy = "record longer without a break"
         # It contracts, so an integrator looks like a slow mode.
-        if isinstance(case.model, StructuredSSM) and not follows_level(case.data):
+        if isinstance(case.model, StructuredSSM) and not follows_input_level(case.data):
             remedy += "; if the output integrates its input, use model.integrating_output=true"
         yield (
             f"The model's response lasts {response} samples or more, the longest piece that "
@@ -215,7 +215,7 @@ def _judge_length(case: Case) -> Iterator[str]:
         )
 
 
-def _integrating(case: Case) -> str:
+def _judge_slow_mode(case: Case) -> str:
     """Sentence on a model whose slowest mode hardly decays within a record.
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
@@ -239,9 +239,8 @@ def integrates(case: Case) -> bool:
     return case.model.linear.spectral_radius >= 1 - ROUNDING
 
 
-def follows_level(data: DataSet) -> bool:
-    """Whether the output follows the level of its one input, in the longest stretch of a log, as no
-    integrator does."""
+def follows_input_level(data: DataSet) -> bool:
+    """Whether the output follows the level of its input, as no integrator does."""
     stretches = join_log_stretches(data)
     if not stretches or data.scale.inputs != 1 or data.scale.outputs != 1:
         return False

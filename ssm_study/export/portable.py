@@ -127,8 +127,8 @@ class PortableController:
         )
 
 
-def _refuse_what_no_target_computes(design: Design) -> None:
-    """Raise `BadRequest` for a design without both gains, or one that undoes the input map."""
+def _refuse_unexportable_design(design: Design) -> None:
+    """Refuse a design without both gains, or one that inverts the input map."""
     for name, part in (("state_feedback", design.state_feedback), ("observer", design.observer)):
         if isinstance(part, Infeasible):
             reason = part.reason.rstrip(".")
@@ -149,7 +149,7 @@ def convert_controller(model: Model, design: Design) -> PortableController:
     Raises `BadRequest` when the design has no controller or observer, or was made for another
     model.
     """
-    _refuse_what_no_target_computes(design)
+    _refuse_unexportable_design(design)
     gains = design.pair
     modes = gains.modes
     linear = model.linear

@@ -105,15 +105,15 @@ def find_input_limits(run: Path) -> tuple[Range, Range]:
     visited = _read_recorded_ranges(run, "excitation.mcap", "/input")
     if visited is None:
         return np.array([-np.inf]), np.array([np.inf])
-    loop = _loop_settings(run)
+    loop = _read_loop_settings(run)
     scale = _load_model(run).scale
     inputs = [np.stack(visited[1:])]
     around_rest = scale.append_equilibrium_input(inputs)
     return input_limits(loop.get("input_lower"), loop.get("input_upper"), around_rest)
 
 
-def _loop_settings(run: Path) -> dict[str, Any]:
-    """Settings of the loop in a run's configuration; empty for a design without one."""
+def _read_loop_settings(run: Path) -> dict[str, Any]:
+    """Settings of the closed loop in a run's configuration."""
     file = run / ".hydra" / "config.yaml"
     if not file.is_file():
         return {}

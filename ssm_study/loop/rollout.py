@@ -107,7 +107,7 @@ def simulate_closed_loop(
             leaves = ~inside
             left_at_sample[going[leaves]] = k
             last = {"y": y[leaves], "measured": measured[leaves], "states": x[leaves]}
-            _record_stopped(log, plant, going[leaves], k, last)
+            _write_stopped_cases(log, plant, going[leaves], k, last)
             x = x[inside]
             y = y[inside]
             measured = measured[inside]
@@ -129,10 +129,10 @@ def simulate_closed_loop(
     )
 
 
-def _record_stopped(
+def _write_stopped_cases(
     log: Log, plant: Plant, stopped: Int[np.ndarray, "S"], k: int, last: dict[str, np.ndarray]
 ) -> None:
-    """Repeat the last values of cases that left the bound from sample `k` on, input at rest."""
+    """Write the last values of cases that have left the bound to the rest of the log."""
     at_rest = np.tile(plant.equilibrium().u, (len(stopped), 1))
     values = {name: value[:, None] for name, value in {"u": at_rest, **last}.items()}
     _write_samples(log, stopped, slice(k, None), values)

@@ -14,7 +14,7 @@ from pyarrow import csv as arrow_csv
 from ssm_study.data.dates import AmbiguousDates, is_date, seconds_since_first
 from ssm_study.data.readers.reader import Reader, Table, find_column
 from ssm_study.data.text_layout import MISSING, TextLayout, TextSettings, detect_layout
-from ssm_study.data.written_numbers import AMBIGUOUS, plain_numbers
+from ssm_study.data.written_numbers import AMBIGUOUS, normalise_numbers
 from ssm_study.refusal import BadRequest
 
 # A title and its unit in brackets of either kind.
@@ -76,7 +76,9 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
         for title, place in places.items():
             values, problem = parse_column(table.column(place), layout)
             if values is None:
-                skipped[title] = f"{problem}{first_cell_words(table.column(place), layout)}"
+                skipped[title] = (
+                    f"{problem}{describe_first_unread_cell(table.column(place), layout)}"
+                )
             else:
                 columns[title] = values
         drop_empty_last_column(columns, titles[-1], layout.names is None)
@@ -200,7 +202,7 @@ def parse_column(
     plain = pc.replace_substring(cells, ",", ".") if layout.decimal == "," else cells
     has_groups = layout.decimal == "," and pc.any(pc.match_substring(cells, ".")).as_py()
     if has_groups or not are_numbers(plain, missing):
-        plain, ambiguity = plain_numbers(cells, missing, layout.decimal)
+        plain, ambiguity = normalise_numbers(cells, missing, layout.decimal)
         if ambiguity:
             return None, ambiguity
         if not are_numbers(plain, missing):
@@ -213,7 +215,7 @@ def parse_column(
 
 
 def are_numbers(cells: pa.ChunkedArray, missing: pa.ChunkedArray) -> bool:
-    """Whether every cell is a number, infinite or missing."""
+    """Whether every cell of a column is a number, infinite or missing."""
     number = pc.match_substring_regex(cells, NUMBER)
     infinite = pc.match_substring_regex(cells, INFINITE, ignore_case=True)
     return bool(pc.all(pc.or_(pc.or_(missing, number), infinite)).as_py())
@@ -240,10 +242,10 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"
     """Find a column of times of day beside one of dates, and combine both to seconds since the
     first."""
     for place in range(table.num_columns):
-        if not all_match(table.column(place), TIME_ALONE):
+        if not all_cells_match(table.column(place), TIME_ALONE):
             continue
         for other in (place - 1, place + 1):
-            if 0 <= other < table.num_columns and all_match(table.column(other), DATE_ALONE):
+            if 0 <= other < table.num_columns and all_cells_match(table.column(other), DATE_ALONE):
                 dates = strip_cells(table.column(other)).to_pylist()
                 times = strip_cells(table.column(place)).to_pylist()
                 cells = [f"{date} {time}" for date, time in zip(dates, times, strict=True)]
@@ -254,8 +256,8 @@ def find_time_of_day_column(table: pa.Table) -> tuple[int, Float[np.ndarray, "T"
     return None
 
 
-def all_match(column: pa.ChunkedArray, form: str) -> bool:
-    """Whether every cell of a column has a form."""
+def all_cells_match(column: pa.ChunkedArray, form: str) -> bool:
+    """Whether every cell of a column matches a pattern."""
     return bool(pc.all(pc.match_substring_regex(strip_cells(column), form)).as_py())
 
 
@@ -270,10 +272,10 @@ def date_column_names(table: pa.Table, places: dict[str, int]) -> frozenset[str]
     return frozenset(dated)
 
 
-def first_cell_words(column: pa.ChunkedArray, layout: TextLayout) -> str:
-    """Words on the first cell of a column that is no number, where most others are."""
+def describe_first_unread_cell(column: pa.ChunkedArray, layout: TextLayout) -> str:
+    """Words on the first cell that is no number in a column of numbers."""
     cells = strip_cells(column)
-    plain = plain_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
+    plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0]
     is_number = pc.match_substring_regex(plain, NUMBER)
     if pc.mean(is_number.cast(pa.float64())).as_py() < MOSTLY:
         return ""
@@ -293,7 +295,7 @@ def unreadable_cell_error(
         cell = next(text for text in texts if mark in text)
         return BadRequest(where, cell, problem, "write 20007 or 20.007, whichever is meant")
     dated = problem.startswith("no date")
-    plain = plain_numbers(cells, mark_missing_cells(cells), layout.decimal)[0].to_pylist()
+    plain = normalise_numbers(cells, mark_missing_cells(cells), layout.decimal)[0].to_pylist()
     for text, number, line in zip(texts, plain, layout.line_numbers, strict=True):
         good = is_date(text) if dated else re.match(NUMBER, number)
         if not good and text.lower() not in MISSING:
