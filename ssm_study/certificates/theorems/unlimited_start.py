@@ -16,9 +16,10 @@ as long as none acts, and `|K_i x|^2 <= K_i P K_i^T x^T P^{-1} x` stays below th
 rate that is proved of the pair holds.
 
 A range of outputs is claimed only of starts at rest at the corners of a box of outputs
-(`synthesis.deployed.equilibrium_corners`): their hull and its mirror image then hold every rest point with
-outputs in the box. Of a linear S_y that couples the outputs the corners are those of the outputs
-themselves, not of what S_y maps; `verify` derives them again and decides the level set for them.
+(`synthesis.deployed.equilibrium_corners`): their hull and its mirror image then hold every rest
+point with outputs in the box. Of a linear S_y that couples the outputs the corners are those of the
+outputs themselves, not of what S_y maps; `verify` derives them again and decides the level set for
+them.
 
 When not to use it. For an estimate that starts elsewhere (its error adds to the input), or a set
 point near a limit.
