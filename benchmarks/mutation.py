@@ -133,12 +133,12 @@ GROUPS = {
     ),
     "neurons": Group(
         modules=modules_of("synthesis", "structured_lmi", "structured_riccati", "model_selection")
-        + theorems("structured_state_feedback", "structured_observer", "structured_tolerance")
+        + theorems("structured_state_feedback", "structured_observer", "measured_discs_structured")
         + modules_of("models", "contracting", "structured", "structured_spec")
         + modules_of("training", "levenberg", "structured_fit", "structured_start")
         + modules_of("training", "structured_problem", "choice"),
         tests=f"{NEURONS} tests/oracles/test_synthesis_structured.py "
-        "tests/oracles/test_structured_tolerance.py",
+        "tests/oracles/test_tolerated_gain.py",
         planted=30,
     ),
     "loop": Group(
@@ -179,7 +179,7 @@ GROUPS = {
     "deployed": Group(
         modules=modules_of("robustness", "return_to_rest", "prediction", "mismatch")
         + modules_of("synthesis", "deployed", "input_inversion")
-        + theorems("deployed_rate", "tolerance", "limited_input")
+        + theorems("deployed_rate", "measured_discs", "limited_input")
         + theorems("inverted_input", "structured_inverted_input"),
         tests="tests/oracles/test_loop_commanded.py tests/oracles/test_evidence_rest.py "
         "tests/laws/test_synthesis_theorems.py tests/oracles/test_loop_prediction.py "

@@ -10,6 +10,7 @@ import pytest
 from report_runs import random_run
 
 from ssm_study.export.c import render_c_files
+from ssm_study.export.c_monitor import Monitor
 from ssm_study.export.device import Device
 from ssm_study.export.targets import load_controller
 
@@ -84,12 +85,12 @@ def compiled(
     return done.stdout
 
 
-def products(device: Device, folder: Path) -> int:
+def products(device: Device, folder: Path, monitor: Monitor | None = None) -> int:
     """How often the C code multiplies two floats in one sample: compiled as C++, with a type that
     counts."""
-    header = render_c_files(device, about="counted")["controller.h"].replace(
-        "#include <math.h>", ""
-    )
+    text = render_c_files(device, about="counted", monitor=monitor)["controller.h"]
+    header = text.replace("#include <math.h>", "")
+    words = ("-w", *["-DMONITOR"] * (monitor is not None))
     outputs = device.controller.scale.outputs
     inputs = device.controller.scale.inputs
     sizes = (outputs, outputs, inputs)
@@ -100,4 +101,4 @@ def products(device: Device, folder: Path) -> int:
     main = f'int main() {{ {body} controller_{called}; printf("%ld", products); }}'
     folder.mkdir()
     (folder / "counted.cpp").write_text(COUNTING + re.sub(r"\bdouble\b", "Real", header) + main)
-    return int(compiled(folder, "-w", sources=("counted.cpp",), compiler="g++"))
+    return int(compiled(folder, *words, sources=("counted.cpp",), compiler="g++"))

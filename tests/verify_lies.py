@@ -106,7 +106,7 @@ def lie_about_observer(run: Path, columns: dict[str, Any], **fields: Any) -> Non
 
     def change(content: dict[str, Any]) -> None:
         content["observer"] |= fields
-        content["observer"]["certificate_digest"] = certificate_digest(content["observer"])
+        content["observer"]["digest"] = certificate_digest(content["observer"])
 
     edited(run / "certificate.json", change)
     sealed_anew(run, **columns)
@@ -131,7 +131,7 @@ def lie_about_starts(run: Path) -> None:
     def change(content: dict[str, Any]) -> None:
         entry = content["state_feedback_unlimited"]
         entry["starts"] = starts.tolist()
-        entry["certificate_digest"] = certificate_digest(entry)
+        entry["digest"] = certificate_digest(entry)
 
     edited(run / "certificate.json", change)
     unlimited_from = float(low[0])

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from ssm_study.evidence.finding import DOUBT
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
 from ssm_study.signals import DataSet
@@ -90,6 +91,10 @@ def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:
     if coverage is not None and coverage >= 1:
         covered = f"a model error {coverage:.3g} times as large as the records show"
     prediction = STABILITY[facts.get("predicted_stable")]
+    if facts.get("predicted_faster") is False:
+        prediction += ", no faster than without control"
+    if facts["evidence"] == DOUBT:
+        prediction += ", with doubts"
     return {
         "covered by the proof": covered,
         "predicted for the plant": prediction + suffix,

@@ -67,8 +67,7 @@ class Side(Theorem, abstract=True):
 
     @property
     def gains(self) -> dict[str, Float[np.ndarray, "r c"]]:
-        """Gain matrices that are deployed, by their letters. They are `k`, or `l` and, where
-        neurons are injected into, `l_z`."""
+        """Gain matrices that are deployed, by letter: `k`, or `l` and, with neurons, `l_z`."""
         return {letter: vars(self)[letter] for letter in ("k", "l", "l_z") if letter in vars(self)}
 
     @property
@@ -88,15 +87,15 @@ class Side(Theorem, abstract=True):
         return context.balls.output if cls.observes else context.balls.input
 
     def at_largest_rate(self) -> "Side | None":
-        """Certificate of the same gain at the largest rate that is proved for it. None where that
-        is no larger than certified already."""
+        """Certificate of the same gain at the largest rate proved for it; None where that is no
+        larger than certified already."""
         return None
 
     @staticmethod
     @abstractmethod
     def numbers_of(problem: Any, found: Any) -> dict[str, Any]:
-        """Fields of the certificate, from a synthesis problem and its solution. Fields to store
-        from a method's answer `found` to `problem`: every number that `conditions` uses."""
+        """Collect the fields to store, every number that `conditions` uses, from a problem and its
+        solution `found`."""
 
 
 class ProblemCertificate(Side, abstract=True):
@@ -131,17 +130,16 @@ class ProblemCertificate(Side, abstract=True):
 
     @classmethod
     def rate_limit_of(cls, context: VerificationContext) -> float:
-        """Largest rate that any certificate of this theorem can have for the model. The exact
-        frontier; with neurons the worst over frozen slopes, beyond which no certificate goes."""
+        """Largest rate that any certificate of this theorem can have for this model: the exact
+        frontier, with neurons the worst over frozen slopes."""
         system = cls._system(context)
-        return controller_frontier(
-            dual_system(system) if cls.observes else system, cls.ball(context)
-        ).rate_limit
+        controlled = dual_system(system) if cls.observes else system
+        return controller_frontier(controlled, cls.ball(context)).rate_limit
 
     @classmethod
     def numbers_of(cls, problem: Problem, found: Solution) -> dict[str, Any]:
-        """Fields of the certificate, from a synthesis problem and its solution. Every field that
-        problem and solution have under its letter; an observer's turned back."""
+        """Collect the fields of the certificate from a problem and its solution, by letter; those
+        of an observer are turned back."""
         of: dict[str, Any] = {
             **vars(problem),
             **vars(found),
@@ -153,16 +151,13 @@ class ProblemCertificate(Side, abstract=True):
             if of.get(letter) is not None
         }
         ball = {"alpha": problem.ball.alpha, "beta": problem.ball.beta}
-        of |= (
-            ball
-            | {"eta": found.sigma, "lambda_": found.multipliers}
-            | (turned if cls.observes else {})
-        )
+        of |= ball | {"eta": found.sigma, "lambda_": found.multipliers}
+        of |= turned if cls.observes else {}
         return {name: of[name] for name in (part.name for part in fields(cls)) if name in of}
 
     def as_problem(self) -> tuple[Problem, Solution]:
-        """Synthesis problem and solution, rebuilt from the stored numbers of the certificate. The
-        stored numbers as a method of design has them, an observer's transposed; no weights."""
+        """Rebuild the synthesis problem, without weights, from the stored numbers; those of an
+        observer are transposed."""
         of: dict[str, Any] = dict(vars(self))
         if self.observes:
             of |= {
@@ -183,8 +178,8 @@ class ProblemCertificate(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class StateFeedback(Side, abstract=True):
-    """Certificate that a state feedback makes the model contract. `u = K x` contracts what is
-    controlled, `a, b`, in `M = P^{-1}`: the inequalities are linear in `p (n, n)`.
+    """Certificate that a state feedback `u = K x` makes the model `a, b` contract in `M = P^{-1}`:
+    the inequalities are linear in `p (n, n)`.
 
     The printed proof says P, the inequality is the dual form.
     """
@@ -200,8 +195,7 @@ class StateFeedback(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Observer(Side, abstract=True):
-    """Certificate that an observer makes the estimation error contract. The estimate's error
-    contracts in `M = Q`."""
+    """Certificate that an observer makes the estimation error contract in `M = Q`."""
 
     c: Float[np.ndarray, "p n"]
     q: Float[np.ndarray, "n n"]
@@ -214,9 +208,8 @@ class Observer(Side, abstract=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Infeasible:
-    """Entry of a design in place of a controller or observer that has no certificate, with the
-    reason. No certificate at these settings: a result, not an error. `rate_limit` says how much was
-    possible.
+    """Entry of a design in place of a controller or observer that has no certificate at these
+    settings, with the reason: a result, not an error. `rate_limit` says how much was possible.
 
     `proved`: the exact frontier (or a hypothesis) excludes it for every method; otherwise this one
     found nothing.
@@ -242,10 +235,15 @@ BESIDE = {f"{side}_deployed": side for side in SIDES}
 OF_LIMITS = {
     "state_feedback_limited": "limited_input",
     "state_feedback_unlimited": "unlimited_start",
-}  # by theorem
+}
 BESIDE |= dict.fromkeys(OF_LIMITS, "state_feedback")
-# Parts that 0.1 wrote and that nothing decides any more: kept as they were read, and never checked.
-WITHDRAWN_PARTS = ("noise", "tolerance_by_frequency")
+TOLERANCE = "tolerance"  # the disc on the input alone
+BESIDE[TOLERANCE] = "coverage"
+# Parts that 0.1 wrote and that nothing decides any more, each with its theorems: kept as they were
+# read, and never checked.
+WITHDRAWN_TOLERANCES = {"tolerance", "structured_tolerance"}
+WITHDRAWN_PARTS = {"noise": {"noise_gain"}, TOLERANCE: WITHDRAWN_TOLERANCES}
+WITHDRAWN_PARTS["tolerance_by_frequency"] = WITHDRAWN_TOLERANCES
 WITHDRAWN = "withdrawn in 0.2"
 
 
@@ -269,14 +267,13 @@ class Design:
 
     @property
     def feasible(self) -> bool:
-        """Whether controller and observer both have certificates, confirmed exactly or not."""
-        return not any(
-            isinstance(part, Infeasible) for part in (self.state_feedback, self.observer)
-        )
+        """Whether controller and observer both have certificates, checked exactly or not."""
+        sides = (self.state_feedback, self.observer)
+        return not any(isinstance(part, Infeasible) for part in sides)
 
     def parts(self) -> tuple[StateFeedback, Observer]:
-        """Certificates of controller and observer by name; raises an error where one is missing.
-        Both sides; raises `BadRequest` with the reason where one is infeasible."""
+        """Certificates of controller and observer. Raises `BadRequest` with the reason where one is
+        infeasible."""
         for name in SIDES:
             part = self.parts_by_name[name]
             if isinstance(part, Infeasible):
@@ -296,10 +293,9 @@ class Design:
 
     @property
     def inverts_input_map(self) -> bool:
-        """Whether the control law applies the inverse of the input map, `u = S_u^{-1}(K xh)`."""
-        return "inverted_input" in str(
-            getattr(self.state_feedback, "theorem", type(self.state_feedback))
-        )
+        """Whether the control law applies the inverse of the input map: `u = S_u^{-1}(K xh)`."""
+        feedback = self.state_feedback
+        return "inverted_input" in str(getattr(feedback, "theorem", type(feedback)))
 
     @property
     def parts_by_name(self) -> dict[str, Theorem | Infeasible]:
@@ -319,9 +315,8 @@ class Design:
     def certified_rate(self, side: str) -> float | None:
         """Largest rate that is proved for the gain of controller or observer. None without any."""
         parts = self.parts_by_name[side], self.extra_certificates.get(f"{side}_deployed")
-        return max(
-            (part.rate for part in parts if isinstance(part, Side) and part.certified), default=None
-        )
+        rates = [part.rate for part in parts if isinstance(part, Side) and part.certified]
+        return max(rates, default=None)
 
     def to_json(self) -> dict[str, Any]:
         """Content of `certificate.json`, whose numbers read back to the same floats."""
@@ -343,19 +338,16 @@ class Design:
         part, an unknown or missing field, or a matrix that is no matrix."""
         for part in SIDES:
             require(part in content, f"certificate.{part}", None, "is missing", AGAIN)
-        withdrawn = {name: content[name] for name in WITHDRAWN_PARTS if name in content}
-        claimed = content.keys() - withdrawn.keys()
-        parts = {
-            name: _read_certificate(name, content[name]) for name in content if name in claimed
-        }
+        withdrawn = {name: part for name, part in content.items() if _is_withdrawn(name, part)}
+        claimed = [name for name in content if name not in withdrawn]
+        parts = {name: _read_certificate(name, content[name]) for name in claimed}
         sides = {name: parts.pop(name) for name in SIDES}
         return cls(**sides, extra_certificates=parts, withdrawn=withdrawn)
 
     def save(self, path: Path) -> None:
         """Write the design as JSON."""
-        path.write_text(
-            json.dumps(self.to_json(), indent=1, allow_nan=False) + "\n", encoding="utf-8"
-        )
+        text = json.dumps(self.to_json(), indent=1, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
 
     @classmethod
     def load(cls, path: Path) -> "Design":
@@ -364,15 +356,21 @@ class Design:
 
 
 def certificate_digest(content: dict[str, Any]) -> str:
-    """Hash of a stored certificate, by which an alteration is noticed. SHA-256 of a part's other
-    fields as canonical JSON: whether the file still says what was written."""
+    """Hash that shows whether a stored certificate was altered: SHA-256 of its other fields as
+    canonical JSON."""
     rest = {name: value for name, value in content.items() if name != "digest"}
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
+def _is_withdrawn(label: str, content: Any) -> bool:
+    """Whether a part of the file claims what nothing decides any more."""
+    named = content.get("theorem", label) if isinstance(content, dict) else None
+    return named in WITHDRAWN_PARTS.get(label, ())
+
+
 def _read_certificate(label: str, content: dict[str, Any]) -> Any:
-    """Construct a certificate from its stored fields, by the theorem that they name. A part by its
-    own theorem; one that names none is of the theorem that bears the part's name."""
+    """Construct a certificate from its stored fields by the theorem that it names, or that has the
+    part's name where it names none."""
     require(isinstance(content, dict), f"certificate.{label}", content, "is no object", AGAIN)
     values = {
         name: value for name, value in content.items() if name not in ("digest", "certified_rate")
@@ -389,9 +387,8 @@ def _read_certificate(label: str, content: dict[str, Any]) -> Any:
         problem = "is missing" if name in types else "is not part of a certificate"
         require(False, f"certificate.{label}.{name}", values.get(name), problem, AGAIN)
     read = {n: convert_field(f"certificate.{label}.{n}", types[n].type, values[n]) for n in types}
-    sizes: dict[
-        str, tuple[int, str]
-    ] = {}  # of each letter of a shape, and the field that has it first
+    # The size of each letter of a shape, and the field that has it first.
+    sizes = dict[str, tuple[int, str]]()
     for name, matrix in read.items():
         letters = getattr(types[name].type, "dim_str", "").split()
         shape = np.shape(matrix)

@@ -115,9 +115,10 @@ class Theorem(ABC):
     certificate: the numbers of a theorem, whether they prove it, and information beside them.
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
-    eigenvalue of the first condition scaled to a unit diagonal, `scaled_condition_number` that of
-    the metric's matrix scaled likewise. A class that is not declared `abstract=True` and leaves a
-    question open is refused with a `TypeError` that names it, when it is defined."""
+    eigenvalue of the first condition scaled to a unit diagonal, `condition` the condition number of
+    the metric's matrix scaled likewise. A class that is not declared `abstract=True` and leaves a question open
+    is refused with a `TypeError` that names it, when it is defined.
+    """
 
     alpha: float
     beta: float

@@ -67,7 +67,7 @@ def excite(options: argparse.Namespace) -> None:
     """Write an excitation for the user's own plant and print its file."""
     from ssm_study.data.excitations.user_excitation import OwnPlantRecord
 
-    settings = excitation_settings(options)
+    settings = {"sines": ()} | excitation_settings(options)
     names = list(OwnPlantRecord.__dataclass_fields__)
     for name in names:
         words = f"--{name.replace('_', '-')}"
@@ -85,7 +85,9 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
         from ssm_study.study.run_files import RunFiles
         from ssm_study.table.folders import run_folder
 
-        settings |= RunFiles(path=run_folder(options.after), record={}).excitation
+        run = RunFiles(path=run_folder(options.after), record={})
+        settings |= run.excitation
+        settings["sines"] = run.sine_angles
     given_options = {name: value for name, value in vars(options).items() if value is not None}
     return settings | given_options
 

@@ -7,13 +7,15 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.network import Inverse, PortableMap
+from ssm_study.export import c_monitor
+from ssm_study.export.c_monitor import Monitor
 from ssm_study.export.c_neurons import join_lines, render_neurons
+from ssm_study.export.c_tables import render_array, render_number
 from ssm_study.export.device import REALS, Device
 from ssm_study.export.rest_points import PiecewiseLinear
 from ssm_study.refusal import require
@@ -60,12 +62,14 @@ def render_c_files(
     signals: Sequence[str] = (),
     digest: str = "",
     rates: Sequence[str] = (),
+    monitor: Monitor | None = None,
 ) -> dict[str, str]:
     """Names and texts of the C files of a controller: header, source and replay program.
 
     `name` prefixes every symbol and file. Besides numbers the header says its origin, a line per
     signal, the digest of the certificate and the rates of the rounded numbers. Raises `BadRequest`
-    for a name that C does not allow.
+    for a name that C does not allow. Compiled with `-DMONITOR` the code has the `monitor`, or does
+    not compile where there is none.
     """
     is_identifier = re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) is not None
     allowed = is_identifier and name not in KEYWORDS.split()
@@ -77,7 +81,7 @@ def render_c_files(
         "rates": _format_comment(rates),
     }
     return {
-        f"{name}.h": _render_header(device, comments, name),
+        f"{name}.h": _render_header(device, comments, name, monitor),
         f"{name}.c": _render_source(name),
         f"{name}_replay.c": _render_replay(device, name),
     }
@@ -100,13 +104,15 @@ def _render_source(name: str) -> str:
     )
 
 
-def _render_header(device: Device, comments: dict[str, str], name: str) -> str:
+def _render_header(
+    device: Device, comments: dict[str, str], name: str, monitor: Monitor | None
+) -> str:
     """Text of the C header of a controller, with all constants and functions."""
     real = device.real
     controller = device.controller
     tables = ""
     for label, values in device.constant_tables().items():
-        tables += _render_array(f"{name}_{label}", values, real)
+        tables += render_array(f"{name}_{label}", values, real)
     maps = _render_map(f"{name}_s_in", controller.s_in, name, real)
     maps += _render_map(f"{name}_s_out", controller.s_out, name, real)
     sizes = _template_values(device, name)
@@ -119,6 +125,7 @@ def _render_header(device: Device, comments: dict[str, str], name: str) -> str:
         declared = _function_prototypes(defined)
     texts = sizes | comments | render_neurons(device, name)
     texts["pushed"] = _render_disturbance_update(device, name)
+    texts |= c_monitor.render_monitor(device, monitor, sizes)
     step_s = repr(controller.step_s)
     texts |= {
         "tables": tables,
@@ -131,8 +138,8 @@ def _render_header(device: Device, comments: dict[str, str], name: str) -> str:
         "has_set_points": int(has_set_points),
         "bytes": _count_constants(tables + maps) * np.dtype(REALS[real]).itemsize,
         "multiplications": device.count_multiplications,
-        "tiny": _render_number(1e-12, real),
-        "relative": _render_number(1e-9 if real == "double" else 1e-6, real),
+        "tiny": render_number(1e-12, real),
+        "relative": render_number(1e-9 if real == "double" else 1e-6, real),
     }
     return _HEADER.substitute(texts)
 
@@ -280,22 +287,10 @@ def _render_signal_table(label: str, values: Float[np.ndarray, "T w"], real: str
     """C table of a signal with one row for each sample."""
     rows = []
     for row in values:
-        numbers = ", ".join(_render_number(value, real) for value in row)
+        numbers = ", ".join(render_number(value, real) for value in row)
         rows.append(f"{{{numbers}}}")
     width = values.shape[1]
     return f"static const {real} {label}[{REPLAYED}][{width}] = {{{', '.join(rows)}}};"
-
-
-def _render_number(value: float | np.floating[Any], real: str) -> str:
-    """Shortest decimal text of a float that reads back to the same float."""
-    digits = np.format_float_scientific(REALS[real](value), trim="0")
-    return f"{digits}f" if real == "float" else digits
-
-
-def _render_array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
-    """C definition of a constant array."""
-    numbers = ", ".join(_render_number(value, real) for value in values.ravel())
-    return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"
 
 
 def _render_function(
@@ -307,7 +302,7 @@ def _render_function(
     A constant is called `name_<label>` in C and `#label` in `body`.
     """
     constants = "".join(
-        _render_array(f"{name}_{label}", values, real) for label, values in tables.items()
+        render_array(f"{name}_{label}", values, real) for label, values in tables.items()
     )
     code = body.replace("#", f"{name}_")
     head = f"static inline void {name}(const {real} *{argument}, {real} *out) {{"

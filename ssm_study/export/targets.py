@@ -22,6 +22,7 @@ from ssm_study.certificates.theorems.integral_action import augmented_system, co
 from ssm_study.data.mcap import read_mcap
 from ssm_study.durable import write_atomically
 from ssm_study.export.c import render_c_files
+from ssm_study.export.c_monitor import Monitor
 from ssm_study.export.device import Device
 from ssm_study.export.onnx import build_onnx_model
 from ssm_study.export.portable import PortableController, convert_controller, convert_floats
@@ -92,6 +93,7 @@ def render_controller(
             *_describe_limits(run, design, device),
             *_describe_rounding_error(run, device),
         ),
+        monitor=Monitor.of(_load_model(run), design),
     )
 
 

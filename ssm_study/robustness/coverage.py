@@ -21,6 +21,7 @@ from jaxtyping import Float
 from ssm_study.models.structured import Model
 from ssm_study.robustness.coverage_items import (
     Item,
+    requirement_from_sine,
     requirements_from_average,
     requirements_from_periods,
 )
@@ -34,6 +35,7 @@ from ssm_study.robustness.coverage_spectra import (
 )
 from ssm_study.robustness.mismatch import Mismatch
 from ssm_study.robustness.record_errors import estimate_noise, moving_loop_errors, open_loop_errors
+from ssm_study.robustness.single_sines import repeats_one_line, steady_sines
 from ssm_study.signals import Trajectories
 from ssm_study.systems import StateSpace
 
@@ -103,12 +105,13 @@ def squared_gain(weight: Float[np.ndarray, "v v"], angles: Powers) -> Powers:
 
 @dataclass(frozen=True, kw_only=True)
 class Premise:
-    """Measured premise of a proof about the plant: how far the records lie from the model. Mismatch
-    spectra of all records; `reason` is the sentence that says why nothing can be covered, None
-    where it can."""
+    """Measured premise of a proof about the plant. Mismatch spectra of all records, `sines` those
+    of a single sine; `reason` is the sentence that says why nothing can be covered, None where it
+    can."""
 
     repeating: tuple[MismatchSpectrum, ...]
     averaged: tuple[AveragedSpectrum, ...]
+    sines: tuple[MismatchSpectrum, ...] = ()
     reason: str | None = None
 
     def items(self, centre: float) -> list[Item]:
@@ -118,6 +121,7 @@ class Premise:
         items = list[Item]()
         for record in self.repeating:
             items += requirements_from_periods(record, centre, sure=record.amplitude == largest)
+        items += [requirement_from_sine(record, centre) for record in self.sines]
         for averaged in self.averaged:
             items += requirements_from_average(averaged, centre)
         return items
@@ -149,17 +153,21 @@ def measure_premise(
         reason = INTEGRATES
     in_open_loop = open_loop_errors(model, validation, trials, start_up_samples)
     driven = [run for run in in_open_loop if run.u.any()]
-    periodic = [run for run in driven if run.period is not None]
+    periodic = [run for run in driven if run.period is not None and not repeats_one_line(run)]
     noise = estimate_noise(periodic) if periodic else None
     repeating = list[MismatchSpectrum]()
     averaged = list[AveragedSpectrum]()
+    sines = list[MismatchSpectrum]()
     if noise is None:
         averaged += [averaged_spectrum(run) for run in driven]
     else:
         repeating += [line_spectrum(run, noise) for run in periodic]
+        sines += [line_spectrum(run, noise) for run in steady_sines(driven)]
     for run in moving_loop_errors(model, trials, start_up_samples):
         averaged.append(averaged_spectrum_in_loop(run, noise))
-    return Premise(repeating=tuple(repeating), averaged=tuple(averaged), reason=reason)
+    return Premise(
+        repeating=tuple(repeating), averaged=tuple(averaged), sines=tuple(sines), reason=reason
+    )
 
 
 def running_constraint_sum(

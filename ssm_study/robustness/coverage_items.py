@@ -156,6 +156,14 @@ def _group_items(powers: RepeatingPower, size: int, *, is_doubtful: bool) -> lis
     return items
 
 
+def requirement_from_sine(record: MismatchSpectrum, centre: float) -> Item:
+    """Requirement on the weights from a single sine, at its line alone: all others are dark."""
+    powers = RepeatingPower.from_record(record, centre)
+    line = np.arange(len(record.angles)) == 1 + int(record.input_power[1:].argmax())
+    place = f"one sine at {float(record.angles[line][0]):.2f} rad/sample"
+    return powers.combine_lines(line, place, is_doubtful=True, is_band=True)
+
+
 def requirements_from_average(record: AveragedSpectrum, centre: float) -> list[Item]:
     """Requirements on the weights from each frequency bin of a record that does not repeat, and
     from its total power."""

@@ -42,6 +42,12 @@ from ssm_study.robustness.return_to_rest import (
     output_after_motion,
     remaining_offset,
 )
+from ssm_study.robustness.single_sines import (
+    measure_sine,
+    repeats_one_line,
+    steady_sines,
+    views_with_sines,
+)
 from ssm_study.signals import Trajectories
 
 # share of the farthest start on record (of the output's scale without one) that counts as settled
@@ -127,6 +133,7 @@ def measure_mismatch(
 ) -> Mismatch:
     """Measure `e = y - y_model` in free run, scaled, on the validation and the mismatch records.
 
+    A single sine, of `excite --after`, raises the mismatch at its frequency alone (`single_sines`).
     With `start_up_samples` the initial state is estimated from them (`models.metrics`), and they do
     not count. Raises `BadRequest` without a record that moves the input.
     """
@@ -137,7 +144,8 @@ def measure_mismatch(
     problem = "the input never leaves its equilibrium, so no mismatch can be measured"
     remedy = "give a validation record that excites the plant"
     require(bool(moving), "validation", f"{len(validation)} record(s)", problem, remedy)
-    periodic = [errors for errors in moving if errors.period is not None]
+    repeating = [errors for errors in moving if errors.period is not None]
+    periodic = [errors for errors in repeating if not repeats_one_line(errors)]
     noise = estimate_noise(periodic) if periodic else None
     largest = max(periodic or moving, key=RecordErrors.strength)
     views = [mismatch_from_averages(moving)]
@@ -147,6 +155,9 @@ def measure_mismatch(
             mismatch_from_periods(errors, errors.strength() == strength, noise)
             for errors in periodic
         ]
+        views = sorted(views, key=lambda view: view.amplitude)
+        sines = [measure_sine(errors, noise) for errors in steady_sines(repeating)]
+        views = [*views_with_sines(views, sines)]
     response = model.linear.impulse_response_length()
     returns = [trial for trial in mismatch_records if is_return_to_rest(trial)]
     still, offsets = offsets_after_returns(model.scale, returns, response)

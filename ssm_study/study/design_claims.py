@@ -9,7 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ssm_study.bounds.slopes import certified_balls
-from ssm_study.certificates.certificate import SIDES, WITHDRAWN, Infeasible, StateFeedback
+from ssm_study.certificates.certificate import (
+    SIDES,
+    TOLERANCE,
+    WITHDRAWN,
+    Infeasible,
+    StateFeedback,
+)
 from ssm_study.certificates.theorem import (
     UNFIT,
     Theorem,
@@ -66,6 +72,8 @@ def certificate(run: RunFiles) -> Claims:
         yield Checked(claim="certificate.json", holds=False, found="; ".join(misfits))
         return
     yield NotChecked({f"certificate.{label}": WITHDRAWN for label in design.withdrawn})
+    if TOLERANCE in design.withdrawn:
+        yield NotChecked({"certified_tolerance": WITHDRAWN})
     for label, part in design.parts_by_name.items():
         yield verdict_on_part(run, label, part, sentences)
     yield from internal_model_claim(run)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from omegaconf import DictConfig, OmegaConf
 
+from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design
 from ssm_study.durable import read_limited_bytes
 from ssm_study.evidence.metrics import Judgement, collect_findings
@@ -179,6 +180,19 @@ class RunFiles:
             "step_s": float(model.step_s),
             "settle_s": float(impulse_response_length * model.step_s),
         }
+
+    @property
+    def sine_angles(self) -> tuple[float, ...]:
+        """Frequencies (rad/sample) of single sines for a next excitation, where this run's loop is
+        most sensitive to a mismatch. None without a design, or behind an inverted input map."""
+        from ssm_study.robustness.sine_trials import PEAKS, peak_angles
+
+        if not self.claims_certificate:
+            return ()
+        if not self.design.feasible or self.design.inverts_input_map:
+            return ()
+        angles = peak_angles(self.model, self.design.pair, certified_balls(self.model))
+        return tuple(angles[:PEAKS])
 
     @property
     def loop(self) -> Loop:

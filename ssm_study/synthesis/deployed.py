@@ -1,7 +1,7 @@
 """Certificates for the chosen gains of controller and observer: largest rates, tolerated mismatch,
 limited inputs.
 
-All are about the very gains that are deployed: `theorems/deployed_rate.py`, `tolerance.py`,
+All are about the very gains that are deployed: `theorems/deployed_rate.py`, `measured_discs.py`,
 `limited_input.py`, `unlimited_start.py`; docs/theory.md, "The gains that are deployed".
 """
 
@@ -17,6 +17,7 @@ from jaxtyping import Float
 from ssm_study.bounds.network import invert_map
 from ssm_study.certificates.certificate import (
     OF_LIMITS,
+    TOLERANCE,
     Design,
     Infeasible,
     ProblemCertificate,
@@ -31,8 +32,6 @@ from ssm_study.certificates.theorems.limited_input import LimitedFeedback, certi
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.certificates.theorems.structured_observer import StructuredObserver
-from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
-from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
 from ssm_study.certificates.theorems.unlimited_start import certify_unlimited_start
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import Model
@@ -61,7 +60,7 @@ def with_gain_certificates(
         if not isinstance(part, Infeasible) and part.certified:
             find = partial(at_largest_rate, part)
             certificates[f"{side}_deployed"] = none_if_unsolved(find)
-    certificates["tolerance"] = tolerance_certificate(design, model, balls)
+    certificates[TOLERANCE] = tolerance_certificate(design, model, balls)
     extra = {name: part for name, part in certificates.items() if part is not None}
     design = replace(design, extra_certificates=extra)
     if limits is None or design.inverts_input_map:
@@ -71,21 +70,23 @@ def with_gain_certificates(
 
 
 def tolerance_certificate(design: Design, model: Model, balls: Balls) -> Theorem | None:
-    """Certificate of the largest mismatch at the input under which the loop converges. None for
-    gains certified by another class, and where none is proved."""
+    """Certificate of the largest gain from the input to the mismatch for which the loop comes to
+    rest. None for gains certified by another class, and where none is proved."""
     feedback = design.state_feedback
     observer = design.observer
-    is_linear = isinstance(feedback, StateFeedbackOfBall) and isinstance(observer, ObserverOfBall)
-    has_neurons = isinstance(observer, StructuredObserver)
-    if not isinstance(feedback, StateFeedback) or not (is_linear or has_neurons):
+    if isinstance(observer, ObserverOfBall):
+        is_known = isinstance(feedback, StateFeedbackOfBall)
+    else:
+        is_known = isinstance(observer, StructuredObserver)
+    if not is_known or not isinstance(feedback, StateFeedback):
         return None
     controlled = controlled_system(model, feedback)
     context = VerificationContext(
         system=model.system, controlled=controlled, balls=balls, gains=design.gains
     )
-    theorem = Tolerance if is_linear else StructuredTolerance
-    constant_weight = np.eye(len(feedback.k))
-    find = partial(largest_tolerance, context, constant_weight, theorem=theorem)
+    from ssm_study.synthesis import measured_discs_search  # slow to load
+
+    find = partial(measured_discs_search.largest_kappa, context)
     return none_if_unsolved(find)
 
 

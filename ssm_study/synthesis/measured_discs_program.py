@@ -256,15 +256,16 @@ class AngleProgram:
         return np.asarray(eigenvalues[:, 0])
 
     def maximise(
-        self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED
+        self, goal: Float[np.ndarray, "n"], accuracy: float = VIOLATED, first: Sequence[int] = ()
     ) -> tuple[Float[np.ndarray, "n"], list[int]]:
         """Maximise a linear goal by cutting planes; returns the solution and the angles that
         decided it. Raises `NoSolution`.
 
-        Angles that are far from deciding leave again.
+        The `first` angles, by default spread evenly, are solved first. Angles that are far from
+        deciding leave again.
         """
         count = len(self.constant)
-        chosen = _spread_indices(count, FIRST)
+        chosen = list(first) or _spread_indices(count, FIRST)
         x = np.zeros(len(goal))
         for _ in range(ROUNDS):
             program = ConeProgram(unknowns=len(goal))

@@ -25,6 +25,7 @@ from ssm_study.robustness.coverage import Premise, Weights
 from ssm_study.robustness.coverage_items import Item
 from ssm_study.synthesis.measured_discs_program import (
     MOST,
+    VIOLATED,
     AngleProgram,
     FormsAtAngles,
     LoopForms,
@@ -41,8 +42,15 @@ from ssm_study.systems import StructuredSystem
 
 CENTRES = (-0.25, 0.0)  # of discs, tried in turn; farther ones hold `e = 0` only when they are wide
 INSIDE = (0.985, 0.96, 0.9, 0.8)  # shares of the largest kappa, in order of trial
+REFINED = 100  # relative change of nu, over the accuracy, by which a finer grid ends the refinement
+ROUGH = 1e-6  # accuracy that is enough for a certificate inside the optimum
+CLOSE = (0.999, 0.997, 0.99, 0.97, 0.9)  # likewise, where no weights have to be found
+# `|e| <= kappa |u|` alone; a floor of this size lets no model output in.
+_ONE = np.ones((1, 1))
+INPUT_ALONE = Weights(floor=1e-9, output=0 * _ONE, input=_ONE)
 ROOMS = (1e-3, 1e-2)  # margins by frequency, in units of each free signal's own weight
 SMALLEST = 1e-4  # of nu: below, nothing is worth a proof
+FARTHEST = 30.0  # of a multiplier, over that of the optimum: one that costs nothing would run away
 SLACKS = (1e-4, 1e-6, 1e-8)  # of the Riccati equation, where each signal's own weight is one
 KEPT = 0.5  # of the margin by frequency, for the equation
 FLOOR = 1e-10  # directions of the loop that no signal reaches keep this share of the mean
@@ -66,20 +74,27 @@ def select_theorem(context: VerificationContext) -> type[MeasuredDiscs]:
 
 
 def largest_kappa(
-    context: VerificationContext, weights: Weights, centre: float
+    context: VerificationContext,
+    weights: Weights = INPUT_ALONE,
+    centre: float = 0.0,
+    inside: Sequence[float] = CLOSE,
 ) -> MeasuredDiscs | None:
-    """Certificate with the largest mismatch disc for given weights and centre. None where none is
-    certified, and where no mismatch has an effect."""
+    """Certificate with the largest radius kappa of the mismatch disc for given weights, by default
+    those of the tolerated gain. None where none is certified, and where no mismatch has an
+    effect."""
     started = time.perf_counter()
     theorem = select_theorem(context)
     try:
-        nu, multipliers = optimum_for_weights(theorem, context, weights, centre)
-        if nu >= LARGEST:
+        optimum = _deciding_optimum(theorem, context, weights, centre, ROUGH)
+        nu, multipliers, deciding = optimum
+        if not 0 < nu < LARGEST:
             return None
         forms = LoopForms.from_context(theorem, context, (centre,))
-        for inside in INSIDE:
-            scaled = nu * inside**2
-            multipliers, margin = _largest_margin(forms, weights, centre, scaled, multipliers)
+        for share in inside:
+            scaled = nu * share**2
+            multipliers, margin = _largest_margin(
+                forms, weights, centre, scaled, multipliers, deciding
+            )
             numbers = _theorem_variables(forms, weights, centre, scaled**0.5, multipliers)
             proof = certify_numbers(theorem, context, numbers, margin, started)
             if proof is not None:
@@ -94,21 +109,39 @@ def optimum_for_weights(
 ) -> tuple[float, Float[np.ndarray, "A"]]:
     """Largest squared disc radius `kappa^2` for given weights, by frequency, and its multipliers.
     Raises `NoSolution`."""
+    nu, multipliers, _ = _deciding_optimum(theorem, context, weights, centre, VIOLATED)
+    return nu, multipliers
+
+
+def _deciding_optimum(
+    theorem: type[MeasuredDiscs],
+    context: VerificationContext,
+    weights: Weights,
+    centre: float,
+    accuracy: float,
+) -> tuple[float, Float[np.ndarray, "A"], list[int]]:
+    """Optimum of given weights with the angles of the first grid that decide it."""
     forms = LoopForms.from_context(theorem, context, (centre,))
     grid = forms.at_angles(forms.frequency_grid)
-    x = np.zeros(0)
-    scale = np.zeros(0)
+    coarse = len(grid.angles)
+    chosen = list[int]()
+    nu = np.inf
     for _ in range(3):  # finer around the angles that decide
+        before = nu
         program, scale = _fixed_program(grid, weights, centre)
         goal = np.zeros(program.linear.shape[0])
         goal[0] = 1.0
-        x, _ = program.maximise(goal)
+        x, chosen = program.maximise(goal, accuracy, first=chosen)
+        nu = float(x[0] / scale[0])
+        if abs(before - nu) <= REFINED * accuracy * nu:
+            break
         lowest = program.smallest_eigenvalues(x)
         deciding = grid.angles[np.argsort(lowest)[:4]]
-        fresh = angles_around(deciding, grid.angles)
-        grid = grid.combine_with(forms.at_angles(np.setdiff1d(fresh, grid.angles)))
-    unscaled = x / scale
-    return float(unscaled[0]), np.maximum(unscaled[1:], 0.0)
+        finer = angles_around(deciding, grid.angles)
+        fresh = np.setdiff1d(finer, grid.angles)
+        grid = grid.combine_with(forms.at_angles(fresh))
+    multipliers = np.maximum(x[1:] / scale[1:], 0.0)
+    return nu, multipliers, [index for index in chosen if index < coarse]
 
 
 def angles_around(
@@ -126,23 +159,34 @@ def angles_around(
     return np.concatenate(fine)
 
 
+def _reference_at(grid: FormsAtAngles, weights: Weights) -> Any:
+    """Form of the disc's references, weighted, at each angle of a grid."""
+    on_model = weights.output_weight(grid.angles)[:, None, None]
+    on_input = weights.input_weight(grid.angles)[:, None, None]
+    return on_model * grid.model + on_input * grid.input
+
+
+def _program_in_box(
+    constant: Any, linear: Any, scale: Float[np.ndarray, "n"], most: Float[np.ndarray, "n"]
+) -> AngleProgram:
+    """Program whose scaled unknowns lie between zero and `most`."""
+    one = np.eye(len(scale))
+    rows = np.concatenate([one, -one])
+    bounds = np.concatenate([np.zeros(len(scale)), -most])
+    scaled = linear / scale[:, None, None, None]
+    return AngleProgram(constant=constant, linear=scaled, rows=rows, bounds=bounds)
+
+
 def _fixed_program(
     grid: FormsAtAngles, weights: Weights, centre: float
 ) -> tuple[AngleProgram, Float[np.ndarray, "n"]]:
     """Program at the angles of a grid with the weights fixed."""
-    powers = weights.output_weight(grid.angles)
-    reference = powers[:, None, None] * grid.model
-    reference = reference + weights.input_weight(grid.angles)[:, None, None] * grid.input
+    reference = _reference_at(grid, weights)
     linear = np.concatenate([-reference[None], grid.multipliers])
     scale = form_sizes(linear)
     most = np.full(len(scale), MOST)
     most[0] = LARGEST * scale[0]
-    constant = grid.centred[centre]
-    angle_program_linear = linear / scale[:, None, None, None]
-    rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
-    bounds = np.concatenate([np.zeros(len(scale)), -most])
-    program = AngleProgram(constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds)
-    return program, scale
+    return _program_in_box(grid.centred[centre], linear, scale, most), scale
 
 
 def _largest_margin(
@@ -151,25 +195,21 @@ def _largest_margin(
     centre: float,
     nu: float,
     multipliers: Float[np.ndarray, "A"],
+    first: Sequence[int],
 ) -> tuple[Float[np.ndarray, "A"], float]:
-    """Multipliers with the largest margin at a given disc radius. The margin is in units of each
-    free signal's own weight."""
+    """Multipliers with the largest margin at this disc radius. The margin is in units of each free
+    signal's own weight."""
     grid = forms.at_angles(forms.frequency_grid)
-    own = initial_weights(forms, centre, multipliers)
-    powers = weights.output_weight(grid.angles)
-    reference = powers[:, None, None] * grid.model
-    reference = reference + weights.input_weight(grid.angles)[:, None, None] * grid.input
-    constant = grid.centred[centre] - nu * reference
-    margin = -np.broadcast_to(np.diag(own), grid.model.shape)
-    linear = np.concatenate([grid.multipliers, margin[None]])
+    root = 1 / np.sqrt(initial_weights(forms, centre, multipliers))
+    units = np.outer(root, root)  # each free signal in units of its own weight
+    constant = (grid.centred[centre] - nu * _reference_at(grid, weights)) * units
+    margin = -np.broadcast_to(np.eye(len(root)), grid.model.shape)
+    linear = np.concatenate([grid.multipliers * units, margin[None]])
     scale = form_sizes(linear)
-    rows = np.concatenate([np.eye(len(scale)), -np.eye(len(scale))])
-    bounds = np.concatenate([np.zeros(len(scale)), np.full(len(scale), -MOST)])
-    angle_program_linear = linear / scale[:, None, None, None]
-    program = AngleProgram(constant=constant, linear=angle_program_linear, rows=rows, bounds=bounds)
+    program = _program_in_box(constant, linear, scale, np.full(len(scale), FARTHEST))
     goal = np.zeros(len(scale))
     goal[-1] = 1.0
-    x, _ = program.maximise(goal)
+    x, _ = program.maximise(goal, ROUGH, first=first)
     unscaled = x / scale
     return np.maximum(unscaled[:-1], 0.0), float(unscaled[-1])
 

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ssm_study.certificates.certificate import Design, Infeasible, Observer, StateFeedback
+from ssm_study.certificates.certificate import (
+    TOLERANCE,
+    Design,
+    Infeasible,
+    Observer,
+    StateFeedback,
+)
 from ssm_study.certificates.theorems.observer import ObserverOfBall
 from ssm_study.certificates.theorems.state_feedback import StateFeedbackOfBall
 from ssm_study.columns import EIGENVALUE, ITERATED, Column
@@ -214,8 +220,8 @@ def design_columns(
         return facts
     if not design.certified:
         facts["uncertified_reason"] = uncertified_reason(design)
-    tolerance = design.extra_certificates.get("tolerance")
-    facts["certified_tolerance"] = getattr(tolerance, "s", None)
+    tolerance = design.extra_certificates.get(TOLERANCE)
+    facts["certified_tolerance"] = getattr(tolerance, "tolerated_gain", None)
     facts |= limit_columns(design, model)
     facts["noise_gain_model"] = noise_gain(model.system, design.pair, balls)
     facts |= mismatch_columns(mismatch)

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
+from ssm_study.api.summaries import prediction_lines
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -244,6 +245,13 @@ def test_control_refuses(log: pd.DataFrame) -> None:
     state_space = control.StateSpace(a, b, c, d)
     with pytest.raises(BadRequest, match="not a sampling time"):
         st.control(state_space, *GIVEN)
+
+
+def test_a_design_that_helps_nobody_says_so() -> None:
+    facts = {"predicted_stable": True, "evidence": "doubt", "predicted_faster": False}
+    line = prediction_lines(facts | {"resolved_margin": 1.24})["predicted for the plant"]
+    expected = "stays stable, no faster than without control, with doubts (stability margin 1.24)"
+    assert line == expected
 
 
 def test_models_and_designs_say_what_they_are(design: Design) -> None:

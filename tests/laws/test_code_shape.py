@@ -42,7 +42,6 @@ MOST_PACKED = 250  # assignments of several values to several names
 LONG_FILES = frozenset({"ssm_study/renamed.py"})
 LONG_BODIES = frozenset(
     {
-        "ssm_study/certificates/semidefinite.py: largest_mismatch",
         "ssm_study/data/assembly.py: assemble_dataset",
         "ssm_study/data/recorded.py: __post_init__",
         "ssm_study/data/text_layout.py: detect_layout",

@@ -16,11 +16,13 @@ from ssm_study.data.excitations.user_excitation import (
     AMPLITUDES,
     PERIOD_IN_SETTLINGS,
     PERIODS,
+    SINE_AMPLITUDES,
     OwnPlantRecord,
 )
 from ssm_study.data.recorded import RecordedData
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import BadRequest
+from ssm_study.robustness.coverage import measure_premise
 from ssm_study.robustness.mismatch import measure_mismatch
 from ssm_study.robustness.return_to_rest import is_return_to_rest
 from ssm_study.signals import DataSet, Scale
@@ -110,6 +112,56 @@ def test_its_log_shows_the_mismatch_at_each_amplitude_with_the_noise_told_apart(
     assert shown.comes_to_rest
 
 
+HIDDEN = (0.3, 0.9)  # rad/sample
+
+
+def log_with_sines(folder: Path, hidden: float) -> DataSet:
+    """The log of a lag behind a filter of gain `1 + hidden` at the first of two frequencies, driven
+    by the record with sines at both."""
+    own = OwnPlantRecord(lower=-1.0, upper=3.0, rest=1.0, step_s=0.1, settle_s=3.0, sines=HIDDEN)
+    moved = own.signal() - 1
+    resonant = scipy.signal.iirpeak(HIDDEN[0] / np.pi, 30)
+    moved = moved + hidden * scipy.signal.lfilter(*resonant, moved)
+    y = scipy.signal.lfilter([0, 0.2], [1, -0.8], moved)
+    y += 0.002 * np.random.default_rng(0).standard_normal(len(y))
+    pd.DataFrame({"u": own.signal(), "y": y}).to_csv(folder / "log.csv", index=False)
+    read = {"path": str(folder / "log.csv"), "input": "u", "output": "y", "step_s": 0.1}
+    read["start_up_samples"] = 20
+    return RecordedData(**read, input_equilibrium=[1.0], output_equilibrium=[0.0]).build(0)
+
+
+@pytest.mark.parametrize("hidden", [0.0, 1.0])
+def test_its_sines_raise_the_mismatch_at_their_frequency_alone(
+    tmp_path: Path, hidden: float
+) -> None:
+    """A narrow resonance that random levels average over: the sine there meets all of it, in the
+    mismatch and in the premise of the coverage."""
+    data = log_with_sines(tmp_path, hidden)
+    linear = StateSpace(a=np.array([[0.8]]), b=np.array([[0.2]]), c=np.eye(1), d=np.zeros((1, 1)))
+    model = SSM.from_linear(
+        linear, 0.1, replace(Scale.identity(1, 1), input_equilibrium=np.ones(1))
+    )
+    records = data.validation, data.start_up_samples, data.mismatch_records
+    shown = measure_mismatch(model, *records)
+    lag = np.abs(0.2 / (np.exp(1j * HIDDEN[0]) - 0.8))
+    near = round(HIDDEN[0] / np.pi * (len(shown.views[0].by_frequency) - 1))
+    largest = max(view.by_frequency[near] for view in shown.views)
+    assert (largest > 0.9 * lag) == bool(hidden)
+    assert len(shown.views) == len(AMPLITUDES) + 1  # the smallest sines are below all levels
+    premise = measure_premise(
+        model, data.validation, shown, data.start_up_samples, data.mismatch_records
+    )
+    assert len(premise.repeating) == len(AMPLITUDES)
+    assert len(premise.sines) == len(HIDDEN) * len(SINE_AMPLITUDES)
+    seen = {}
+    for item in premise.items(0.0):
+        if item.place.startswith("one sine") and item.model_power.sum() > 0:
+            ratio = np.sqrt(item.seen / item.model_power.sum())
+            seen[item.place] = max(seen.get(item.place, 0.0), ratio)
+    assert seen["one sine at 0.90 rad/sample"] < 0.1
+    assert (seen["one sine at 0.30 rad/sample"] > 0.5) == bool(hidden)
+
+
 def test_equal_pulses_in_another_log_do_not_stand_for_it(tmp_path: Path) -> None:
     data_set = log_of(tmp_path, 0.5, 2.0, 1.5)
     trials = data_set.mismatch_records
@@ -152,8 +204,13 @@ def test_a_first_log_gives_what_is_not_given(smoke_run: Path, tmp_path: Path) ->
     differences = np.diff(table["time_s"])
     assert np.allclose(differences, known["step_s"])
     settlings = 2 + len(AMPLITUDES) * (PERIODS * PERIOD_IN_SETTLINGS + 2)
-    expected = settlings * round(known["settle_s"] / known["step_s"])
-    assert len(table) == expected
+    of_levels = settlings * round(known["settle_s"] / known["step_s"])
+    angles = run_files.sine_angles
+    assert 1 <= len(angles) <= 2
+    last = table["input"].to_numpy()[of_levels:] - known["rest"]
+    spectrum = np.abs(np.fft.rfft(last))
+    loudest = 2 * np.pi * np.argmax(spectrum) / len(last)
+    assert min(abs(loudest / angle - 1) for angle in angles) < 0.15
     assert main(["excite", "--to", str(file), "--after", str(smoke_run), "--upper", "1"]) == 0
     largest = pd.read_csv(file)["input"].max()
     assert largest <= 1

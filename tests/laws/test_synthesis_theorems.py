@@ -279,5 +279,5 @@ def test_tampering_with_it_is_found_though_no_code_elsewhere_knows_it(
     claims = failed_checks(content, PLANT, BALLS)
     assert any("digest" in claim or "certificate." in claim for claim in claims)
     content["state_feedback"]["certified_rate"] = content["state_feedback"]["rate"]
-    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
+    content["state_feedback"]["digest"] = certificate_digest(content["state_feedback"])
     assert any(found in claim for claim in failed_checks(content, PLANT, BALLS))

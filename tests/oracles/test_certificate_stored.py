@@ -2,6 +2,7 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from loop_cases import BALLS as MOTOR_BALLS
 from loop_cases import INPUT_BALL, OUTPUT_BALL, motor_model
 
 from ssm_study.certificates.certificate import Design, certificate_digest
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.synthesis.deployed import with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
@@ -47,12 +49,12 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
     [
         (
             "tolerance",
-            "s",
-            lambda s: 1.01 * s,
+            "kappa",
+            lambda kappa: 1.01 * kappa,
             "tolerance.certified = True: in exact arithmetic the inequality fails",
         ),
-        ("tolerance", "s", lambda s: -s, "fails (s)"),
-        ("tolerance", "s", lambda s: 0.5 * s, None),  # less than is proved is proved
+        ("tolerance", "kappa", lambda kappa: -kappa, "fails (kappa)"),
+        ("tolerance", "kappa", lambda kappa: 0.5 * kappa, None),  # less than is proved is proved
         ("tolerance", "lambda_p", lambda value: -value, "fails (inequality, lambda_p)"),
         ("tolerance", "p", lambda p: [[-value for value in row] for row in p], "fails"),
         (
@@ -63,8 +65,7 @@ def test_what_is_stored_is_verified_from_the_file(stored: tuple[dict, StateSpace
         ),
         ("tolerance", "alpha_out", lambda value: 0.5 * value, "tolerance.alpha_out: differs"),
         ("tolerance", "beta", lambda value: 0.5 * value, "tolerance.alpha, beta"),
-        ("tolerance", "weight", lambda w: [[10 * w[0][0]]], "fails (inequality)"),
-        ("tolerance", "weight", lambda w: [[0.1 * w[0][0]]], "tolerance.weight: differs"),
+        ("tolerance", "weight_input", lambda w: [[10 * w[0][0]]], "fails (inequality)"),
         ("state_feedback_deployed", "rate", lambda rate: rate * 1.01, "fails (inequality)"),
         ("state_feedback_deployed", "theorem", lambda _: "observer", "is of another part"),
         (
@@ -116,7 +117,7 @@ def test_tampering_is_found(
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     content[part][name] = change(content[part].get(name))
-    content[part]["certificate_digest"] = certificate_digest(content[part])
+    content[part]["digest"] = certificate_digest(content[part])
     broken = failed_checks(content, linear, MOTOR_BALLS)
     assert broken == [] if found is None else any(found in claim for claim in broken), broken
 
@@ -127,15 +128,42 @@ def test_a_withdrawn_part_of_an_older_file_is_kept_and_not_checked(
     content = copy.deepcopy(stored[0])
     linear = stored[1]
     for label in ("noise", "tolerance_by_frequency"):
-        content[label] = {"theorem": "noise_gain", "s": "no number", "digest": ""}
+        theorem = "noise_gain" if label == "noise" else "tolerance"
+        content[label] = {"theorem": theorem, "s": "no number", "digest": ""}
     design = Design.from_json(content)
     expected = {"noise", "tolerance_by_frequency"}
     assert set(design.withdrawn) == expected
     assert not set(design.withdrawn) & set(design.parts_by_name)
     assert design.to_json() == content
     assert failed_checks(content, linear, MOTOR_BALLS) == []
-    content["tolerance"]["s"] *= 1.01  # what is still claimed is still checked beside it
+    content["tolerance"]["kappa"] *= 1.01  # what is still claimed is still checked beside it
     assert failed_checks(content, linear, MOTOR_BALLS) != []
+
+
+@pytest.mark.parametrize("theorem", ["tolerance", "structured_tolerance", None])
+def test_a_tolerance_of_an_older_theorem_is_withdrawn(
+    stored: tuple[dict, StateSpace], theorem: str | None
+) -> None:
+    content = copy.deepcopy(stored[0])
+    linear = stored[1]
+    named = {} if theorem is None else {"theorem": theorem}
+    content["tolerance"] = {"s": 0.1, "weight": [[1.0]]} | named
+    design = Design.from_json(content)
+    assert set(design.withdrawn) == {"tolerance"}
+    assert failed_checks(content, linear, MOTOR_BALLS) == []
+    content["observer"]["theorem"] = "tolerance"  # a side is never withdrawn
+    assert failed_checks(content, linear, MOTOR_BALLS) != []
+
+
+def test_a_smaller_weight_states_no_larger_gain(stored: tuple[dict, StateSpace]) -> None:
+    """A tenth of the weight proves ten times the kappa, and the same gain."""
+    design = Design.from_json(stored[0])
+    part = design.extra_certificates["tolerance"]
+    assert isinstance(part, MeasuredDiscs)
+    smaller = replace(part, weight_input=0.1 * part.weight_input)
+    assert smaller.tolerated_gain == pytest.approx(0.1 * part.tolerated_gain)
+    elsewhere = replace(part, centre=-0.25)
+    assert elsewhere.tolerated_gain is None
 
 
 def test_a_part_under_a_name_that_is_none_is_refused(stored: tuple[dict, StateSpace]) -> None:
@@ -153,4 +181,4 @@ def test_a_file_claims_no_tolerance_of_a_nonlinear_output_map(
     output = JacobianBall(alpha=OUTPUT_BALL.alpha, beta=0.01)
     wider = Balls(input=INPUT_BALL, output=output)
     claims = failed_checks(content, motor, wider)
-    assert any("tolerance.alpha_out" in claim for claim in claims)
+    assert any("tolerance.beta_out" in claim for claim in claims)

@@ -59,7 +59,7 @@ def test_it_is_certified_beyond_what_the_slopes_allow_and_verified_from_the_file
     assert Design.from_json(content).inverts_input_map
     theorem = content["state_feedback"]["theorem"]
     content["state_feedback"]["theorem"] = theorem.replace("inverted_input", "state_feedback")
-    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
+    content["state_feedback"]["digest"] = certificate_digest(content["state_feedback"])
     claims = failed_checks(content, stand.system, balls, controlled)
     assert any("the model's Jacobians fill the ball" in claim for claim in claims)
 

@@ -1,4 +1,4 @@
-"""Measured discs: the older theorem as a special case, a solver as oracle, loops on plants at the
+"""Measured discs: a closed form of a special case, a solver as oracle, loops on plants at the
 disc's edge, and what must be refused."""
 
 from dataclasses import replace
@@ -7,21 +7,24 @@ import cvxpy as cp
 import numpy as np
 import pytest
 from disc_cases import ONE, WEIGHTS, at_the_edge, on_the_plant
+from jaxtyping import Complex
 from scipy.optimize import minimize_scalar
 from structured_cases import drawn
 
 from ssm_study.certificates.theorem import VerificationContext
-from ssm_study.certificates.theorems import tolerance
 from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
 from ssm_study.robustness.coverage import Weights
 from ssm_study.robustness.sensitivity import frequency_response
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
-from ssm_study.synthesis.measured_discs_search import largest_kappa, optimum_for_weights
+from ssm_study.synthesis.measured_discs_search import (
+    INPUT_ALONE,
+    largest_kappa,
+    optimum_for_weights,
+)
 from ssm_study.systems import Balls, JacobianBall, StateSpace, StructuredSystem
 
 ZERO = np.zeros((1, 1))
-INPUT_ALONE = Weights(floor=1e-9, output=ZERO, input=ONE)
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
 BENT = replace(BALLS, output=JacobianBall(alpha=0.9, beta=0.1))
 ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
@@ -50,53 +53,42 @@ def context(system: StateSpace | StructuredSystem, balls: Balls = BALLS) -> Veri
     return VerificationContext(system=system, controlled=system, balls=balls, gains=design.gains)
 
 
+def input_responses(known: VerificationContext) -> Complex[np.ndarray, "F 2"]:
+    """Responses of the loop's input to the ball's `p` and to the mismatch, written out anew."""
+    system = known.system
+    k = known.gains["k"]
+    l = known.gains["l"]  # noqa: E741
+    driven = 0.8 * system.b @ k
+    none = np.zeros_like(system.a)
+    loop = StateSpace(
+        a=np.block([[system.a + driven, driven], [none, system.a + 0.8 * l @ system.c]]),
+        b=np.block([[system.b, np.zeros_like(l)], [np.zeros_like(system.b), -l]]),
+        c=np.hstack([k, k]),
+        d=np.zeros((1, 2)),
+    )
+    return frequency_response(loop, np.linspace(0, np.pi, 40001))[:, 0]
+
+
 @pytest.mark.parametrize("seed", range(6))
-def test_an_input_disc_around_zero_is_the_tolerance_to_seven_digits(seed: int) -> None:
-    """The same theorem by a route of its own: a peak over frequencies, a line search over the
-    multiplier; here both to more digits than the certificate asks for."""
+def test_an_input_disc_around_zero_has_a_closed_form_to_seven_digits(seed: int) -> None:
+    """`(nu + lambda beta^2) |u|^2 <= lambda |p|^2 + |e|^2` at every angle, the largest over
+    lambda."""
     known = context(one_layer(seed))
     nu, _ = optimum_for_weights(MeasuredDiscs, known, INPUT_ALONE, 0.0)
-    older = tolerance.largest_tolerance(known, ONE)
-    assert older is not None
-    loop, into_u = tolerance.Tolerance.matrices(older)
-    outputs = np.vstack([older.beta * into_u, into_u])
-    a = loop[:, : len(loop)]
-    b = loop[:, len(loop) :]
-    d = np.zeros((2, 2))
-    system = StateSpace(a=a, b=b, c=outputs, d=d)
-    response = frequency_response(system, np.linspace(0, np.pi, 40001))
+    proof = largest_kappa(known)
+    assert proof is not None
+    from_p, from_e = (np.abs(input_responses(known)) ** 2).T
 
-    def peak(log_multiplier: float) -> float:
-        largest = tolerance._inverse_squares(response, 1, log_multiplier).max()
-        return float(largest)
+    def missing(log_multiplier: float) -> float:
+        multiplier = np.exp(log_multiplier)
+        room = 1 / (from_p / multiplier + from_e) - multiplier * known.balls.input.beta**2
+        return -float(room.min())
 
-    near = float(np.log(older.lambda_p))
-    bounds = (near - 1e-2, near + 1e-2)
-    options = {"xatol": 1e-12}
-    best = minimize_scalar(peak, bounds=bounds, method="bounded", options=options)
-    expected = best.fun**-0.5
-    assert np.sqrt(nu) == pytest.approx(expected, rel=2e-7)
-    expected = np.sqrt(nu)
-    assert older.s == pytest.approx(expected, rel=2e-3)
-
-
-def test_at_the_same_numbers_the_inequality_is_that_of_the_tolerance() -> None:
-    known = context(one_layer(1))
-    older = tolerance.largest_tolerance(known, ONE)
-    disc = largest_kappa(known, INPUT_ALONE, 0.0)
-    assert older is not None
-    assert disc is not None
-    same = disc.variables | {
-        "p": older.p,
-        "lambda_p": older.lambda_p,
-        "kappa": older.s,
-        "floor": 0.0,
-    }
-    measured_discs = MeasuredDiscs.as_floats(**same)
-    made = measured_discs["inequality"]
-    expected = tolerance.Tolerance.as_floats(**older.variables)["inequality"]
-    np.testing.assert_allclose(made, expected)
-    assert disc.kappa == pytest.approx(older.s, rel=0.02)
+    near = float(np.log(proof.lambda_p))
+    bounds = (near - 0.3, near + 0.3)
+    best = minimize_scalar(missing, bounds=bounds, method="bounded", options={"xatol": 1e-12})
+    assert nu == pytest.approx(-best.fun, rel=4e-7)
+    assert proof.kappa == pytest.approx(np.sqrt(nu), rel=2e-3)
 
 
 @pytest.mark.parametrize("balls", [BALLS, BENT])

@@ -18,11 +18,12 @@ from ssm_study.certificates.certificate import Design, Observer, StateFeedback
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.deployed_rate import largest_rate
 from ssm_study.certificates.theorems.integral_action import controlled_system
-from ssm_study.certificates.theorems.tolerance import Tolerance, largest_tolerance
+from ssm_study.certificates.theorems.measured_discs import MeasuredDiscs
 from ssm_study.robustness.sensitivity import noise_gain, sensitivity
 from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
 from ssm_study.systems import Balls, JacobianBall, StateSpace
 
 SEEDS = st.integers(0, 10**6)
@@ -163,15 +164,15 @@ def test_without_a_ball_the_tolerance_is_small_gain(seed: int) -> None:
     jacobian_ball = JacobianBall(alpha=alpha, beta=0.0)
     sharp = Balls(input=jacobian_ball, output=balls.output)
     context = known(linear, sharp, design)
-    weight = np.eye(1)
-    found = largest_tolerance(context, weight)
+    found = largest_kappa(context)
     slope_in = balls.input.alpha
     slope_out = balls.output.alpha
     system = sensitivity(linear, design.pair, slope_in, slope_out)
     peak = hinf_norm(system)
     assert found is not None
     assert found.certified
-    assert found.s * peak == pytest.approx(0.999, rel=1e-6)
+    assert found.kappa * peak == pytest.approx(0.999, rel=1e-5)
+    assert found.tolerated_gain == found.kappa
 
 
 @pytest.mark.parametrize(("seed", "order"), [(0, 0), (1, 0), (2, 1)])
@@ -181,13 +182,13 @@ def test_a_solver_finds_the_same_tolerance(seed: int, order: int) -> None:
     linear, balls, design = loop(seed, order=2)
     weight = np.array([[0.5, 1.0], [0.2, 1.0]]) if order else np.eye(1)
     context = known(linear, balls, design)
-    found = largest_tolerance(context, weight)
+    found = largest_kappa(context, replace(INPUT_ALONE, input=weight))
     assert found is not None
     expected = tolerance_of_a_solver(linear, found, weight)
-    assert found.s == pytest.approx(expected, rel=5e-3)
+    assert found.kappa == pytest.approx(expected, rel=5e-3)
 
 
-def tolerance_of_a_solver(linear: StateSpace, proved: Tolerance, weight: np.ndarray) -> float:
+def tolerance_of_a_solver(linear: StateSpace, proved: MeasuredDiscs, weight: np.ndarray) -> float:
     """Largest tolerance of the proof's gains and ball by one semidefinite program."""
     k = proved.k
     l = proved.l  # noqa: E741
@@ -242,8 +243,7 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
     """
     linear, balls, design = loop(seed)
     context = known(linear, balls, design)
-    weight = np.eye(1)
-    found = largest_tolerance(context, weight)
+    found = largest_kappa(context)
     assert found is not None
     rng = np.random.default_rng(seed)
     k = found.k
@@ -258,7 +258,7 @@ def test_slopes_and_mismatch_that_vary_at_will_never_diverge_below_the_tolerance
         difference = found.alpha - found.beta
         for slope in (difference, found.alpha, found.alpha + found.beta):
             for sign in (-1, 0, 1):
-                e = sign * found.s * u
+                e = sign * found.kappa * u
                 x = linear.a @ xi[:3] + slope * b @ u
                 eps = linear.a @ xi[3:] + 0.8 * l @ (linear.c @ xi[3:]) - l @ e
                 options.append(np.concatenate([x, eps]))
@@ -273,16 +273,15 @@ def test_far_above_the_tolerance_such_a_mismatch_diverges_and_is_not_proved() ->
     lose the loop."""
     linear, balls, design = loop(0)
     context = known(linear, balls, design)
-    weight = np.eye(1)
-    found = largest_tolerance(context, weight)
+    found = largest_kappa(context)
     assert found is not None
     slopes = (0.4, 0.7, 1.0)
     peaks = [hinf_norm(sensitivity(linear, design.pair, slope, 0.8)) for slope in slopes]
     assert (
-        found.s * max(peaks) <= 1
+        found.kappa * max(peaks) <= 1
     )  # what holds for slopes that vary is no more than what holds for constant ones
-    s = 1.001 / max(peaks)
-    assert not Tolerance.holds(**(found.variables | {"s": s}))
+    kappa = 1.001 / max(peaks)
+    assert not MeasuredDiscs.holds(**(found.variables | {"kappa": kappa}))
 
 
 @given(SEEDS)
@@ -348,12 +347,3 @@ def test_with_integrators_and_a_weight_the_motor_has_a_tolerance() -> None:
     content = json.loads(text)
     system = controlled_system(model, design.state_feedback)
     assert failed_checks(content, model.linear, MOTOR_BALLS, system) == []
-
-
-def test_a_nonlinear_output_map_gets_no_tolerance_from_the_search() -> None:
-    linear, balls, design = loop(0)
-    output = JacobianBall.from_slopes(0.7, 0.9)
-    nonlinear = Balls(input=balls.input, output=output)
-    context = known(linear, nonlinear, design)
-    weight = np.eye(1)
-    assert largest_tolerance(context, weight) is None

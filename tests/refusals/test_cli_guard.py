@@ -171,7 +171,7 @@ def test_a_certificate_that_lies_is_not_exported(
     content = json.loads(text)
     part = content["state_feedback"]
     part["k"] = [[5 * number for number in row] for row in part["k"]]
-    part["certificate_digest"] = certificate_digest(part)
+    part["digest"] = certificate_digest(part)
     text = json.dumps(content)
     (run / "certificate.json").write_text(text)
     seal_run(run)

@@ -31,7 +31,7 @@ def forged(study: Path) -> None:
     text = path.read_text()
     content = json.loads(text)
     content["state_feedback"]["k"][0][0] *= 1.5
-    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
+    content["state_feedback"]["digest"] = certificate_digest(content["state_feedback"])
     text = json.dumps(content)
     path.write_text(text)
 

@@ -71,9 +71,9 @@ def test_any_tampering_with_any_matrix_is_found(
 
 def test_the_digest_covers_every_field(stored: dict) -> None:
     for side, part in stored.items():
-        assert part["certificate_digest"] == certificate_digest(part)
+        assert part["digest"] == certificate_digest(part)
         for name in part.keys() - {"digest"}:
-            assert certificate_digest(part | {name: "altered"}) != part["certificate_digest"], (
+            assert certificate_digest(part | {name: "altered"}) != part["digest"], (
                 f"{side}.{name}"
             )
 
@@ -88,7 +88,7 @@ def test_any_tampering_with_a_number_is_found(stored: dict, name: str) -> None:
 def test_a_forged_digest_does_not_help_where_the_inequality_fails(stored: dict) -> None:
     content = copy.deepcopy(stored)
     content["state_feedback"]["rate"] = 0.9
-    content["state_feedback"]["certificate_digest"] = certificate_digest(content["state_feedback"])
+    content["state_feedback"]["digest"] = certificate_digest(content["state_feedback"])
     claims = failed_checks(content, PLANT, BALLS)
     assert any("in exact arithmetic the inequality fails" in claim for claim in claims)
 
@@ -101,7 +101,7 @@ def test_a_forged_digest_does_not_hide_an_altered_gain(stored: dict, side: str, 
     """The inequality still holds after so small a change, but the products no longer fit."""
     content = copy.deepcopy(stored)
     content[side][name][0][0] *= 1 + 1e-9
-    content[side]["certificate_digest"] = certificate_digest(content[side])
+    content[side]["digest"] = certificate_digest(content[side])
     claims = failed_checks(content, PLANT, BALLS)
     assert any("differs from what" in claim for claim in claims)
 

@@ -31,7 +31,7 @@ def altered(stored: dict, side: str, name: str, value: object) -> list[str]:
     content = json.loads(text)
     content[side][name] = value
     content[side]["certified_rate"] = content[side]["rate"]
-    content[side]["certificate_digest"] = certificate_digest(content[side])
+    content[side]["digest"] = certificate_digest(content[side])
     system = model().system
     balls = certified_balls(model())
     return failed_checks(content, system, balls)

@@ -95,7 +95,7 @@ def test_a_certificate_of_another_order_does_not_fit() -> None:
 
 def test_the_digest_is_of_the_numbers_and_not_of_their_order() -> None:
     part = stored(0.3)["observer"]
-    assert certificate_digest(dict(reversed(part.items()))) == part["certificate_digest"]
+    assert certificate_digest(dict(reversed(part.items()))) == part["digest"]
 
 
 def test_a_malformed_part_says_what_is_wrong_with_it() -> None:

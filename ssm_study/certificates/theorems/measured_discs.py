@@ -32,6 +32,10 @@ r2`, `inj = alpha_out do + r1 - e` (that is `yh - y`),
 then x, eps and e are square-summable: input and output of the plant come to rest from every start.
 Where the premise also holds for differences of two inputs and S_y is linear, the loop contracts.
 
+The tolerated gain is the case `c = 0, W = 0, V = 1`: however a plant differs from its model, it
+does no harm while `|e| <= kappa |u|` over all time. Without a ball this is small gain, `kappa = 1
+/ ||T_ue||_inf`.
+
 Why a premise over all time is enough, although a loop stops at no time: the disc holds `e = 0`
 (`kappa floor > |c|`) and is convex, so with e it holds `tau e` for tau in [0, 1]. The inequality
 bounds every loop of finite energy alike in tau; at `tau = 0` the loop is the certified model, and a
@@ -44,21 +48,20 @@ is proved. Where kappa is below what they need nothing is covered, and the numbe
 Reference. docs/theory.md, "Measured discs"; Megretski & Rantzer, IEEE TAC 42 (1997) 819-830,
 Theorem 1.
 
-Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small gain, as in
-`tolerance`.
+Example. `x+ = 0.5 x + u`, `K = -0.25`, `L = -0.5`, `|e| <= kappa |u|`: small gain. `T_ue = 0.125 (z
+- 0.5) / (z (z - 0.25))` is 0.15 at z = -1.
 
 >>> import numpy as np
 >>> from ssm_study.synthesis.measured_discs_search import largest_kappa
 >>> from ssm_study.certificates.theorem import VerificationContext
->>> from ssm_study.robustness.coverage import Weights
 >>> from ssm_study.systems import Balls, JacobianBall, StateSpace
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> loop = StateSpace(a=0.5 * one, b=one, c=one, d=0 * one)
 >>> gains, balls = {"k": -0.25 * one, "l": -0.5 * one}, Balls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(context, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
->>> print(f"{proof.kappa:.2f}, at most 1 / 0.15, certified: {proof.certified}")
-6.57, at most 1 / 0.15, certified: True
+>>> proof = largest_kappa(context)
+>>> print(f"{proof.tolerated_gain:.3f} = 0.999 / 0.15, certified: {proof.certified}")
+6.660 = 0.999 / 0.15, certified: True
 """
 
 from dataclasses import dataclass, fields
@@ -110,6 +113,18 @@ class MeasuredDiscs(Theorem):
 
     part: ClassVar[str] = "coverage"
     metric_matrix: ClassVar[str] = "p"
+
+    @property
+    def tolerated_gain(self) -> float | None:
+        """Largest gain from the input to the mismatch that is proved to do no harm, `kappa |V|`.
+
+        None where the disc is not centred on the model or V is no constant. A disc that also lets
+        in model output holds all of the mismatch that this gain allows.
+        """
+        is_constant = self.weight_input.shape == (1, 1)
+        if self.centre != 0 or not is_constant:
+            return None
+        return float(self.kappa * abs(self.weight_input[0, 0]))
 
     @classmethod
     def conditions(cls, of: Any) -> dict[str, Blocks]:

@@ -31,7 +31,6 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> import numpy as np
 >>> from ssm_study.synthesis.measured_discs_search import largest_kappa
 >>> from ssm_study.certificates.theorem import VerificationContext
->>> from ssm_study.robustness.coverage import Weights
 >>> from ssm_study.systems import Balls, JacobianBall, StructuredSystem
 >>> one, unit = np.ones((1, 1)), JacobianBall(alpha=1.0, beta=0.0)
 >>> matrices = dict(a=0.2 * one, b=one, c=one, d=0 * one, e=0.3 * one, f=one, g=0 * one, h=0 * one)
@@ -39,9 +38,9 @@ small gain allows `8 * 0.7 * 0.95 / 1.2`.
 >>> gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
 >>> balls = Balls(input=unit, output=unit)
 >>> context = VerificationContext(system=loop, controlled=loop, balls=balls, gains=gains)
->>> proof = largest_kappa(context, Weights(floor=1e-9, output=0 * one, input=one), centre=0.0)
->>> print(f"{proof.kappa:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}, certified: {proof.certified}")
-4.37 <= 4.43, certified: True
+>>> proof = largest_kappa(context)
+>>> print(f"{proof.tolerated_gain:.2f} <= {8 * 0.7 * 0.95 / 1.2:.2f}: {proof.certified}")
+4.43 <= 4.43: True
 """
 
 from dataclasses import dataclass

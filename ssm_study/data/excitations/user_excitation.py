@@ -18,13 +18,16 @@ AMPLITUDES = (
 PERIODS = 2  # what differs between equal periods is noise, and is measured so by itself
 HOLDS_PER_SETTLING = 10  # the shortest hold is a tenth of the settling time: fast modes show
 LONGEST_HOLD = 5  # of these holds, half of the settling time: slow modes do
+SINE_AMPLITUDES = (1.0, 0.2, 0.05, 0.01)  # likewise of single sines
+SINE_CYCLES = 4  # at least, in one of the three equal parts of a sine
 PERIOD_IN_SETTLINGS = 20  # some seventy levels a period: S_u is seen all over the range
 
 
 @dataclass(frozen=True, kw_only=True)
 class OwnPlantRecord:
     """Identification experiment for a user's own plant: the input signal that the user applies and
-    records. Rest, then for each amplitude two equal periods of random levels, then rest; all within
+    records. Rest, then for each amplitude two equal periods of random levels, then rest; then
+    likewise a single sine of each frequency in `sines` (rad/sample) at each amplitude; all within
     `lower, upper`.
 
     `settle_s` is how long the plant takes to come to rest, roughly: from a step by hand or a first
@@ -38,6 +41,7 @@ class OwnPlantRecord:
     step_s: float
     settle_s: float
     seed: int = 0
+    sines: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         limits = (self.lower, self.rest, self.upper)
@@ -67,7 +71,19 @@ class OwnPlantRecord:
             )
             reach = np.where(levels > 0, self.upper - self.rest, self.rest - self.lower)
             parts += [self.rest + reach * levels] * PERIODS + [still]
+        for angle in self.sines:
+            for amplitude in SINE_AMPLITUDES:
+                parts += [self.sine(angle, amplitude, settling), still]
         return np.concatenate(parts)
+
+    def sine(self, angle: float, amplitude: float, settling: int) -> Float[np.ndarray, "T"]:
+        """Generate a single sine of whole samples a cycle, three parts that are as long as the
+        plant takes to settle."""
+        cycle = max(round(2 * np.pi / angle), 4)
+        cycles = max(-(-settling // cycle), SINE_CYCLES)
+        reach = amplitude * min(self.upper - self.rest, self.rest - self.lower)
+        wave = reach * np.sin(2 * np.pi * np.arange(cycle) / cycle)
+        return self.rest + np.tile(wave, 3 * cycles)  # the same bits in every cycle
 
     def write(self, path: Path) -> str:
         """Write the input signal to a CSV file, and return a sentence that describes it."""
@@ -76,4 +92,7 @@ class OwnPlantRecord:
             path, index=False
         )
         lasts = f"{len(u)} samples, {len(u) * self.step_s / 60:.1f} minutes"
+        if self.sines:
+            hertz = [f"{angle / (2 * np.pi * self.step_s):.3g}" for angle in self.sines]
+            lasts += f", the last with single sines at {' and '.join(hertz)} Hz"
         return f"{path}: {lasts}, inputs from {u.min():.4g} to {u.max():.4g}, rest {self.rest:.4g}"

@@ -1,11 +1,11 @@
-"""Mismatch tolerated by a model with neurons: the limit without them, frozen slopes, simulated
-loops, a forged file."""
+"""Gain from the input to the mismatch that a loop with neurons tolerates: a solver, the limit
+without neurons, frozen slopes, simulated loops, a forged file."""
 
 import json
 from dataclasses import replace
-from functools import partial
 from itertools import product
 
+import cvxpy as cp
 import numpy as np
 import pytest
 from structured_cases import drawn, model
@@ -15,17 +15,17 @@ from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design, certificate_digest
 from ssm_study.certificates.theorem import VerificationContext
 from ssm_study.certificates.theorems.integral_action import controlled_system
-from ssm_study.certificates.theorems.structured_tolerance import StructuredTolerance
-from ssm_study.certificates.theorems.tolerance import largest_tolerance as without_neurons
+from ssm_study.certificates.theorems.measured_discs_structured import StructuredMeasuredDiscs
+from ssm_study.robustness.coverage import Weights
 from ssm_study.robustness.sensitivity import sensitivity
-from ssm_study.synthesis.deployed import at_largest_rate, none_if_unsolved, with_gain_certificates
+from ssm_study.synthesis.deployed import at_largest_rate, with_gain_certificates
 from ssm_study.synthesis.design import failed_checks
 from ssm_study.synthesis.guaranteed_cost import RiccatiSynthesis
+from ssm_study.synthesis.measured_discs_search import INPUT_ALONE, largest_kappa
 from ssm_study.synthesis.structured_lmi import largest_rate
 from ssm_study.systems import Balls, Gains, JacobianBall, StructuredSystem
 
 BALLS = Balls(input=JacobianBall.from_slopes(0.6, 1.0), output=JacobianBall(alpha=0.8, beta=0.0))
-largest_tolerance = partial(without_neurons, theorem=StructuredTolerance)
 ASKED = RiccatiSynthesis(rate_controller=0.1, rate_observer=0.1, input_weight=1.0)
 
 
@@ -37,12 +37,12 @@ class _Model:
 
 
 def found(
-    system: StructuredSystem, weight: np.ndarray | None = None
-) -> tuple[VerificationContext, StructuredTolerance]:
+    system: StructuredSystem, weights: Weights = INPUT_ALONE
+) -> tuple[VerificationContext, StructuredMeasuredDiscs]:
     design = ASKED.design(_Model(system), BALLS)
     known = VerificationContext(system=system, controlled=system, balls=BALLS, gains=design.gains)
-    proved = largest_tolerance(known, np.eye(1) if weight is None else weight)
-    assert proved is not None
+    proved = largest_kappa(known, weights)
+    assert isinstance(proved, StructuredMeasuredDiscs)
     assert proved.certified
     return known, proved
 
@@ -60,23 +60,55 @@ def test_gains_are_certified_just_inside_their_largest_rate() -> None:
 
 @pytest.mark.parametrize("weight", [np.eye(1), np.array([[0.5, 1.0], [0.2, 1.0]])])
 def test_neurons_without_effect_leave_the_tolerance_of_one_layer(weight: np.ndarray) -> None:
-    """The tolerance is found by two routes that share no line: a semidefinite program, and a
-    Riccati equation with a search."""
     system = drawn(2, n=4, q=3, radius=0.9)
     e = 0 * system.e
     h = 0 * system.h
     still = StructuredSystem(**{**vars(system), "e": e, "h": h})
-    known, proved = found(still, weight)
+    weights = replace(INPUT_ALONE, input=weight)
+    known, proved = found(still, weights)
     slopes = np.zeros(3)
     linear = still.linearise_at_slopes(slopes)
     names = ("k", "l")
     gains = {name: known.gains[name] for name in names}
-    verification_context = VerificationContext(
-        system=linear, controlled=linear, balls=BALLS, gains=gains
-    )
-    other = without_neurons(verification_context, weight)
+    context = VerificationContext(system=linear, controlled=linear, balls=BALLS, gains=gains)
+    other = largest_kappa(context, weights)
     assert other is not None
-    assert proved.s == pytest.approx(other.s, rel=2e-4)
+    assert proved.kappa == pytest.approx(other.kappa, rel=2e-4)
+
+
+def unknown_rows(*sizes: int) -> list[np.ndarray]:
+    """Rows that pick each unknown out of all of them, stacked."""
+    return np.split(np.eye(sum(sizes)), np.cumsum(sizes)[:-1])
+
+
+@pytest.mark.parametrize(("seed", "h"), [(0, 0.0), (2, 0.0), (0, 0.3)])
+def test_a_solver_finds_the_same_gain(seed: int, h: float) -> None:
+    """One semidefinite program for P and every multiplier, its rows written out anew; the search
+    knows no P."""
+    system = drawn(seed, n=3, q=2, radius=0.9, h=h)
+    known, proved = found(system)
+    k, l, l_z = (known.gains[name] for name in ("k", "l", "l_z"))  # noqa: E741
+    x, eps, p, e, w, d = unknown_rows(3, 3, 1, 1, 2, 2)
+    u = k @ (x + eps)
+    v = 0.8 * u + p
+    injected = 0.8 * (system.c @ eps + system.h @ d) - e
+    step = np.vstack(
+        [system.a @ x + system.b @ v + system.e @ w, system.a @ eps + system.e @ d + l @ injected]
+    )
+    z = system.f @ x + system.g @ v
+    dz = system.f @ eps + l_z @ injected
+    xi = np.vstack([x, eps])
+    metric = cp.Variable((6, 6), symmetric=True)
+    squared_gain = cp.Variable()
+    of_ball = cp.Variable(nonneg=True)
+    form = xi.T @ metric @ xi - step.T @ metric @ step + e.T @ e - squared_gain * (u.T @ u)
+    form += of_ball * (p.T @ p - 0.04 * u.T @ u)
+    for output, entering in ((w, z), (d, dz), (w + d, z + dz)):
+        weights = cp.Variable(2, nonneg=True)
+        sector = output.T @ cp.diag(weights) @ (output - entering)
+        form += sector + sector.T
+    cp.Problem(cp.Maximize(squared_gain), [form >> 0]).solve(solver="CLARABEL")
+    assert proved.tolerated_gain == pytest.approx(float(np.sqrt(squared_gain.value)), rel=5e-3)
 
 
 @pytest.mark.parametrize(("seed", "h"), [(0, 0.0), (0, 0.3), (2, 0.0)])
@@ -95,13 +127,13 @@ def test_frozen_slopes_lose_the_loop_above_and_never_below(seed: int, h: float) 
             pair = Gains(k=k, l=injected)
             state_space = sensitivity(linear, pair, slope, 0.8)
             peaks.append(hinf_norm(state_space))
-    upper_limit = proved.s * max(peaks)
+    upper_limit = proved.kappa * max(peaks)
     assert 0.2 < upper_limit <= 1
-    s = 1.001 / max(peaks)
-    assert not StructuredTolerance.holds(**(proved.variables | {"s": s}))
+    kappa = 1.001 / max(peaks)
+    assert not StructuredMeasuredDiscs.holds(**(proved.variables | {"kappa": kappa}))
 
 
-def energy(proved: StructuredTolerance, x: np.ndarray, x_hat: np.ndarray) -> float:
+def energy(proved: StructuredMeasuredDiscs, x: np.ndarray, x_hat: np.ndarray) -> float:
     """The storage function of the proof: `x' P_11 x + (x_hat - x)' P_22 (x_hat - x)`."""
     error = x_hat - x
     return float(x @ proved.p[:3, :3] @ x + error @ proved.p[3:, 3:] @ error)
@@ -116,9 +148,8 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
     balls = Balls(input=BALLS.input, output=output)
     gains = ASKED.design(stand, balls).gains
     context = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
-    weight = np.eye(1)
-    proved = largest_tolerance(context, weight)
-    assert proved is not None
+    proved = largest_kappa(context)
+    assert isinstance(proved, StructuredMeasuredDiscs)
     rng = np.random.default_rng(0)
     k = proved.k
     l = proved.l  # noqa: E741
@@ -129,9 +160,8 @@ def test_no_simulated_mismatch_below_it_keeps_the_loop_from_rest() -> None:
         budget = 0.0
         for _ in range(60):
             u = k @ x_hat
-            budget += proved.s**2 * float(
-                u @ u
-            )  # saved energy may be spent later: gain in mean square alone
+            # saved energy may be spent later: gain in mean square alone
+            budget += proved.kappa**2 * float(u @ u)
             after = []
             for share, sign, slope in product((0, 0.5, 1), (-1, 1), (0.6, 1.0)):
                 e = sign * np.sqrt(share * budget)
@@ -178,14 +208,14 @@ def test_it_is_stored_and_verified_from_the_file(stored: tuple[dict, object]) ->
 @pytest.mark.parametrize(
     ("name", "factor", "said"),
     [
-        ("s", 1.05, "tolerance.certified = True: in exact arithmetic the inequality fails"),
-        ("lambda", -1.0, "fails (inequality)"),
+        ("kappa", 1.05, "tolerance.certified = True: in exact arithmetic the inequality fails"),
+        ("lambda", -1.0, "fails (inequality, lambda)"),
         ("lambda_p", -1.0, "fails (inequality, lambda_p)"),
         ("f", 0.5, "tolerance.f: differs"),
         ("h", None, "tolerance.h: differs"),
         ("l_z", 0.5, "tolerance.l_z: differs"),
         ("alpha_out", 0.5, "tolerance.alpha_out: differs"),
-        ("theorem", "tolerance", "is not part of a certificate"),
+        ("theorem", "measured_discs", "is not part of a certificate"),
     ],
 )
 def test_a_forged_number_is_found(
@@ -198,20 +228,22 @@ def test_a_forged_number_is_found(
     content["tolerance"][name] = (
         value.tolist() if isinstance(value, np.ndarray) else value or [[0.1, 0.1]]
     )
-    content["tolerance"]["certificate_digest"] = certificate_digest(content["tolerance"])
+    content["tolerance"]["digest"] = certificate_digest(content["tolerance"])
     claims = broken(content, controlled)
     assert any(said in claim for claim in claims)
 
 
-def test_a_nonlinear_output_map_gets_none() -> None:
-    known, _ = found(drawn(2, n=4, q=3, radius=0.9))
+def test_a_nonlinear_output_map_costs_some_of_it() -> None:
+    known, straight = found(drawn(0, n=2, q=1, radius=0.9))
     output = JacobianBall.from_slopes(0.7, 0.9)
     bent = Balls(input=BALLS.input, output=output)
-    context = VerificationContext(
-        system=known.system, controlled=known.system, balls=bent, gains=known.gains
-    )
-    weight = np.eye(1)
-    assert largest_tolerance(context, weight) is None
+    context = replace(known, balls=bent)
+    proved = largest_kappa(context)
+    assert proved is not None
+    assert len(proved.lambda_out) == 3
+    assert 0 < proved.kappa < straight.kappa
+    sentences = straight.failed_checks(context)
+    assert any("beta_out" in sentence for sentence in sentences)
 
 
 def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
@@ -233,5 +265,4 @@ def test_a_loop_that_some_slope_loses_by_itself_gets_none() -> None:
     gains = {"k": -0.25 * one, "l": -0.5 * one, "l_z": 0 * one}
     balls = Balls(input=unit, output=unit)
     known = VerificationContext(system=system, controlled=system, balls=balls, gains=gains)
-    find = partial(largest_tolerance, known, one)
-    assert none_if_unsolved(find) is None
+    assert largest_kappa(known) is None

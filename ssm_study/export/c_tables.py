@@ -1,0 +1,20 @@
+"""Constants of the exported C, each written so that it reads back to the same float."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.export.device import REALS
+
+
+def render_number(value: float | np.floating[Any], real: str) -> str:
+    """Shortest decimal text that reads back to the same float."""
+    digits = np.format_float_scientific(REALS[real](value), trim="0")
+    return f"{digits}f" if real == "float" else digits
+
+
+def render_array(name: str, values: Float[np.ndarray, "..."], real: str) -> str:
+    """C definition of a constant array."""
+    numbers = ", ".join(render_number(value, real) for value in values.ravel())
+    return f"static const {real} {name}[{values.size}] = {{{numbers}}};\n"

@@ -1,0 +1,112 @@
+"""Mismatch measured with a single sine, one line of a record that has the whole power.
+
+Of two periods `E_1, E_2` at that line
+
+    g = sqrt(max(Re(E_1 conj E_2), 0) + LIMIT se) / |U|,    se^2 = S_n^2 / 2 + S_n Re(E_1 conj E_2)
+
+is the upper limit of the mismatch gain, so what noise hides is not zero. Where it exceeds what the
+record of the nearest amplitude shows in this band, it replaces that, and the excess counts as
+remainder: its phase is not used. Source: docs/trust.md, "What is measured for it".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.robustness.bands import ANGLES
+from ssm_study.robustness.record_errors import RecordErrors, View
+
+LIMIT = 2.0  # standard errors added to what repeats
+SINGLE = 0.99  # share of the power in one line, of a sine
+SAME = 1e-9  # of a sine's range, by which two of its cycles may differ
+
+
+@dataclass(frozen=True, kw_only=True)
+class SineMismatch:
+    """Mismatch measured with a single sine. Upper limit `gain` of the mismatch over the input at
+    one `angle` (rad/sample) and one `amplitude`, the input's rms (scaled)."""
+
+    angle: float
+    amplitude: float
+    gain: float
+
+
+def repeats_one_line(errors: RecordErrors) -> bool:
+    """Whether one line holds nearly all the power with which a record's input repeats."""
+    if errors.period is None:
+        return False
+    drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)
+    return bool(drive.max() >= SINGLE * drive.sum())
+
+
+def steady_sines(records: Sequence[RecordErrors]) -> list[RecordErrors]:
+    """Errors in those records that move by a single sine alone, cut where it ends; their period is
+    as long as leaves a third of the sine to settle."""
+    sines = []
+    for errors in records:
+        if not repeats_one_line(errors):
+            continue
+        assert errors.period is not None
+        drive = (np.abs(errors.periods(errors.u)[1][1:]) ** 2).sum(axis=1)
+        cycle = errors.period // (1 + int(drive.argmax()))
+        moves = np.flatnonzero((errors.u != errors.u[-1]).any(axis=1))
+        end = int(moves[-1]) + 1
+        wave = errors.u[int(moves[0]) : end]
+        largest_difference = np.abs(wave[cycle:] - wave[:-cycle]).max()
+        period = cycle * ((len(wave) + 1) // cycle // 3)
+        if not period or largest_difference > SAME * np.ptp(wave):
+            continue  # a piece of a log that also moves otherwise
+        cut = {name: getattr(errors, name)[:end] for name in ("moving", "u", "model", "e")}
+        sines.append(replace(errors, **cut, start=end - 2 * period, period=period))
+    return sines
+
+
+def measure_sine(errors: RecordErrors, noise: Float[np.ndarray, "F"]) -> SineMismatch:
+    """Mismatch at the strongest line of the two periods of a record. `noise` is a sample's power in
+    each band."""
+    assert errors.period is not None
+    drive = (np.abs(errors.periods(errors.u)[1]) ** 2).sum(axis=1)
+    line = 1 + int(drive[1:].argmax())
+    angle = 2 * np.pi * line / errors.period
+    first, second = errors.periods(errors.e)[:, line]
+    repeats = max(float((first * second.conj()).real.sum()), 0.0)
+    noise_power = errors.period * float(np.interp(angle, ANGLES, noise))
+    error = np.sqrt(noise_power**2 / 2 + noise_power * repeats)
+    return SineMismatch(
+        angle=float(angle),
+        amplitude=float(np.sqrt((errors.u[errors.start :] ** 2).mean())),
+        gain=float(np.sqrt((repeats + LIMIT * error) / drive[line])),
+    )
+
+
+def views_with_sines(views: Sequence[View], sines: Sequence[SineMismatch]) -> tuple[View, ...]:
+    """Add the mismatch measured with single sines to the views of the nearest amplitude. Sines well
+    below the smallest amplitude get a view of their own, which else equals the smallest one's."""
+    raised = list(views)
+    smallest = raised[0]
+    below = [sine for sine in sines if sine.amplitude < smallest.amplitude / 2]
+    if below:
+        amplitude = min(sine.amplitude for sine in below)
+        raised.insert(0, replace(smallest, amplitude=amplitude))
+    for sine in sines:
+        distances = [abs(np.log(sine.amplitude / view.amplitude)) for view in raised]
+        nearest = int(np.argmin(distances))
+        raised[nearest] = with_sine(raised[nearest], sine)
+    return tuple(raised)
+
+
+def with_sine(view: View, sine: SineMismatch) -> View:
+    """Raise the gain of a mismatch near the frequency of one sine, where the sine shows more."""
+    above = int(np.searchsorted(ANGLES, sine.angle))
+    bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
+    shown = float(np.interp(sine.angle, ANGLES, view.by_frequency))
+    if sine.gain <= shown:
+        return view
+    by_frequency = view.by_frequency.copy()
+    remainder = view.rest.copy()
+    excess = np.sqrt(sine.gain**2 - shown**2)
+    by_frequency[bands] = np.maximum(by_frequency[bands], sine.gain)
+    remainder[bands] = np.maximum(remainder[bands], np.hypot(remainder[bands], excess))
+    return replace(view, by_frequency=by_frequency, rest=remainder)
