@@ -42,15 +42,12 @@ def lipsdp_ball(
     shape = (network.outputs, network.inputs)
     centre = cp.Variable() * np.eye(network.inputs) if scalar_centre else cp.Variable(shape)
     square = cp.Variable(nonneg=True)  # L^2: the inequality is linear in it
-    form = _slope_constraint(network, multipliers) + square * _selection_matrix(
-        network, 0
-    ).T @ _selection_matrix(network, 0)
-    output = network.weights[-1] @ _selection_matrix(
-        network, len(hidden)
-    ) - centre @ _selection_matrix(network, 0)
-    matrix = cp.bmat(
-        [[form, output.T], [output, np.eye(network.outputs)]]
-    )  # Schur complement of |W d - C v|^2
+    first = _selection_matrix(network, 0)
+    last = _selection_matrix(network, len(hidden))
+    form = _slope_constraint(network, multipliers) + square * first.T @ first
+    output = network.weights[-1] @ last - centre @ first
+    # Schur complement of |W d - C v|^2
+    matrix = cp.bmat([[form, output.T], [output, np.eye(network.outputs)]])
     problem = cp.Problem(cp.Minimize(square), [matrix >> 0])
     try:
         with warnings.catch_warnings():

@@ -1,5 +1,4 @@
-"""Fingerprints of the code that a result depends on. They are computed from the sources themselves
-and never from a list that somebody maintains.
+"""Fingerprints of the code that a result depends on, computed from the sources themselves.
 
 A symbol (function, class, constant) depends on the statements that bind it and on every name these
 use, followed through imports anywhere in a file. Sources are compared as syntax trees, without
@@ -8,8 +7,7 @@ whole (`from room import readers`) file by file. What is named by strings at run
 (`getattr(module, name)`, entry points) is not seen: a class that a configuration names by
 `_target_` is therefore a root of its own.
 
-What a file says is kept in the user's cache by its content: reading 300 syntax trees takes four
-seconds.
+Parsed files are cached by their content: reading 300 syntax trees takes four seconds.
 """
 
 import ast

@@ -1,4 +1,4 @@
-"""What the reduction absorbs of a scaffolding, and the states that it drops."""
+"""Reduction: the linear part absorbs what it can of a scaffolding, and states are dropped."""
 
 from dataclasses import replace
 
