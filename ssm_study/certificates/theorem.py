@@ -116,8 +116,8 @@ class Theorem(ABC):
 
     `certified` is the verdict of exact arithmetic on the stored floats; `margin` the smallest
     eigenvalue of the first condition scaled to a unit diagonal, `condition` the condition number of
-    the metric's matrix scaled likewise. A class that is not declared `abstract=True` and leaves a question open
-    is refused with a `TypeError` that names it, when it is defined.
+    the metric's matrix scaled likewise. A class that is not declared `abstract=True` and leaves a
+    question open is refused with a `TypeError` that names it, when it is defined.
     """
 
     alpha: float

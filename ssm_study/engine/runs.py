@@ -30,8 +30,8 @@ FINISHED = frozenset({OK, INFEASIBLE})
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """Outcome of a run after `execute_run`. `did` is one of `ran`, `found` (finished before), `left`
-    (failed before and not asked to retry), `elsewhere` (another process works on it)."""
+    """Outcome of a run after `execute_run`. `did` is one of `ran`, `found` (finished before),
+    `left` (failed before and not asked to retry), `elsewhere` (another process works on it)."""
 
     folder: Path
     status: str

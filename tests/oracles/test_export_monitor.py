@@ -18,7 +18,7 @@ from ssm_study.export.device import Device
 from ssm_study.export.portable import convert_controller
 from ssm_study.models.identified import SSM
 from ssm_study.robustness.coverage import running_constraint_sum
-from ssm_study.synthesis.measured_discs_run import certificate_weights, add_coverage_certificate
+from ssm_study.synthesis.measured_discs_run import add_coverage_certificate, certificate_weights
 
 SAMPLES = 600
 UNLIMITED = (np.array([-np.inf]), np.array([np.inf]))

@@ -73,9 +73,7 @@ def test_the_digest_covers_every_field(stored: dict) -> None:
     for side, part in stored.items():
         assert part["digest"] == certificate_digest(part)
         for name in part.keys() - {"digest"}:
-            assert certificate_digest(part | {name: "altered"}) != part["digest"], (
-                f"{side}.{name}"
-            )
+            assert certificate_digest(part | {name: "altered"}) != part["digest"], f"{side}.{name}"
 
 
 @pytest.mark.parametrize("name", ["alpha", "beta", "rate", "sigma", "rate_limit"])
