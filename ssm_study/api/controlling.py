@@ -68,8 +68,8 @@ def control(
     parts.set_fields("synthesis", rate_controller=rate, rate_observer=observer_rate, **settings)
     if isinstance(model, Model):
         problem = "are bounds of a bare system's maps; this model has its own"
-        given = slopes or output_slopes
-        require(given is None, "slopes", given, problem, "leave them out")
+        settings_given = slopes or output_slopes
+        require(settings_given is None, "slopes", settings_given, problem, "leave them out")
         return _design_for_model(model, parts, input_limits)
     return _design_for_system(model, parts, slopes, output_slopes, overrides)
 

@@ -57,8 +57,8 @@ def convert_to_continuous(discrete: "python_control.StateSpace") -> "python_cont
     remedy = "use the discrete system, to_control()"
     require(not on_axis.any(), "model", "linearised", problem, remedy)
     n, m = discrete.B.shape
-    held = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
-    logarithm = np.real(scipy.linalg.logm(held)) / discrete.dt
+    exponential = np.block([[discrete.A, discrete.B], [np.zeros((m, n)), np.eye(m)]])
+    logarithm = np.real(scipy.linalg.logm(exponential)) / discrete.dt
     a = logarithm[:n, :n]
     b = logarithm[:n, n:]
     return python_control.StateSpace(a, b, discrete.C, discrete.D)

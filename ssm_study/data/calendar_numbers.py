@@ -29,41 +29,41 @@ Times = Float[np.ndarray, "T"]
 def parse_calendar_numbers(title: str, times: Times) -> tuple[Times, str] | None:
     """Convert numbers that are calendar dates to seconds since the first, and say how they were
     read."""
-    known = times[np.isfinite(times)]
-    if len(known) < 2:
+    finite = times[np.isfinite(times)]
+    if len(finite) < 2:
         return None
     seconds = parse_digit_dates(times)
     if seconds is not None:
         return seconds, "digits of a date"
-    words = describe_day_numbers(title, known)
+    words = describe_day_numbers(title, finite)
     if words:
-        return DAY_S * (times - known[0]), words
-    largest = float(np.abs(known).max())
+        return DAY_S * (times - finite[0]), words
+    largest = float(np.abs(finite).max())
     for digits, unit_s in EPOCHS:
-        if largest >= digits and np.ptp(known) < 0.1 * largest:
-            return unit_s * (times - known[0]), f"units of {unit_s:g} s since 1970"
+        if largest >= digits and np.ptp(finite) < 0.1 * largest:
+            return unit_s * (times - finite[0]), f"units of {unit_s:g} s since 1970"
     return None
 
 
 def are_unix_times(times: Times) -> bool:
     """Whether increasing numbers are times since 1970, in seconds or a smaller unit."""
-    known = times[np.isfinite(times)]
-    if len(known) < 3 or known.min() <= 0:
+    finite = times[np.isfinite(times)]
+    if len(finite) < 3 or finite.min() <= 0:
         return False
-    largest = float(known.max())
+    largest = float(finite.max())
     units_s = [unit_s for digits, unit_s in EPOCHS if largest >= digits]
     unit_s = units_s[0] if units_s else 1.0
-    in_range = EPOCH_S[0] <= unit_s * known.min() and unit_s * largest <= EPOCH_S[1]
-    return bool(in_range and np.ptp(known) < 0.1 * largest)
+    in_range = EPOCH_S[0] <= unit_s * finite.min() and unit_s * largest <= EPOCH_S[1]
+    return bool(in_range and np.ptp(finite) < 0.1 * largest)
 
 
 def parse_digit_dates(times: Times) -> Times | None:
     """Convert dates written as whole numbers, `20260305100000`, to seconds since the first; None
     for other numbers."""
-    known = times[np.isfinite(times)]
-    if not np.array_equal(known, np.round(known)) or known.min() < 10 ** (min(DIGITS) - 1):
+    finite = times[np.isfinite(times)]
+    if not np.array_equal(finite, np.round(finite)) or finite.min() < 10 ** (min(DIGITS) - 1):
         return None
-    whole = known.astype(np.int64)
+    whole = finite.astype(np.int64)
     count = len(str(whole[0]))
     thousandths = np.zeros(len(whole))
     if count == MILLISECOND_DIGITS:
@@ -82,19 +82,19 @@ def parse_digit_dates(times: Times) -> Times | None:
     return seconds
 
 
-def describe_day_numbers(title: str, known: Times) -> str:
+def describe_day_numbers(title: str, finite: Times) -> str:
     """Sentence on numbers that count days; empty for other numbers.
 
     The name says it, or the step is a round number of seconds as days and none as it stands.
     """
-    low = float(known.min())
-    high = float(known.max())
+    low = float(finite.min())
+    high = float(finite.max())
     if not any(first <= low and high <= last for first, last in DAY_COUNTS):
         return ""
     words = title.lower().replace("_", " ").split()
     if any(word in DAY_WORDS for word in words):
         return "days, as a spreadsheet counts them"
-    steps = np.diff(known)
+    steps = np.diff(finite)
     rising = steps[steps > 0]
     if not len(rising):
         return ""

@@ -117,9 +117,9 @@ def resample_to_even_clock(
     are inputs. Raises `BadRequest` for times that run backwards, repeat, or are no samples of a
     clock, and for a log of which nothing is left.
     """
-    known = np.isfinite(time_s)
-    time_s = time_s[known]
-    values = values[known]
+    has_time = np.isfinite(time_s)
+    time_s = time_s[has_time]
+    values = values[has_time]
     require_at_least(3, f"{where} (samples with a time)", len(time_s), "use a longer record")
     if step_s is not None and (np.diff(time_s) == 0).any():
         return check_rounded_clock(time_s, values, step_s, where)

@@ -159,11 +159,11 @@ def is_clock_column(table: Table, title: str) -> bool:
 def is_increasing(times: Float[np.ndarray, "T"], *, strictly: bool = False) -> bool:
     """Whether a sequence of times increases. Whether the times never run backwards (strictly: nor
     stand still), and are mostly known."""
-    known = times[np.isfinite(times)]
-    enough = len(known) >= max(3, 0.5 * len(times))
-    if not enough or known[-1] <= known[0]:
+    finite = times[np.isfinite(times)]
+    enough = len(finite) >= max(3, 0.5 * len(times))
+    if not enough or finite[-1] <= finite[0]:
         return False
-    steps = np.diff(known)
+    steps = np.diff(finite)
     return bool((steps > 0).all() if strictly else (steps >= 0).all())
 
 
@@ -177,8 +177,8 @@ def is_evenly_spaced(times: Float[np.ndarray, "T"]) -> bool:
 
 def counts_rows(times: Float[np.ndarray, "T"]) -> bool:
     """Whether a column's values are the row numbers 0, 1, 2, ... or 1, 2, 3, ..."""
-    known = times[np.isfinite(times)]
-    return bool(known[0] in (0.0, 1.0) and (np.diff(known) == 1.0).all())
+    finite = times[np.isfinite(times)]
+    return bool(finite[0] in (0.0, 1.0) and (np.diff(finite) == 1.0).all())
 
 
 def clock_column_seconds(
@@ -209,9 +209,9 @@ def clock_column_seconds(
 def is_in_small_units(times: Float[np.ndarray, "T"]) -> bool:
     """Whether times are whole numbers of a unit that is smaller than a second, judged by their
     median step."""
-    known = times[np.isfinite(times)]
-    steps = np.diff(known)
-    if len(steps) < 2 or not np.array_equal(known, np.round(known)):
+    finite = times[np.isfinite(times)]
+    steps = np.diff(finite)
+    if len(steps) < 2 or not np.array_equal(finite, np.round(finite)):
         return False
     period = float(np.median(steps))
     return period >= FEWEST_UNITS and period % 60 != 0

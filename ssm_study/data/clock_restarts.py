@@ -16,8 +16,8 @@ APART = 2  # samples between two experiments: none follows the other
 def find_clock_restarts(time_s: Float[np.ndarray, "T"]) -> list[int]:
     """Find the rows at which the clock starts again in a file that holds several experiments. A
     clock that runs backwards elsewhere too has none."""
-    known = time_s[np.isfinite(time_s)]
-    if len(known) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
+    finite = time_s[np.isfinite(time_s)]
+    if len(finite) < len(time_s) or len(time_s) < 2 * SHORTEST_EXPERIMENT:
         return []
     steps = np.diff(time_s)
     backwards = np.flatnonzero(steps < 0) + 1
@@ -69,10 +69,10 @@ def join_experiments(experiments: Sequence[EvenRows], where: str) -> EvenRows:
     steps_s = [experiment.step_s for experiment in experiments]
     step_s = float(np.median(steps_s))
     alike = max(abs(each - step_s) for each in steps_s) <= AGREEMENT * step_s
-    shown = ", ".join(f"{each:.4g}" for each in steps_s)
+    listing = ", ".join(f"{each:.4g}" for each in steps_s)
     problem = "its clock starts again, and the experiments have different sampling times"
     remedy = "put each experiment into a file of its own"
-    require(alike, f"{where} (time)", shown, problem, remedy)
+    require(alike, f"{where} (time)", listing, problem, remedy)
     values: list[np.ndarray] = []
     starts: list[int] = []
     end = 0

@@ -83,9 +83,9 @@ def reconstruct_pi_set_point(log: Trajectory, gain: float, integral_s: float) ->
         problem,
         "log the set point, and name it data.reference",
     )
-    asked = (u - u[0]) / gain
+    demanded = (u - u[0]) / gain
     c = log.step_s / integral_s
-    e = asked - scipy.signal.lfilter(
-        [0.0, c], [1.0, c - 1.0], asked
+    e = demanded - scipy.signal.lfilter(
+        [0.0, c], [1.0, c - 1.0], demanded
     )  # i from asked: i+ = (1 - c) i + c asked
     return log.y + e[:, None]

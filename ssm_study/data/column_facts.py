@@ -46,7 +46,7 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
     """Compute range, levels and missing values of one column."""
     values = table.columns[name]
     finite = values[np.isfinite(values)]
-    held = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
+    held_share = float((np.diff(finite) == 0).mean()) if len(finite) > 1 else 0.0
     return ColumnFacts(
         name=name,
         unit="s" if name in table.dated else table.units.get(name, ""),
@@ -54,6 +54,6 @@ def column_facts(name: str, table: Table) -> ColumnFacts:
         high=float(finite.max(initial=-np.inf)) + 0.0,
         levels=len(np.unique(finite)),
         missing=len(values) - len(finite),
-        held=held,
+        held=held_share,
         rows=len(values),
     )

@@ -68,8 +68,8 @@ def seconds_since_first(cells: list[str]) -> Float[np.ndarray, "T"]:
     else:
         dotted = bool(series.str.match(r"\d{1,2}\.\d{1,2}\.").any())  # the day always stands first
         seconds = date_seconds(series.str.extract(f"^{DATE}$"), dotted)
-    known = seconds[np.isfinite(seconds)]
-    return seconds - known[0] if len(known) else seconds
+    finite = seconds[np.isfinite(seconds)]
+    return seconds - finite[0] if len(finite) else seconds
 
 
 def parse_named_month_dates(series: pd.Series, form: str) -> Float[np.ndarray, "T"]:

@@ -82,8 +82,8 @@ class RecordedExperiments(AroundRest):
             cut_out_fold(record, self.fold, self.folds)
             for record in _read_recordings(folder, self.training)
         ]
-        kept = [piece for pieces, _ in parts for piece in pieces]
-        return kept, kept, [piece for _, piece in parts]
+        pieces = [piece for pieces, _ in parts for piece in pieces]
+        return pieces, pieces, [piece for _, piece in parts]
 
     def records_folder(self) -> Path:
         """Folder in which the recordings of the data set lie. Raises `BadRequest` where there is
@@ -115,14 +115,14 @@ def benchmark_folder(benchmark: str) -> Path:
     remedy = "give data.folder=PATH, or pip install 'ssm-study[benchmarks]' to download them"
     try:
         download = getattr(importlib.import_module("nonlinear_benchmarks"), DOWNLOADERS[benchmark])
-        found = download(data_file_locations=True)
+        downloaded = download(data_file_locations=True)
     except (ImportError, KeyError) as error:
         raise BadRequest("data.folder", None, problem, remedy) from error
     except Exception as error:  # whatever the network and the archive readers raise (2026-11)
         raise BadRequest(
             "data.folder", None, f"{problem}, and downloading failed ({error})", remedy
         ) from error
-    return Path(found if isinstance(found, str | os.PathLike) else found[0]).parent
+    return Path(downloaded if isinstance(downloaded, str | os.PathLike) else downloaded[0]).parent
 
 
 def find_record_file(folder: Path, name: str) -> Path:
@@ -132,11 +132,15 @@ def find_record_file(folder: Path, name: str) -> Path:
     twins = sorted(
         p for p in folder.iterdir() if p.stem == exact.stem and p.suffix.lower() in (".mat", ".csv")
     )
-    found = [exact] if exact.is_file() else twins
+    candidates = [exact] if exact.is_file() else twins
     require(
-        found, "data.folder", folder, f"has no {name}", "point it at the benchmark's own folder"
+        candidates,
+        "data.folder",
+        folder,
+        f"has no {name}",
+        "point it at the benchmark's own folder",
     )
-    return found[0]
+    return candidates[0]
 
 
 def _read_recordings(folder: Path, recordings: list[Recording]) -> list[Trajectory]:

@@ -227,20 +227,30 @@ def read_mcap(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
 
 def _read_groups(path: Path) -> tuple[tuple[SignalGroup, ...], dict[str, str]]:
     """Read the groups of signals and the metadata of an MCAP file, and check that it is whole."""
-    found: dict[type, list[Any]] = defaultdict(list)
+    records_by_type: dict[type, list[Any]] = defaultdict(list)
     for record in _iterate_records(path):
-        found[type(record)].append(record)
-    schemas = {schema.id: schema for schema in found[records.Schema]}
+        records_by_type[type(record)].append(record)
+    schemas = {schema.id: schema for schema in records_by_type[records.Schema]}
     topics: dict[int, tuple[records.Channel, list[records.Message]]] = {
-        c.id: (c, []) for c in found[records.Channel]
+        c.id: (c, []) for c in records_by_type[records.Channel]
     }
-    for message in found[records.Message]:
+    for message in records_by_type[records.Message]:
         topics[message.channel_id][1].append(message)
-    own = [record.metadata for record in found[records.Metadata] if record.name == METADATA_NAME]
+    own = [
+        record.metadata
+        for record in records_by_type[records.Metadata]
+        if record.name == METADATA_NAME
+    ]
     metadata = {key: value for one in own for key, value in one.items()}
-    require(found[records.DataEnd], "path", path, "the data section has no end", "record it again")
-    counted = len(found[records.Message])
-    promised = {one.message_count for one in found[records.Statistics]}
+    require(
+        records_by_type[records.DataEnd],
+        "path",
+        path,
+        "the data section has no end",
+        "record it again",
+    )
+    counted = len(records_by_type[records.Message])
+    promised = {one.message_count for one in records_by_type[records.Statistics]}
     problem = f"{max(promised, default=0)} messages promised, {counted} found"
     require(promised <= {counted}, "path", path, problem, "record it again")
     read = (

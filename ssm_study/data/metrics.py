@@ -77,8 +77,8 @@ def position_rmse_mm(
     The recorded velocity is the position's backward difference, so its running sum is the measured
     position exactly; `s` is the last start-up sample. Velocities in m/s.
     """
-    kept = slice(start_up_samples, None)
-    drift = np.cumsum(velocity_hat[kept] - record.y[kept]) * record.step_s
+    scored = slice(start_up_samples, None)
+    drift = np.cumsum(velocity_hat[scored] - record.y[scored]) * record.step_s
     return float(1000.0 * np.sqrt(np.mean(drift**2)))
 
 

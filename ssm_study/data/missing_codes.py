@@ -20,17 +20,17 @@ CODES = "a number that may stand for a missing value"
 def find_missing_code(values: Float[np.ndarray, "T"]) -> tuple[float, int] | None:
     """Find an extreme value of a column that may stand for missing values, and how often it
     occurs."""
-    known = values[np.isfinite(values)]
-    if not len(known):
+    finite = values[np.isfinite(values)]
+    if not len(finite):
         return None
-    for code in (float(known.min()), float(known.max())):
+    for code in (float(finite.min()), float(finite.max())):
         is_code = code in FULL_SCALE or bool(NINES.fullmatch(f"{code:.12g}"))
-        others = known[known != code]
+        others = finite[finite != code]
         if not is_code or len(others) < 2 or np.ptp(others) == 0:
             continue
         distance = float(np.abs(others - code).min())
         if distance > FAR * np.ptp(others):
-            return code, len(known) - len(others)
+            return code, len(finite) - len(others)
     return None
 
 

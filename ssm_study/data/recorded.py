@@ -80,16 +80,18 @@ class AroundRest(RecordedSource):
             len(parts[0]) > 0, "data.training", "none", "no record is left to train on", "cut less"
         )
         rest = []
-        for name, side, given in (
+        for name, side, stated in (
             ("input", "u", self.input_equilibrium),
             ("output", "y", self.output_equilibrium),
         ):
             mean = np.concatenate([getattr(record, side) for record in parts[0]]).mean(axis=0)
-            fits = given is None or len(given) == len(mean)
+            fits = stated is None or len(stated) == len(mean)
             problem = f"there are {len(mean)} channels"
-            require(fits, f"data.{name}_equilibrium", given, problem, "give one number per channel")
+            require(
+                fits, f"data.{name}_equilibrium", stated, problem, "give one number per channel"
+            )
             ruled = mean if self.equilibrium == "mean" else np.zeros_like(mean)
-            rest.append(ruled if given is None else np.array(given, dtype=np.float64))
+            rest.append(ruled if stated is None else np.array(stated, dtype=np.float64))
         if len(channels) > len(rest):  # of a disturbance no equilibrium is chosen: its mean
             measured = [record.d for record in parts[0] if record.d is not None]
             rest.append(np.concatenate(measured).mean(axis=0))
@@ -146,9 +148,9 @@ class RecordedData(Columns, AroundRest):
         require(free, "data.fold", self.fold, problem, remedy)
         problem = "one is enough"
         remedy = "name the set point alone"
-        known = self.reference is not None and self.controller is not None
+        both_named = self.reference is not None and self.controller is not None
         require(
-            not known,
+            not both_named,
             "data.reference, data.controller",
             (self.reference, self.controller),
             problem,
@@ -353,11 +355,11 @@ class RecordedData(Columns, AroundRest):
             named = {"validation": self.validation, "test": self.test or []}
             return partial(split_at_intervals, named=named), "into named intervals"
         if self.fold is not None:
-            said = (
+            description = (
                 f"into {self.folds} folds, of which number {self.fold} tests "
                 "and the one before it validates"
             )
-            return partial(split_by_fold, fold=self.fold, folds=self.folds), said
+            return partial(split_by_fold, fold=self.fold, folds=self.folds), description
         own_test = self.test_path is None
         test = self.test_fraction if own_test else 0.0
         in_time = partial(split_by_time, validation=self.validation_fraction, test=test)

@@ -76,12 +76,12 @@ class Columns:
         require(0 <= jitter < 1, "data.jitter_tolerance", jitter, "not in [0, 1)", "use 0.05")
         _ = self.text_settings  # refuses what is no separator or decimal mark
         for field, names in (("data.input", self.input), ("data.output", self.output)):
-            asked = as_name_list(names)
-            named = len(asked) > 0 and all(asked)
+            columns = as_name_list(names)
+            named = len(columns) > 0 and all(columns)
             require(named, field, names, "names no column", "name at least one")
-            twice = [name for name in asked if asked.count(name) > 1]
+            twice = [name for name in columns if columns.count(name) > 1]
             require(not twice, field, twice[:1], "the same column twice", "name each column once")
-            clock = self.time is not None and str(self.time) in asked
+            clock = self.time is not None and str(self.time) in columns
             require(not clock, field, self.time, "is the clock (data.time)", "name a signal")
         both = set(as_name_list(self.input)) & set(as_name_list(self.output))
         remedy = "name other columns, or data.output_path"

@@ -107,16 +107,16 @@ class SimulatedData:
             "plant": type(plant).__name__,
             "excitation": excitation.kind,
         }
-        told: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
+        fields: dict[str, Any] = {"metadata": about | {"seed": str(seed)}}
         if self.trials:
             trial_rng = np.random.default_rng([seed, 7])
-            told["mismatch_records"] = simulate_mismatch_records(
+            fields["mismatch_records"] = simulate_mismatch_records(
                 plant, trial_rng, self.noise_deviation(plant)
             )
         parts = (training, validation, test)
         rest = plant.equilibrium()
         channels = (plant.inputs, plant.outputs)
-        return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **told)
+        return assemble_dataset(parts, (rest.u, rest.y), channels, self.start_up_samples, **fields)
 
     def simulate_fresh_sets(self, plant: Plant, seed: int) -> Iterator[FreshRecords]:
         """Simulate further records that neither fit nor design uses, each set with a seed of its

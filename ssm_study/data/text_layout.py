@@ -61,9 +61,9 @@ class TextSettings:
 
     def __post_init__(self) -> None:
         if self.separator is not None:
-            known = self.separator in SEPARATORS or self.separator in BY_WORD
+            is_known = self.separator in SEPARATORS or self.separator in BY_WORD
             names = ", ".join(BY_WORD)
-            require(known, "data.separator", self.separator, "unknown", f"use one of {names}")
+            require(is_known, "data.separator", self.separator, "unknown", f"use one of {names}")
         if self.decimal is not None:
             require_one_of((".", ","), "data.decimal", self.decimal)
 
@@ -328,11 +328,11 @@ def remove_repeated_header_lines(body: list[tuple[int, str]]) -> tuple[list[tupl
     A logger that is switched on again writes its line of names again.
     """
     first = {line.strip() for _, line in body[:FIRST_LINES] if not re.search(r"\d", line)}
-    kept = body[:1]
+    lines = body[:1]
     for number, line in body[1:]:
         if line.strip() not in first or number <= body[0][0] + FIRST_LINES:
-            kept.append((number, line))
-    return kept, len(body) - len(kept)
+            lines.append((number, line))
+    return lines, len(body) - len(lines)
 
 
 def split_names_and_units(above: list[list[str]]) -> tuple[list[str] | None, list[str]]:

@@ -24,13 +24,13 @@ def judge_autonomous_motion(case: Case) -> list[Finding]:
     if shares is None or shares[1] >= BY_INPUT or shares[0] - shares[1] <= FORGOTTEN:
         return []
     own, carried = (f"{100 * max(share, 0.0):.0f} %" for share in shares)
-    told = (
+    statement = (
         f"Of the output's power {own} follow from where each piece begins, {carried} from the input"
     )
     return [
         Finding(
             level="cannot judge",
-            sentence=f"{told}: it moves by itself. Excite it more, if it can rest.",
+            sentence=f"{statement}: it moves by itself. Excite it more, if it can rest.",
         )
     ]
 

@@ -62,14 +62,14 @@ def judge_feedback(case: Case) -> Iterator[Finding]:
     integrates."""
     share = case.data.metadata.get("by_set_point")
     if share is not None:
-        told = (
+        statement = (
             "The input is what the set point of the log's loop makes of it, "
             f"{100 * float(share):.0f} % of its power"
         )
         yield (
-            make_note(f"{told}.")
+            make_note(f"{statement}.")
             if float(share) >= LEAST_SHARE
-            else make_doubt(f"{told}: move the set point more.")
+            else make_doubt(f"{statement}: move the set point more.")
         )
     earlier = feedback_share(case.data, 1)
     present = feedback_share(case.data, 0)
@@ -150,9 +150,10 @@ def judge_instability(
     mode = f"a mode at {np.median(modes):.5g} a sample"
     by_input, by_itself = growth_statistics(whole)
     if alike and min(modes) > least and (closed or by_itself > GROWS):
-        told = f"The output runs away by itself ({mode}), and models here are stable"
+        statement = f"The output runs away by itself ({mode}), and models here are stable"
         yield Finding(
-            level="cannot judge", sentence=f"{told}: log its loop with the set point as the input."
+            level="cannot judge",
+            sentence=f"{statement}: log its loop with the set point as the input.",
         )
         return
     if closed or integrated:

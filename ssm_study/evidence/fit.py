@@ -28,24 +28,24 @@ def judge_fit(case: Case) -> list[Finding]:
     misses."""
     validation = case.validation.fit_percent
     test = case.test.fit_percent
-    found = judge_poor_fit(case)
+    findings = judge_poor_fit(case)
     samples = [sum(len(r) for r in part.records) for part in (case.validation, case.test)]
-    if not found and min(samples) >= FEW and abs(validation - test) > APART:
+    if not findings and min(samples) >= FEW and abs(validation - test) > APART:
         sentence = f"Validation fits by {validation:.0f} %, test by {test:.0f} %"
-        found = [
+        findings = [
             make_doubt(f"{sentence}: split the log in interleaved blocks, or find what changed.")
         ]
     linear = fir_fit_percent(case)
-    if not found and linear > test + LINEAR_BETTER:
+    if not findings and linear > test + LINEAR_BETTER:
         sentence = (
             f"A linear filter of {LAGS} taps fits the test record by {linear:.0f} %, the model "
             f"by {test:.0f} %"
         )
-        found = [make_doubt(f"{sentence}: raise model.order or training.starts.")]
-    found += judge_initial_state(case)
+        findings = [make_doubt(f"{sentence}: raise model.order or training.starts.")]
+    findings += judge_initial_state(case)
     owed = unmodelled_input_share(case)
     sentence = f"The model misses {100 * owed:.0f} % of the output's power, which follow the input"
-    return found + grade_by_size(
+    return findings + grade_by_size(
         owed, OWED, MOST_OWED, f"{sentence}: raise model.order, or use more neurons."
     )
 

@@ -50,10 +50,10 @@ class Judgement:
     @property
     def reasons(self) -> str | None:
         """Text of all findings, the gravest first. None where there are none."""
-        told = sorted(
+        ordered = sorted(
             self.findings, key=lambda finding: (CANNOT_JUDGE, DOUBT, "note").index(finding.level)
         )
-        return " ".join(f"{finding.level}: {finding.sentence}" for finding in told) or None
+        return " ".join(f"{finding.level}: {finding.sentence}" for finding in ordered) or None
 
     def to_json(self) -> list[dict[str, str]]:
         """Findings as a list for JSON."""
@@ -75,27 +75,27 @@ def collect_findings(
 ) -> Judgement:
     """Collect all findings about the records, the model and the measured model error."""
     case = Case(data=data, model=model, validation=validation, test=test)
-    found = [
+    findings = [
         *fit.judge_fit(case),
         *records.judge_records(case, mismatch),
         *response.judge_response(case),
         *feedback.judge_feedback(case),
     ]
-    found += own_motion.judge_autonomous_motion(case) + fit.judge_whiteness(case)
+    findings += own_motion.judge_autonomous_motion(case) + fit.judge_whiteness(case)
     if data.disturbances:
         names = ", ".join(channel.name for channel in data.disturbances)
-        found.append(
+        findings.append(
             make_note(
                 f"Measured disturbances ({names}) drive model and observer; the controller does "
                 "not compensate them, and the loop on the model runs with them at equilibrium."
             )
         )
     if "split" in data.metadata:
-        found.append(make_note(f"The log was cut {data.metadata['split']}."))
-    found += judge_reading(data.metadata.get("reading", ""))
+        findings.append(make_note(f"The log was cut {data.metadata['split']}."))
+    findings += judge_reading(data.metadata.get("reading", ""))
     if data.metadata.get("reading"):
-        found.append(make_note(f"The log was read so: {data.metadata['reading']}."))
-    return Judgement(findings=tuple(found))
+        findings.append(make_note(f"The log was read so: {data.metadata['reading']}."))
+    return Judgement(findings=tuple(findings))
 
 
 def judge_reading(reading: str) -> list[Finding]:

@@ -220,10 +220,10 @@ def _judge_slow_mode(case: Case) -> str:
 
     It speaks of the output where the log shows that it integrates, else of the model alone.
     """
-    kept = 100 * slowest_mode_remainder(case)
+    remainder = 100 * slowest_mode_remainder(case)
     if integrator_share(case.data) is not None or not integrates(case):
         return (
-            f"The output integrates its input: the slowest mode keeps {kept:.1f} % over the "
+            f"The output integrates its input: the slowest mode keeps {remainder:.1f} % over the "
             "longest record, so no log shows where it rests: try the loop, and refine with that "
             "log."
         )
@@ -345,15 +345,17 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
     off = max((*mismatch.stuck, *offsets), default=0.0)
     if not mismatch.comes_to_rest:
         left = mismatch.left_at_rest
-        told = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
+        statement = f"{left:.2g} output scales are left at rest input, more than {AT_REST:g}"
         yield make_doubt(
-            f"The output does not come to rest by itself ({told}): no loop is predicted to "
+            f"The output does not come to rest by itself ({statement}): no loop is predicted to "
             "settle it."
         )
     elif off > AT_REST:
-        told = f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
+        statement = (
+            f"After the input has moved it, the output stays {off:.2g} scales off at rest input"
+        )
         yield make_doubt(
-            f"{told}: friction, play or several rests; a loop without integrators may stop "
+            f"{statement}: friction, play or several rests; a loop without integrators may stop "
             "as far off. "
             "Record more returns to rest."
         )
@@ -365,19 +367,21 @@ def _judge_rest(case: Case, mismatch: Mismatch) -> Iterator[Finding]:
         if (
             apart > AT_REST
         ):  # what the short ones show is no proof of friction, and no reason for silence
-            told = f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
-            yield make_doubt(f"{told}: friction, play or a slow mode. Record longer ones.")
+            statement = (
+                f"{problem}, and they end {apart:.2g} scales apart, where none seems to move"
+            )
+            yield make_doubt(f"{statement}: friction, play or a slow mode. Record longer ones.")
         else:
             yield make_note(
                 f"{problem}: whether the output rests by itself is unknown; add such returns."
             )
     elif mismatch.left_at_rest > FAINT:
-        told = (
+        statement = (
             f"{mismatch.left_at_rest:.2g} output scales are left at rest input: a small limit "
             "cycle, or a slow decay"
         )
         yield make_doubt(
-            f"{told}. A loop may swing farther, and settles in no narrower band. Record "
+            f"{statement}. A loop may swing farther, and settles in no narrower band. Record "
             "longer rests."
         )
     if len(mismatch.views) == 1:

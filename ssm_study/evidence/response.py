@@ -66,16 +66,16 @@ def _judge_coherence(case: Case) -> Iterator[Finding]:
     angles = np.linspace(0, np.pi, segment // 2 + 1)[1:]
     sizes = largest_gains(linear, angles)
     used = sizes >= USED * sizes.max()
-    shown = multiple_coherence(parts, segment)[1:][used]
-    share = float((shown < COHERENT).mean())
+    values = multiple_coherence(parts, segment)[1:][used]
+    share = float((values < COHERENT).mean())
     hertz = angles[used].max() / (2 * np.pi * case.data.step_s)
     if share > INCOHERENT:
-        told = (
+        statement = (
             f"Input and output go together (coherence above {COHERENT:g}) in "
             f"{100 * (1 - share):.0f} % of the band"
         )
         yield make_doubt(
-            f"{told} up to {hertz:.3g} Hz that a controller uses: excite it there, or "
+            f"{statement} up to {hertz:.3g} Hz that a controller uses: excite it there, or "
             "measure with less noise."
         )
 
@@ -113,15 +113,17 @@ def multiple_coherence(parts: Sequence[Record], segment: int) -> Float[np.ndarra
 def _judge_sampling(case: Case) -> Iterator[Finding]:
     """Note on a log that was sampled much too slowly or too fast for the model's response."""
     response = case.model.linear.impulse_response_length()
-    told = f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
+    statement = (
+        f"The bulk of the model's response lasts {response} samples of {case.data.step_s:g} s"
+    )
     if case.data.metadata.get("source") != "recorded":
         return
     if response <= COARSE:
-        yield make_note(f"{told}: sample more often, or the controller cannot act within it.")
+        yield make_note(f"{statement}: sample more often, or the controller cannot act within it.")
     elif response >= FINE and slowest_mode_remainder(case) <= INTEGRATES:
         keep = response // ENOUGH
         yield make_note(
-            f"{told}: sampled more finely than needed; data.decimate={keep} keeps one sample "
+            f"{statement}: sampled more finely than needed; data.decimate={keep} keeps one sample "
             f"in {keep}."
         )
 
@@ -132,12 +134,12 @@ def _judge_dead_time(case: Case) -> Iterator[Finding]:
     order = case.model.order
     if late < LATE:
         return
-    told = f"The output answers {late} samples late"
+    statement = f"The output answers {late} samples late"
     if late > order:
         remedy = f"use model=delayed model.dead_time={late}, or a longer step_s"
-        yield make_doubt(f"{told}, more than model.order={order} can delay it: {remedy}.")
+        yield make_doubt(f"{statement}, more than model.order={order} can delay it: {remedy}.")
     else:
-        yield make_note(f"{told}, which takes as many of the {order} states.")
+        yield make_note(f"{statement}, which takes as many of the {order} states.")
 
 
 def dead_time_samples(case: Case) -> int:

@@ -239,8 +239,8 @@ class ObserverFeedback(EstimateFeedback):
         error = np.concatenate([estimation_error, internal_states], axis=1)
         u = np.broadcast_to(target[n : n + m], (len(error), m))
         feedback = multiply_rows(self.gains.k, error)
-        asked = self.unlimited_input(u, feedback)
-        return self.model.scale.physical_input(asked)
+        unlimited_u = self.unlimited_input(u, feedback)
+        return self.model.scale.physical_input(unlimited_u)
 
     def advance(
         self, memory: Memory, u: Inputs, y: Outputs, target: Target, d: Measured = None
@@ -250,8 +250,8 @@ class ObserverFeedback(EstimateFeedback):
         modes = self.gains.modes
         if not len(modes):
             return x_hat
-        asked = self.input(memory, y, target)
-        as_asked = np.isclose(u, asked, rtol=1e-9, atol=1e-12)
+        unlimited_u = self.input(memory, y, target)
+        as_asked = np.isclose(u, unlimited_u, rtol=1e-9, atol=1e-12)
         unlimited = as_asked.all(axis=1, keepdims=True)
         p = y.shape[1]
         output_scale = self.model.scale.output_scale

@@ -133,23 +133,25 @@ def project_to_contracting(
     low = 0.0
     high = 1.0
     share = 1.0
-    found = None
+    contracting = None
     for _ in range(HALVINGS):
         trial = find_contraction_metric(
             RecurrenceMatrices(a=average - share * mean, e=share * core.e, f=core.f), rate
         )
-        low, high, found = (low, share, found) if trial is None else (share, high, trial)
+        low, high, contracting = (
+            (low, share, contracting) if trial is None else (share, high, trial)
+        )
         if low == 1.0:
             break
         share = 0.5 * (low + high)
-    found = found or find_contraction_metric(
+    contracting = contracting or find_contraction_metric(
         RecurrenceMatrices(a=average, e=0.0 * core.e, f=core.f), rate
     )
-    if found is None:
+    if contracting is None:
         raise BadRequest(
             "model", "no metric", "its linear part has none at this rate", "use a larger rate"
         )
-    return found
+    return contracting
 
 
 def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> ContractingRecurrence | None:
@@ -179,18 +181,18 @@ def find_contraction_metric(core: RecurrenceMatrices, rate: float) -> Contractin
             p = scipy.linalg.solve_discrete_are(a, b, weight, -np.eye(q))
         else:
             p = scipy.linalg.solve_discrete_lyapunov(a.T, weight)
-        found = ContractingRecurrence(core, np.linalg.cholesky(p / 2.0).T, d)
-        parameters_from_matrices(transform_to_metric(found), rate)
+        contracting = ContractingRecurrence(core, np.linalg.cholesky(p / 2.0).T, d)
+        parameters_from_matrices(transform_to_metric(contracting), rate)
     except (np.linalg.LinAlgError, ValueError):  # the gain is one or more: there is no solution
         return None
-    return found
+    return contracting
 
 
-def transform_to_metric(found: ContractingRecurrence) -> RecurrenceMatrices:
+def transform_to_metric(contracting: ContractingRecurrence) -> RecurrenceMatrices:
     """Transform a recurrence to coordinates in which its contraction metric is the identity. `xt =
     T x`, with Lambda moved into E and F: `M = I, Lambda = I`."""
-    back = np.linalg.inv(found.t)
-    core, t, d = found
+    back = np.linalg.inv(contracting.t)
+    core, t, d = contracting
     return RecurrenceMatrices(a=t @ core.a @ back, e=t @ core.e * d, f=(core.f @ back) / d[:, None])
 
 

@@ -182,8 +182,8 @@ class DelayLine:
         whole = np.zeros((size, size))
         whole[:n, :n] = a
         whole[:n, size - self.channels :] = b
-        kept = self.state_count - self.channels
-        whole[n + self.channels :, n : n + kept] = np.eye(kept)
+        shifted = self.state_count - self.channels
+        whole[n + self.channels :, n : n + shifted] = np.eye(shifted)
         return whole
 
     def input_matrix(self) -> Float[np.ndarray, "N m"]:

@@ -180,15 +180,15 @@ def realise_impulse_response(
     blocks = h[1 + rows + columns]  # the direct term h[0] is D
     hankel = blocks.transpose(0, 2, 1, 3).reshape(half * p, (half - 1) * m)
     left, values, right = scipy.linalg.svd(hankel, full_matrices=False)
-    kept = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
-    root = np.sqrt(values[:kept])
-    observability = left[:, :kept] * root
-    reachability = root[:, None] * right[:kept]
+    rank = min(order, int((values > NOISE_FLOOR * values[0]).sum()))
+    root = np.sqrt(values[:rank])
+    observability = left[:, :rank] * root
+    reachability = root[:, None] * right[:rank]
     a = np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0]
     # Separates repeated modes, which no diagonal form can hold.
     a = a + 1e-6 * rng.normal(size=a.shape)
 
-    missing = order - kept
+    missing = order - rank
     fast_modes = rng.uniform(0.1, 0.4, size=missing)  # forgotten within a few samples
     b = np.vstack([reachability[:, :m], 0.1 * rng.normal(size=(missing, m))])
     c = np.hstack([observability[:p], 0.1 * rng.normal(size=(p, missing))])
@@ -204,8 +204,10 @@ def modal_initialisation(system: StateSpace) -> Initialisation:
     values = stabilise_eigenvalues(values)
     real = np.flatnonzero(np.isreal(values))
     upper = np.flatnonzero(values.imag > 0)
-    kept = np.concatenate([real, upper])
-    return Initialisation(modes=values[kept].astype(complex), b=b[kept], c=c[:, kept], d=system.d)
+    indices = np.concatenate([real, upper])
+    return Initialisation(
+        modes=values[indices].astype(complex), b=b[indices], c=c[:, indices], d=system.d
+    )
 
 
 def stabilise_eigenvalues(values: Inexact[np.ndarray, "n"]) -> Inexact[np.ndarray, "n"]:

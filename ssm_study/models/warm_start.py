@@ -150,11 +150,11 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
     """Part of a log that directly precedes a record, joined from other records. None without
     any."""
     records = [*data.training, *data.validation, *data.test]
-    known = [record for record in records if record.log and record.log == piece.log]
+    all_records = [record for record in records if record.log and record.log == piece.log]
     joined: list[Trajectory] = []
     first = piece.first
     while first > 0:
-        holders = [one for one in known if one.first < first <= one.first + len(one)]
+        holders = [one for one in all_records if one.first < first <= one.first + len(one)]
         if not holders:
             break
         before = holders[0]
@@ -166,9 +166,9 @@ def preceding_log(data: DataSet, piece: Trajectory) -> Trajectory | None:
 def join_log_stretches(data: DataSet) -> list[Trajectory]:
     """Stretches of the logs without gaps, joined again from the records of a data set."""
     records = [*data.training, *data.validation, *data.test]
-    known = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
+    all_records = sorted((one for one in records if one.log), key=lambda one: (one.log, one.first))
     stretches: list[list[Trajectory]] = []
-    for record in known:
+    for record in all_records:
         before = stretches[-1][-1] if stretches else None
         follows = (
             before is not None

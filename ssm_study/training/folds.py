@@ -54,11 +54,11 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
     unscored = data.start_up_samples or START_UP
     folds = []
     for k in range(FOLDS):
-        kept, held_out = hold_out_records(joined, k) if whole else hold_out_pieces(joined, k)
+        trained, held_out = hold_out_records(joined, k) if whole else hold_out_pieces(joined, k)
         folds.append(
             replace(
                 data,
-                training=shorten_records(kept),
+                training=shorten_records(trained),
                 validation=held_out,
                 test=held_out,
                 start_up_samples=unscored,
@@ -69,8 +69,8 @@ def make_folds(data: DataSet) -> tuple[DataSet, ...]:
 
 def hold_out_records(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:
     """Training records without every fourth or so, and the held-out ones."""
-    kept = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
-    return kept, records[fold::FOLDS]
+    trained = tuple(record for k, record in enumerate(records) if k % FOLDS != fold)
+    return trained, records[fold::FOLDS]
 
 
 def hold_out_pieces(records: Trajectories, fold: int) -> tuple[Trajectories, Trajectories]:

@@ -152,8 +152,8 @@ def train_with_lightning(
         kept = {"state_dict": keeper.kept, "fingerprint": belongs_to}
         DurableCheckpointIO().save_checkpoint(kept, folder / BEST)
         fit.load_state_dict(keeper.kept)
-    model, told = fit.conclude()
-    ended = (keeper.ended or early) + told
+    model, remark = fit.conclude()
+    ended = (keeper.ended or early) + remark
     return Identification.from_model(
         model, data, seconds=keeper.seconds, curve=keeper.curve, ended=ended
     )
@@ -202,19 +202,23 @@ def build_trainer(settings: "Training", callbacks: list[Callback], folder: Path)
     """Build the Lightning trainer. Raises `BadRequest` for an accelerator that this machine does
     not have."""
     logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
-    told: Any = dict.fromkeys(
+    options: Any = dict.fromkeys(
         ("enable_checkpointing", "enable_progress_bar", "enable_model_summary"), False
     )
-    told |= {
+    options |= {
         "devices": 1,
         "log_every_n_steps": 1,
         "num_sanity_val_steps": 0,
         "plugins": [DurableCheckpointIO()],
     }
-    told |= {"callbacks": callbacks, "default_root_dir": folder, "max_epochs": settings.max_epochs}
-    told["logger"] = settings.logger.build(folder) or False  # its own refusals pass
+    options |= {
+        "callbacks": callbacks,
+        "default_root_dir": folder,
+        "max_epochs": settings.max_epochs,
+    }
+    options["logger"] = settings.logger.build(folder) or False  # its own refusals pass
     try:
-        return pl.Trainer(accelerator=settings.accelerator, **told)
+        return pl.Trainer(accelerator=settings.accelerator, **options)
     except (ImportError, MisconfigurationException, RuntimeError, ValueError) as error:
         problem = "not available on this machine"
         remedy = "use training.accelerator=cpu"
@@ -239,10 +243,10 @@ def find_resumable_checkpoint(folder: Path, expected: str) -> Path | None:
     path = folder / LAST
     if not path.exists():
         return None
-    found = read_checkpoint(path).get("fingerprint")
+    stored_fingerprint = read_checkpoint(path).get("fingerprint")
     problem = "the checkpoint there is of another model, training or data set"
     require(
-        found == expected,
+        stored_fingerprint == expected,
         "training folder",
         folder,
         problem,
@@ -284,8 +288,8 @@ class ProgressLine(Callback):
         """Show the fits of the epoch on the progress line."""
         training, validation = (f"{trainer.callback_metrics[name]:.2f} %" for name in FITS)
         epoch = trainer.current_epoch + 1
-        told = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
-        self.progress.update(self.task, completed=epoch, description=told)
+        line = f"epoch {epoch}/{trainer.max_epochs}, fit {training}, validation {validation}"
+        self.progress.update(self.task, completed=epoch, description=line)
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:  # noqa: ARG002
         """Remove the progress line when the training ends."""

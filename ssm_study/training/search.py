@@ -80,9 +80,9 @@ class Search:
         """Score a structured model with given settings on the folds."""
         spec = self.complete_settings(settings)
         settings = {name: getattr(spec, name) for name in self.spec.automatic_settings}
-        known = self.find_candidate(STRUCTURED, settings)
-        if known is not None:
-            return known
+        tried = self.find_candidate(STRUCTURED, settings)
+        if tried is not None:
+            return tried
         best = best_candidate(self.tried) if self.tried else None
         return self.add_candidate(
             question, STRUCTURED, settings, try_structured_model(spec, self.folds, self.seed, best)
@@ -101,9 +101,9 @@ class Search:
     def score_linear_model(self, question: str, order: int, delay: int) -> Candidate:
         """Score a linear output-error model on the folds."""
         settings = {"order": order, "delay": delay}
-        known = self.find_candidate(LINEAR, settings)
-        if known is not None:
-            return known
+        tried = self.find_candidate(LINEAR, settings)
+        if tried is not None:
+            return tried
         return self.add_candidate(
             question, LINEAR, settings, try_linear_model(self.folds, order, delay)
         )

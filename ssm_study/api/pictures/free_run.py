@@ -24,7 +24,7 @@ def free_run_picture(
 
     Of a longer record the first `LONGEST` samples are drawn; the fit is of the whole.
     """
-    shown = slice(0, LONGEST)
+    drawn_series = slice(0, LONGEST)
     fits = {
         name: fit_percent(measured[start_up:], output[start_up:])
         for name, output in simulated.items()
@@ -32,18 +32,20 @@ def free_run_picture(
     upper = []
     lower = []
     for j, label in enumerate(labels):
-        y = measured[shown, j]
-        start = _start_up_band(time_s[shown], y, start_up)
-        dots = Series(x=time_s[shown], y=y, mark="dots", colour=style.GREY, name="measured")
+        y = measured[drawn_series, j]
+        start = _start_up_band(time_s[drawn_series], y, start_up)
+        dots = Series(x=time_s[drawn_series], y=y, mark="dots", colour=style.GREY, name="measured")
         runs = [dots]
         errors = []
         for i, (name, output) in enumerate(simulated.items()):
             colour = style.CYCLE[i % len(style.CYCLE)]
             legend = f"{name}, fit {fits[name]:.1f} %"
-            run = Series(x=time_s[shown], y=output[shown, j], colour=colour, name=legend)
+            run = Series(
+                x=time_s[drawn_series], y=output[drawn_series, j], colour=colour, name=legend
+            )
             runs.append(run)
-            error = y - output[shown, j]
-            series = Series(x=time_s[shown], y=error, colour=_error_colour(i), thin=True)
+            error = y - output[drawn_series, j]
+            series = Series(x=time_s[drawn_series], y=error, colour=_error_colour(i), thin=True)
             errors.append(series)
         picture_panel = PicturePanel(
             x_label="Time (s)", y_label=label, series=tuple(runs), bands=start, height=1.3

@@ -72,25 +72,29 @@ class Excitation(ABC):
 
     def signal(self, request: SignalRequest, rng: np.random.Generator) -> Float[np.ndarray, "T m"]:
         """Generate the excitation signal in physical units."""
-        asked = self._with_own_settings(request)
-        return self.unit_signal(asked, rng) * np.array(asked.amplitude)
+        own_request = self._with_own_settings(request)
+        return self.unit_signal(own_request, rng) * np.array(own_request.amplitude)
 
     def _with_own_settings(self, request: SignalRequest) -> SignalRequest:
         """Replace the plant's amplitude and clock period in a signal request by the excitation's
         own, where it has them."""
         amplitude = request.amplitude if self.amplitude is None else self.amplitude
-        given = (
+        amplitudes = (
             (float(amplitude),) * request.inputs
             if isinstance(amplitude, int | float)
             else tuple(amplitude)
         )
         problem = f"one number or one per input is needed, and the plant has {request.inputs}"
         require(
-            len(given) == request.inputs, "excitation.amplitude", given, problem, "give as many"
+            len(amplitudes) == request.inputs,
+            "excitation.amplitude",
+            amplitudes,
+            problem,
+            "give as many",
         )
         return replace(
             request,
-            amplitude=given,
+            amplitude=amplitudes,
             clock_s=request.clock_s if self.clock_s is None else self.clock_s,
         )
 

@@ -289,8 +289,8 @@ def _parse_version_4(path: Path) -> Iterator[tuple[str, Value]]:
             "ignore", RuntimeWarning
         )  # sizes that overflow: what they lead to is an error
         warnings.simplefilter("error", UserWarning)  # a byte order that is not known
-        found = scipy.io.loadmat(path, appendmat=False)
-    for name, value in found.items():
+        variables = scipy.io.loadmat(path, appendmat=False)
+    for name, value in variables.items():
         yield (
             name,
             V4_KINDS.get(value.dtype.kind, value) if isinstance(value, np.ndarray) else CLASSES[5],

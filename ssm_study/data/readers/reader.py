@@ -128,9 +128,9 @@ def refuse_unusable_values(path: Path, name: str, table: Table, missing: bool) -
     if len(bad):
         where = f"{path.name}, column {name}, {table.row_name(int(bad[0]))}"
         raise BadRequest(where, values[bad[0]], "not a finite number", INTERPOLATE)
-    known = values[np.isfinite(values)]
-    largest = float(np.abs(known).max(initial=0.0))
-    span = float(np.ptp(known)) if len(known) else 0.0
+    finite = values[np.isfinite(values)]
+    largest = float(np.abs(finite).max(initial=0.0))
+    span = float(np.ptp(finite)) if len(finite) else 0.0
     fits = largest < LARGEST and (span == 0 or span > 1 / LARGEST)
     problem = f"floats hold no squares beyond {LARGEST:g}, or of differences below {1 / LARGEST:g}"
     where = f"{path.name}, column {name} (largest)"
@@ -159,14 +159,14 @@ def has_columns(path: Path, names: Sequence[str], settings: TextSettings | None 
 def check_column_names(
     where: str,
     names: list[str],
-    known: Sequence[str],
+    titles: Sequence[str],
     whole: str = "file",
     remedy: str = "name one of these",
 ) -> None:
     """Refuse a column name that is unknown or ambiguous. `whole` holds the known ones."""
     for name in names:
-        count = list(known).count(name)
-        named = [title for title in known if title]
+        count = list(titles).count(name)
+        named = [title for title in titles if title]
         listing = ", ".join(named[:12]) + (" ..." if len(named) > 12 else "")
         require(count > 0, where, name, f"the {whole} has {listing}", remedy)
         require(count == 1, where, name, f"the {whole} has it {count} times", "rename the others")
@@ -197,11 +197,11 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     wanted = (name, name, fold_title(name), fold_title(name))
     number = int(name) if name.isascii() and name.isdigit() else None
     numbered = number is not None and number < len(titles)
-    for word, known in zip(wanted, ways, strict=True):
-        if not word or word not in known:
+    for word, titles_in_form in zip(wanted, ways, strict=True):
+        if not word or word not in titles_in_form:
             continue
-        check_column_names(where, [word], known, "header")
-        place = known.index(word)
+        check_column_names(where, [word], titles_in_form, "header")
+        place = titles_in_form.index(word)
         counted = numbered and place != number and header is None
         if counted:
             problem = (

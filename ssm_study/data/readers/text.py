@@ -110,12 +110,12 @@ class TextReader(Reader, names=(".csv", ".txt", ".tsv", ".dat", ".asc", ".log", 
 
 def blank_duplicate_titles(titles: list[str], table: pa.Table) -> list[str]:
     """Blank the titles of columns that repeat an earlier column of the same title."""
-    kept = list(titles)
+    unique_titles = list(titles)
     for place, title in enumerate(titles):
         first = titles.index(title)
         if first < place and table.column(first).equals(table.column(place)):
-            kept[place] = ""
-    return kept
+            unique_titles[place] = ""
+    return unique_titles
 
 
 def drop_empty_last_column(columns: dict[str, Any], title: str, nameless: bool) -> None:
