@@ -72,7 +72,7 @@ class Variant:
     line_end: str
     step_s: float
     trailing: bool
-    quote_for_command: bool
+    quoted: bool
     counter: bool
     seed: int
 
@@ -88,7 +88,7 @@ def is_possible(variant: Variant) -> bool:
         or variant.units_row
         or CLOCKS[variant.clock][0] not in ("", "t", "time_ms", "timestamp_us")
     )
-    both = variant.separator == variant.decimal and not variant.quote_for_command
+    both = variant.separator == variant.decimal and not variant.quoted
     nameless = ("none", "t", "date", "ms since 1970", "date in digits")
     bare_clock = variant.names == "none" and variant.clock not in nameless
     bare_units = variant.units_row and variant.names in ("none", "units", "brackets")
@@ -112,7 +112,7 @@ variants = st.builds(
     line_end=st.sampled_from(["\n", "\r\n"]),
     step_s=st.sampled_from([0.001, 0.01, 0.25, 1.0, 60.0]),
     trailing=st.booleans(),
-    quote_for_command=st.sampled_from([False, False, True]),
+    quoted=st.sampled_from([False, False, True]),
     counter=st.sampled_from([False, False, True]),
     seed=st.integers(0, 10_000),
 ).filter(is_possible)
@@ -153,7 +153,7 @@ def write(variant: Variant, folder: Path) -> Written:
         rows = [[str(k), *row] for k, row in enumerate(rows)]
         names = ["", *names]
         units = ["", *units]
-    if variant.quote_for_command:
+    if variant.quoted:
         rows = [[f'"{cell}"' for cell in row] for row in rows]
         names = [f'"{name}"' for name in names]
         units = [f'"{unit}"' for unit in units]

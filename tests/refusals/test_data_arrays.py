@@ -47,8 +47,8 @@ def test_refused_in_words_of_the_array(tmp_path, u, y, says: str) -> None:  # ty
 
 
 def test_their_good_twins_are_taken(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    split_by_time = pd.Series(U, name="power", index=INDEX)
-    for u in (U, U[:, None], np.ma.masked_array(U), split_by_time, split_by_time.to_frame()):
+    by_time = pd.Series(U, name="power", index=INDEX)
+    for u in (U, U[:, None], np.ma.masked_array(U), by_time, by_time.to_frame()):
         logged_arrays = write_log_files(u, Y, tmp_path, 0.01)
         paths = logged_arrays.paths
         table = pd.read_parquet(paths[0])
