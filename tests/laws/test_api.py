@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
-from ssm_study.api.summaries import prediction_lines
+from ssm_study.api.summaries import summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -249,7 +249,7 @@ def test_control_refuses(log: pd.DataFrame) -> None:
 
 def test_a_design_that_helps_nobody_says_so() -> None:
     facts = {"predicted_stable": True, "evidence": "doubt", "predicted_faster": False}
-    line = prediction_lines(facts | {"resolved_margin": 1.24})["predicted for the plant"]
+    line = summarise_prediction(facts | {"resolved_margin": 1.24})["predicted for the plant"]
     expected = "stays stable, no faster than without control, with doubts (stability margin 1.24)"
     assert line == expected
 
