@@ -139,7 +139,7 @@ def test_an_uncertain_mismatch_moves_the_choice_away_from_the_edge():
 
 def test_the_choice_settles_the_true_motor_faster_than_none(chosen):
     loop = Loop(horizon_s=1.5, measurement_noise_variance=0.02)
-    result = loop.run(motor(), motor_model(), chosen, seed=0)
+    result = loop.run_design(motor(), motor_model(), chosen, seed=0)
     columns = behaviour_columns(result) | certificate_columns(result, chosen)
     assert columns["stable_count"] == 10
     upper_limit = 0.6 * columns["settling_time_open_loop_s"]

@@ -31,10 +31,10 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():
     """Twice as large a band needs no such care; a band within the noise does, and says so."""
     loop = Loop(measurement_noise_variance=0.02)
-    quiet = loop.run(motor(), motor_model(), motor_design(), seed=0)
+    quiet = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     assert quiet.noise_free is None
     loop = Loop(measurement_noise_variance=20.0)
-    noisy = loop.run(motor(), motor_model(), motor_design(), seed=0)
+    noisy = loop.run_design(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour_columns(noisy)
     assert columns["judged_noise_free"]
     assert columns["stable_count"] == 10
@@ -46,7 +46,7 @@ def test_without_noise_there_is_nothing_to_leave_out():
     k = np.array([[8.0, 8.0]])
     lost = replace(motor_design(), state_feedback=replace(motor_design().state_feedback, k=k))
     loop = Loop(measurement_noise_variance=0.0)
-    run = loop.run(motor(), motor_model(), lost, seed=0)
+    run = loop.run_design(motor(), motor_model(), lost, seed=0)
     assert run.noise_free is None
     assert behaviour_columns(run)["stable_count"] < 10
     assert behaviour_columns(run)["unsettled_as"]

@@ -70,7 +70,7 @@ def test_an_infeasible_design_closes_no_loop():
     ball = JacobianBall.from_slopes(0.01, 1.0)
     infeasible = riccati_synthesis.state_feedback(system, ball)
     with pytest.raises(BadRequest, match="state_feedback"):
-        LOOP.run(
+        LOOP.run_design(
             motor(),
             motor_model(),
             Design(state_feedback=infeasible, observer=motor_design().observer),
@@ -174,7 +174,7 @@ def test_a_reference_that_needs_more_than_the_limits_allow():
 def test_a_horizon_shorter_than_a_sample_has_two() -> None:
     horizons = (1e-6, 0.02, 0.031)
     expected = [2, 2, 3]
-    assert [Loop(horizon_s=horizon).samples(0.01) for horizon in horizons] == expected
+    assert [Loop(horizon_s=horizon).horizon_samples(0.01) for horizon in horizons] == expected
 
 
 def test_a_withdrawn_controller_is_refused_with_the_line_of_the_changelog():
