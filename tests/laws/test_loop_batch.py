@@ -99,7 +99,7 @@ def test_limits_hold_and_the_observer_knows_them():
     assert smallest == -1.0
     largest = result.controlled.u.max()
     assert largest == 0.5
-    free = LOOP.run(motor(), motor_model(), motor_design(), seed=1)
+    free = LOOP.run_design(motor(), motor_model(), motor_design(), seed=1)
     controlled_u = free.controlled.u
     largest = np.abs(controlled_u).max()
     assert largest > 1.0
@@ -193,7 +193,7 @@ def test_a_case_that_starts_beyond_the_bound_shows_its_start_and_no_input():
 
 
 def test_every_column_is_a_number_or_nothing():
-    result = LOOP.run(motor(), motor_model(), motor_design(), seed=0)
+    result = LOOP.run_design(motor(), motor_model(), motor_design(), seed=0)
     columns = behaviour_columns(result) | certificate_columns(result, motor_design())
     assert all(value is None or np.isfinite(value) for value in columns.values())
     assert columns["initial_conditions"] == 5

@@ -110,7 +110,7 @@ def _pair(model):
 
 
 def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
-    loop = LOADED.run(motor(), motor_model(), design, seed=0)
+    loop = LOADED.run_design(motor(), motor_model(), design, seed=0)
     columns = behaviour_columns(loop)
     assert columns["stable_count"] == 10
     assert columns["final_error_worst"] < 1e-3
@@ -118,13 +118,13 @@ def test_no_steady_error_under_a_constant_load_on_the_true_motor(design):
 
 def test_without_integral_action_the_load_leaves_an_error():
     plain = inner().design(motor_model(), BALLS)
-    loop = LOADED.run(motor(), motor_model(), plain, seed=0)
+    loop = LOADED.run_design(motor(), motor_model(), plain, seed=0)
     columns = behaviour_columns(loop)
     assert columns["final_error_worst"] > 0.2
 
 
 def test_the_certified_bound_holds_with_integrators(design):
-    result = LOADED.run(motor(), motor_model(), design, seed=1)
+    result = LOADED.run_design(motor(), motor_model(), design, seed=1)
     columns = certificate_columns(result, design)
     assert columns["certified_bound_violations"] == 0
     rate = design.observer.rate
@@ -222,7 +222,7 @@ def test_auto_chooses_with_integral_action():
     assert state_feedback_k.shape == (1, 3)
     shown = measure_mismatch(motor_model(), (motor_record(),))
     assert predict(motor_model(), chosen.pair, BALLS, shown).predicts_stability()
-    loop = LOADED.run(motor(), motor_model(), chosen, seed=0)
+    loop = LOADED.run_design(motor(), motor_model(), chosen, seed=0)
     columns = behaviour_columns(loop)
     assert columns["final_error_worst"] < 1e-2
 
