@@ -98,7 +98,7 @@ def _drawn(name: str, studies: Sequence[Path]) -> str:
     reasons = []
     for folder in studies:
         try:
-            figure = figures.drawn(name, StudyFolder(folder=folder))
+            figure = figures.draw_one_figure(name, StudyFolder(folder=folder))
         except NothingToDraw as reason:
             reasons.append(f"{folder}: {reason}")
             continue

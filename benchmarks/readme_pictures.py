@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.models.identified import SSM
-from ssm_study.report.figures.certified_decay import controlled, distances
+from ssm_study.report.figures.certified_decay import controlled_step, relative_distances
 from ssm_study.report.study_folder import RecordedCases, StudyFolder
 
 PICTURES = Path(__file__).resolve().parents[1] / "docs" / "pictures"
@@ -79,7 +79,7 @@ def lines_of(axes: Axes, loop: RecordedCases, title: str) -> list[mpl.lines.Line
 def study_line(study: StudyFolder) -> Figure:
     """Record, model, certificate, closed loop: four panels in this order, each with the one number
     it adds."""
-    parts = study.of_best(
+    parts = study.read_from_best(
         "validation",
         "model",
         "certificate",
@@ -160,7 +160,7 @@ def _decay(axes: Axes, model: SSM, certificate: dict[str, Any], record: dict[str
     a, b, k, p = (
         np.array({**certificate["state_feedback"], **side}[name]) for name in ("a", "b", "k", "p")
     )
-    d = distances(controlled(model, a, b, k), np.linalg.inv(p))[
+    d = relative_distances(controlled_step(model, a, b, k), np.linalg.inv(p))[
         :, :DECAY
     ]  # the dual form: M = P^-1
     samples = np.arange(DECAY)
@@ -188,7 +188,7 @@ def main() -> None:
     )
     parser.add_argument("study", type=Path)
     study = StudyFolder(folder=parser.parse_args().study)
-    (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
+    (loop,) = study.read_from_best("closed_loop", otherwise="No run reached the closed loop.")
     PICTURES.mkdir(exist_ok=True)
     animation(loop).save(PICTURES / "ten_speeds.gif", writer=PillowWriter(fps=10), dpi=100)
     study_line(study).savefig(PICTURES / "study_line.png", dpi=200)

@@ -43,11 +43,11 @@ SHOWN += ["stable_count", "initial_conditions", "settling_time_mean_s", "settlin
 
 def iterations(folder: Path, settings: list[str]) -> list[Path]:
     """The first run and those that `refine` makes of it, in order."""
-    from ssm_study.cli.from_python import composed
+    from ssm_study.cli.from_python import compose_configuration
     from ssm_study.study.line import STUDY
     from ssm_study.study.refine import refine
 
-    config = composed([*HIDDEN, f"results_dir={folder}", *settings])
+    config = compose_configuration([*HIDDEN, f"results_dir={folder}", *settings])
     with open_dict(config):
         config.plant = PLANT
     runs = [STUDY.job(config).folder]

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from synthesis_certified import FOLDER
 
 from ssm_study import style
-from ssm_study.table.columns import column, flag, text
+from ssm_study.table.columns import numeric_column, boolean_column, text_column
 
 METHODS = {  # method: label, colour, marker
     "riccati": ("Riccati", style.BLUE, "o"),
@@ -27,12 +27,14 @@ def feasibility_map(table: pd.DataFrame) -> Figure:
 
     `table`: columns `slope_floor, rate, rate_limit, solver_certified`, all of one model.
     """
-    floor = column(table, "slope_floor")
-    rate = column(table, "rate")
-    held = flag(table, "solver_certified")
+    floor = numeric_column(table, "slope_floor")
+    rate = numeric_column(table, "rate")
+    held = boolean_column(table, "solver_certified")
     fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log")
-    limits = pd.DataFrame({"floor": floor, "limit": column(table, "rate_limit")}).drop_duplicates()
+    limits = pd.DataFrame(
+        {"floor": floor, "limit": numeric_column(table, "rate_limit")}
+    ).drop_duplicates()
     limits = limits.sort_values("floor")
     axes.fill_between(limits.floor, limits.limit, color=style.PALE, alpha=0.6, lw=0, zorder=1)
     axes.plot(limits.floor, limits.limit, color=style.INK, label="exact frontier", zorder=2)
@@ -66,9 +68,13 @@ def gain_norm(table: pd.DataFrame) -> Figure:
     """
     fig = style.new_figure(style.COLUMN_IN, 2.6)
     axes = fig.add_subplot()
-    _lines(axes, table, column(table, "rate"), column(table, "gain_norm"))
+    _lines(axes, table, numeric_column(table, "rate"), numeric_column(table, "gain_norm"))
     axes.axvline(
-        column(table, "rate_limit").max(), color=style.INK, lw=0.9, ls=":", label="exact frontier"
+        numeric_column(table, "rate_limit").max(),
+        color=style.INK,
+        lw=0.9,
+        ls=":",
+        label="exact frontier",
     )
     axes.set(xlabel="Controller rate, ρ (1/sample)", ylabel="Controller gain ‖K‖ (scaled)")
     axes.set_ylim(bottom=0)
@@ -82,8 +88,8 @@ def contraction(table: pd.DataFrame) -> Figure:
 
     `table`: columns `method, certified, measured`, factors of the distance per sample.
     """
-    certified = column(table, "certified")
-    measured = column(table, "measured")
+    certified = numeric_column(table, "certified")
+    measured = numeric_column(table, "measured")
     fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot()
     span = (
@@ -103,7 +109,7 @@ def contraction(table: pd.DataFrame) -> Figure:
 def _lines(axes: Axes, table: pd.DataFrame, x: pd.Series, y: pd.Series) -> None:
     """One line per method; circles are hollow and larger, so that a line that coincides with them
     is seen."""
-    method = text(table, "method")
+    method = text_column(table, "method")
     for name, (label, colour, marker) in METHODS.items():
         here = method == name
         if here.any():

@@ -10,7 +10,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 from ssm_study.report.answers import answers
-from ssm_study.report.words import counts
+from ssm_study.report.words import verdict_counts
 from ssm_study.table.columns import describe_columns
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -81,7 +81,7 @@ def _columns() -> str:
 def _answers(study: str) -> str:
     """A study named on a page and not committed is an error of the page."""
     table = pd.read_csv(ROOT / "results" / "reference" / study / "runs.csv")
-    lines = [f"*{counts(table)}.*", ""]
+    lines = [f"*{verdict_counts(table)}.*", ""]
     for answer in answers(table):
         one, *more = answer.sentences
         said = [f"**{answer.question}** {one}"] if not more else [f"**{answer.question}**", ""]

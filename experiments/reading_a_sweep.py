@@ -24,7 +24,7 @@ from ssm_study.report import figures
 from ssm_study.report.answers import answers
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.report.words import INFEASIBLE, verdicts, words
+from ssm_study.report.words import INFEASIBLE, verdicts, column_words
 from ssm_study.table.rank import best_first
 
 EXPERIMENT = os.environ.get(
@@ -53,7 +53,7 @@ table = best_first(study.table).assign(verdict=verdicts(study.table))
 seen = ["verdict", "slope_lower", "rate_controller", "controller_rate_limit"]
 seen += ["resolved_margin", "stable_count", "settling_time_mean_s"]
 shown = table[seen].round(4).set_index(table.run.str.rsplit("-", n=1).str[-1].rename("run"))
-shown.rename(columns={name: words(name).split(" (")[0] for name in seen})
+shown.rename(columns={name: column_words(name).split(" (")[0] for name in seen})
 
 # %% [markdown]
 # ## The questions, answered from the table

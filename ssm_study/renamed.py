@@ -69,6 +69,20 @@ MODULES: Mapping[str, str] = {
 
 # Classes, functions and constants, by the module in which an import looks for them today.
 NAMES: Mapping[str, str] = {
+    "cli.from_python.composed": "cli.from_python.compose_configuration",
+    "report.figures.draw": "report.figures.draw_figures",
+    "report.figures.names": "report.figures.figure_names",
+    "report.study_folder.gathered": "report.study_folder.gather_table",
+    "report.words.counts": "report.words.verdict_counts",
+    "report.words.scatter": "report.words.draw_verdict_points",
+    "report.words.words": "report.words.column_words",
+    "table.columns.column": "table.columns.numeric_column",
+    "table.columns.flag": "table.columns.boolean_column",
+    "table.columns.label": "table.columns.column_label",
+    "table.columns.text": "table.columns.text_column",
+    "table.filters.where": "table.filters.filter_rows",
+    "table.gather.table_of": "table.gather.table_from_records",
+    "table.show.show": "table.show.show_table",
     "certificates.certificate.OfProblem": "certificates.certificate.ProblemCertificate",
     "bounds.frequency.largest_gains": "bounds.frequency.largest_gains",
     "bounds.gramians.balance": "bounds.gramians.balanced_realization",
@@ -188,6 +202,7 @@ METHODS: Mapping[str, Mapping[str, str]] = {
         "start": "initial_memory",
     },
     "loop.peers.peer.Identified": {"shown": "mismatch"},
+    "report.study_folder.StudyFolder": {"of_best": "read_from_best"},
     "robustness.prediction.Prediction": {"keeps_the_plant": "predicts_stability"},
     "exact.Exact": {"of": "from_floats", "rounded": "to_floats"},
     "signals.DataSet": {"undelayed": "shift_out_dead_time"},

@@ -13,7 +13,7 @@ from typing import Any
 
 from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.exit_status import DONE, SOME_FAILED
-from ssm_study.cli.new_study import new
+from ssm_study.cli.new_study import write_study
 from ssm_study.cli.paper_figures import PAPER_FIGURES
 from ssm_study.refusal import require, require_at_least
 
@@ -26,9 +26,9 @@ def act_on_folder(action: Command, subject: str, options: argparse.Namespace) ->
     from ssm_study.table import folders
 
     find_folder = {
-        "study": folders.study_folder,
-        "run": folders.run_folder,
-        "study_or_run": folders.study_or_run_folder,
+        "study": folders.check_study_folder,
+        "run": folders.find_run_folder,
+        "study_or_run": folders.find_study_or_run,
     }[subject]
     setattr(options, subject, find_folder(getattr(options, subject)))
     return action(options)
@@ -36,7 +36,7 @@ def act_on_folder(action: Command, subject: str, options: argparse.Namespace) ->
 
 def write_new_study(options: argparse.Namespace) -> None:
     """Write the folder of a new study and print its files."""
-    print(*new(options.folder), sep="\n")
+    print(*write_study(options.folder), sep="\n")
 
 
 def look_at_log(options: argparse.Namespace) -> None:
@@ -83,9 +83,9 @@ def excitation_settings(options: argparse.Namespace) -> dict[str, Any]:
     settings: dict[str, Any] = {}
     if options.after is not None:
         from ssm_study.study.run_files import RunFiles
-        from ssm_study.table.folders import run_folder
+        from ssm_study.table.folders import find_run_folder
 
-        run = RunFiles(path=run_folder(options.after), record={})
+        run = RunFiles(path=find_run_folder(options.after), record={})
         settings |= run.excitation
         settings["sines"] = run.sine_angles
     given_options = {name: value for name, value in vars(options).items() if value is not None}
@@ -103,12 +103,12 @@ def gather_study(options: argparse.Namespace) -> None:
 def show_study_or_run(options: argparse.Namespace) -> None:
     """Print the table of a study, or the whole record of a run."""
     from ssm_study.engine.records import RECORD
-    from ssm_study.table.show import show
+    from ssm_study.table.show import show_table
 
     if (options.study_or_run / RECORD).is_file():
         show_run(options)
         return
-    show(
+    show_table(
         options.study_or_run,
         by=options.by,
         where=options.where,
@@ -205,7 +205,7 @@ def export_to_mlflow(options: argparse.Namespace) -> None:
 
 def report_study(options: argparse.Namespace) -> None:
     """Write the page of a study and draw its figures."""
-    from ssm_study.report.figures import draw
+    from ssm_study.report.figures import draw_figures
     from ssm_study.report.page.writing import write_page
 
     try:  # first: after the figures of 20,000 runs it would take 80 MB more
@@ -218,7 +218,9 @@ def report_study(options: argparse.Namespace) -> None:
         if not options.others:
             reasons: list[str] = []
             wanted = options.only or (PAPER_FIGURES if options.width else None)
-            paths = draw(wanted, options.study, reasons.append, width=options.width or "page")
+            paths = draw_figures(
+                wanted, options.study, reasons.append, width=options.width or "page"
+            )
             told = bool(options.verbose or wanted)
             lines = [*reasons, *map(str, paths)] if told else [figures_line(paths, len(reasons))]
             print("\n".join(lines))
@@ -235,11 +237,11 @@ def figures_line(paths: list[Path], left_out: int) -> str:
 
 def watch_study(options: argparse.Namespace) -> None:
     """Serve the page of a study until the command is stopped."""
-    from ssm_study.report.page.live import serve
+    from ssm_study.report.page.live import start_server
 
     def announce(address: str) -> None:
         """Print the address of the page."""
         print(address, flush=True)
 
-    with serve(options.study, options.port, announce=announce) as server:
+    with start_server(options.study, options.port, announce=announce) as server:
         server.serve_forever()

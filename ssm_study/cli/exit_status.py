@@ -14,8 +14,9 @@ REMEDIES = {
 }
 
 
-def full_or_forbidden(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
-    """Message for a full disk or a folder without permission. `field` names what was requested."""
+def storage_error(field: str, error: OSError, otherwise: str = "not named") -> BadRequest:
+    """Error message for a full disk or a folder without write permission. `field` names what was
+    requested."""
     problem = error.strerror or type(error).__name__
     remedy = REMEDIES.get(error.errno or 0, "make room, or choose a folder that you may write to")
     return BadRequest(field, error.filename or otherwise, problem, remedy)
@@ -27,9 +28,9 @@ def describe_error(error: Exception, arguments: list[str]) -> BadRequest:
     if isinstance(error, BadRequest):
         return error
     if isinstance(error, OSError) and error.filename is not None:
-        return full_or_forbidden("file", error)
+        return storage_error("file", error)
     if isinstance(error, OSError):  # the error of a write does not know its file
-        return full_or_forbidden("command", error, command)
+        return storage_error("command", error, command)
     cause = f"{type(error).__name__}: {str(error)[:300]}"
     problem = f"Unexpected error (a bug in ssm-study, please report it): {cause}"
     rerun = "if files of the study were changed, run it again"

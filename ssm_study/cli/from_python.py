@@ -10,7 +10,7 @@ import pandas as pd
 from omegaconf import DictConfig
 
 from ssm_study.cli import run as command
-from ssm_study.cli.hydra_errors import with_suggestion
+from ssm_study.cli.hydra_errors import explain_hydra_error
 from ssm_study.cli.request import quote_sines
 from ssm_study.engine.records import FAILED
 from ssm_study.refusal import require
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 OF_THE_PLACE = ("experiment=", "study=", "results_dir=")
 
 
-def composed(overrides: Sequence[str]) -> DictConfig:
-    """Configuration that the command composes from these overrides.
+def compose_configuration(overrides: Sequence[str]) -> DictConfig:
+    """Compose the configuration that the command line would use for these overrides.
 
     Raises `BadRequest` as the command does.
     """
@@ -40,13 +40,13 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         with initialize_config_dir(str(folder.absolute()), version_base="1.3"):
             return compose("study", overrides=quote_sines(overrides))
     except (HydraException, OmegaConfBaseException) as error:
-        raise with_suggestion(error, list(overrides), folder) from error
+        raise explain_hydra_error(error, list(overrides), folder) from error
     finally:
         GlobalHydra.instance().hydra = callers_hydra
 
 
 def study(*overrides: str) -> pd.DataFrame:
-    """Run a study as `ssm-study run` does with these arguments (`"-m"` too). Returns its table.
+    """Run a study from Python as `ssm-study run` does, and return its table. Returns its table.
 
     One row per run. Raises `BadRequest` for a wrong request; runs that failed are rows with status
     `failed`.
@@ -58,30 +58,30 @@ def study(*overrides: str) -> pd.DataFrame:
     ) as stop:  # Hydra lets nothing else out of a callback; the refusal is its cause
         raise stop.__cause__ or stop from None
     place = [word for word in overrides if word.startswith(OF_THE_PLACE)]
-    return gather(line.study_folder(composed(place)))
+    return gather(line.study_folder(compose_configuration(place)))
 
 
 def save_run(design: "Design", folder: Path) -> Path:
-    """Save a design as a run folder, as the command makes it from the same overrides.
+    """Save a design as a run folder, as the command writes it for the same settings.
 
     Model and gains are computed again, with everything that a run's record says beside them.
     Raises `BadRequest` where the run's certificate differs from the design's.
     """
     with TemporaryDirectory(prefix="ssm-study-") as results:
         place = (f"results_dir='{results}'", "study=saved", "progress=false")
-        outcome = line.STUDY.job(composed((*design.overrides, *place)))
+        outcome = line.STUDY.job(compose_configuration((*design.overrides, *place)))
         if outcome.status == FAILED:
             raise RuntimeError(f"{outcome.message} (its traceback is in {outcome.folder})")
         gather(outcome.folder.parent)
-        saved = _gains(outcome.folder)
+        saved = _read_gains(outcome.folder)
         same = saved == {name: gain.tolist() for name, gain in design.certificate.gains.items()}
         problem = "the command designs other gains from the same words"
         require(same, "design", folder, problem, "report this, please")
         return Path(shutil.copytree(outcome.folder, folder))
 
 
-def _gains(folder: Path) -> dict[str, Any]:
-    """Gains of the certificate in a run folder, as nested lists."""
+def _read_gains(folder: Path) -> dict[str, Any]:
+    """Gain matrices of the certificate in a run folder, as nested lists."""
     from ssm_study.certificates.certificate import Design as Certificates
 
     gains = Certificates.load(folder / "certificate.json").gains

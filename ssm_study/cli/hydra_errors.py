@@ -16,9 +16,9 @@ ASK = "see `ssm-study run --help`"
 UNKNOWN_CHOICE = re.compile(r"Could not find '(.+)/([^/']+)' Available options in '.+': (.+)")
 
 
-def with_suggestion(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
-    """Error with a plain message and a suggestion, made from Hydra's error for these overrides."""
-    message = one_sentence(error)
+def explain_hydra_error(error: BaseException, overrides: list[str], folder: Path) -> BadRequest:
+    """Plain message with a suggestion for an error that Hydra raised."""
+    message = first_error_line(error)
     if isinstance(error, OverrideParseException):  # its grammar's tokens say nothing to a reader
         problem = f"{error.override} cannot be read"
         remedy = "write KEY=VALUE, in a sweep KEY=VALUE,VALUE, and close what you open"
@@ -35,7 +35,7 @@ def with_suggestion(error: BaseException, overrides: list[str], folder: Path) ->
         remedy = ASK
     elif match := re.search(r"Could not override '([^']+)'", message):
         key = match[1]
-        at = placed_groups(key, message, folder)
+        at = groups_with_place(key, message, folder)
         problem = f"{key} is named with its place" if at else message
         remedy = (
             suggest_with_place(key, at, overrides)
@@ -56,16 +56,15 @@ def suggest_choice(group: str, name: str, choices: list[str]) -> str:
 
 
 def suggest_with_place(key: str, at: list[str], overrides: list[str]) -> str:
-    """Suggestion for an option of the configuration that is named together with its place, with the
-    requested value."""
+    """Suggestion for a configuration choice that is written together with its place."""
     values = [word.partition("=")[2] for word in overrides if word.split("=")[0] == key]
     value = values[0] if values else "VALUE"
     suggestions = " or ".join(f"{place}={value}" for place in at)
     return f"did you mean {suggestions}?"
 
 
-def one_sentence(error: BaseException) -> str:
-    """Message of Hydra or OmegaConf without its additional lines."""
+def first_error_line(error: BaseException) -> str:
+    """First line of an error message of Hydra or OmegaConf."""
     text = str(error)
     for appendix in ("\n    full_key", "\nConfig search path", "\nSee https://", "\nTo append"):
         text = text.split(appendix)[0]
@@ -73,8 +72,7 @@ def one_sentence(error: BaseException) -> str:
 
 
 def refuse_dashes(overrides: list[str], folder: Path) -> None:
-    """Raise `BadRequest` for a setting written like an option, `--model.order 4`, and for Hydra's
-    rerun.
+    """Raise `BadRequest` for a setting written like an option, such as `--model.order 4`.
 
     Also for an option that is nearly one of ours; to others Hydra answers.
     """
@@ -105,7 +103,7 @@ def refuse_misspelt_option(word: str) -> None:
 def suggest_for_key(key: str, overrides: list[str], folder: Path) -> str:
     """Suggestion for a key that does not exist: the choice that has it, else the nearest key or
     group, else an empty text."""
-    if owners := choices_with(key, folder):
+    if owners := choices_with_key(key, folder):
         verb = "have" if len(owners) > 1 else "has"
         return f"{' and '.join(owners)} {verb} it: add {owners[0]}"
     config = compose_without_mistake(key, overrides, folder)
@@ -141,9 +139,8 @@ def compose_without_mistake(key: str, overrides: list[str], folder: Path) -> Dic
             return compose("study")
 
 
-def placed_groups(group: str, message: str, folder: Path) -> list[str]:
-    """Names of a group with its place, `reference` -> `[reference@loop.reference]`, from Hydra's
-    message or from where the configuration adds it."""
+def groups_with_place(group: str, message: str, folder: Path) -> list[str]:
+    """Names of a configuration group with its place, such as `reference@loop.reference`."""
     if match := re.search(r"Did you mean to override (?:one of )?(.+)\?", message):
         return match[1].split(", ")
     found_places: set[str] = set()
@@ -153,8 +150,8 @@ def placed_groups(group: str, message: str, folder: Path) -> list[str]:
     return sorted(found_places)
 
 
-def choices_with(key: str, folder: Path) -> list[str]:
-    """Choices of groups, not selected here, that have the key: `data.path` -> `[data=recorded]`."""
+def choices_with_key(key: str, folder: Path) -> list[str]:
+    """Choices of unselected configuration groups that have a given key."""
     parts = key.split(".")
     choices = []
     for cut in range(1, len(parts)):

@@ -19,7 +19,7 @@ INTERRUPTED = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one `ssm-study` command. Returns its exit status."""
+    """Run one `ssm-study` command and return its exit status. Returns its exit status."""
     limit_threads()  # first: the libraries read it once, when they are imported
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     except Exception as error:
         # The one guard: whatever a file holds, no command ends in a traceback.
         # `ssm-study show STUDY | head`.
-        if isinstance(error, BrokenPipeError) and _reader_is_gone():
+        if isinstance(error, BrokenPipeError) and _is_output_closed():
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return DONE
         if "SSM_STUDY_TRACEBACK" in os.environ and not isinstance(error, (BadRequest, OSError)):
@@ -48,9 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
         return WRONG_REQUEST
 
 
-def _reader_is_gone() -> bool:
-    """Whether the reader of our output (such as `head`) has closed it; any other broken pipe is an
-    error."""
+def _is_output_closed() -> bool:
+    """Whether the reader of our output, such as `head`, has closed it."""
     poll = select.poll()
     poll.register(sys.stdout.fileno(), 0)
     return bool(poll.poll(0))

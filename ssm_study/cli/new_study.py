@@ -1,4 +1,4 @@
-"""The command `new`: writes the folder of a new study from a template."""
+"""The command `write_study`: writes the folder of a new study from a template."""
 
 import re
 from importlib.util import find_spec
@@ -9,9 +9,8 @@ from ssm_study.refusal import require
 TEMPLATE = Path(__file__).with_name("study_folder")
 
 
-def new(folder: Path) -> list[Path]:
-    """Write configuration, plant, theorem, figure, test and README into a new folder, and return
-    the files.
+def write_study(folder: Path) -> list[Path]:
+    """Write the folder of a new study from the template, and return its files.
 
     The folder's name becomes the name of a Python package. Raises `BadRequest` for one that cannot,
     or is taken.
@@ -27,7 +26,8 @@ def new(folder: Path) -> list[Path]:
 
 
 def write_from_template(template: Path, folder: Path) -> Path:
-    """Write one file of the folder. `@NAME@` stands for the folder's name in path and text."""
+    """Write one file of a new study from its template. `@NAME@` stands for the folder's name in
+    path and text."""
     place = str(template.relative_to(TEMPLATE)).removesuffix(".txt")
     path = folder / place.replace("@NAME@", folder.name)
     path.parent.mkdir(parents=True, exist_ok=True)

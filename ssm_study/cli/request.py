@@ -41,9 +41,8 @@ JUST_ASKING = (
 )
 
 
-def translate(arguments: list[str]) -> list[str]:
-    """Translate our own options of `ssm-study run` into Hydra's arguments. `-m` may stand
-    anywhere."""
+def translate_arguments(arguments: list[str]) -> list[str]:
+    """Translate the options of `ssm-study run` into Hydra's arguments. `-m` may stand anywhere."""
     # Only a launcher can plan.
     many = any(word in ("-m", "--multirun", "--dry-run") for word in arguments)
     rest = [word for word in arguments if word not in ("-m", "--multirun")]
@@ -60,7 +59,7 @@ def quote_sines(words: Iterable[str]) -> list[str]:
 
 
 def check_request(arguments: list[str], folder: Path, name: str) -> Command:
-    """Compose the request and refuse foreign targets in it, Hydra's own section included.
+    """Compose the request and refuse classes outside the allow list.
 
     Hydra makes callbacks, launcher and sweeper before any code of ours is asked; so this comes
     first. Raises `BadRequest`, and whatever Hydra raises for a request it cannot compose.
@@ -74,8 +73,8 @@ def check_request(arguments: list[str], folder: Path, name: str) -> Command:
     return request
 
 
-def overrides_of(request: Command) -> list[Override]:
-    """Parsed overrides of the request. Raises Hydra's errors for those it cannot read."""
+def parse_overrides(request: Command) -> list[Override]:
+    """Parse the overrides of a request. Raises Hydra's errors for those it cannot read."""
     parser = OverridesParser.create(config_loader=request.config_loader)
     return parser.parse_overrides(list(request.asked.overrides))
 
@@ -84,7 +83,7 @@ def refuse_no_choices(request: Command) -> None:
     """Raise `BadRequest` for a group without a name of a choice, for which Hydra gives no clear
     error."""
     assert isinstance(request.config_loader, Loader)
-    for override in overrides_of(request):
+    for override in parse_overrides(request):
         key = str(override.key_or_group)
         if override.is_sweep_override() or not request.config_loader.repository.group_exists(key):
             continue
@@ -98,7 +97,7 @@ def refuse_no_choices(request: Command) -> None:
 
 def refuse_empty(request: Command) -> None:
     """Raise `BadRequest` for `plant={}`, which Hydra would merge without any effect."""
-    for override in overrides_of(request):
+    for override in parse_overrides(request):
         key = str(override.key_or_group)
         value = override.value()
         changes = value != {} or override.type is not OverrideType.CHANGE
@@ -107,9 +106,9 @@ def refuse_empty(request: Command) -> None:
 
 
 @contextmanager
-def checking_request(request: Command) -> Iterator[None]:
-    """Context that raises `BadRequest` before Hydra makes anything, and shows progress for
-    launchers that report none.
+def checked_request(request: Command) -> Iterator[None]:
+    """Context that checks every job of a request before Hydra starts, and shows progress where the
+    launcher reports none.
 
     The jobs that a search asks for are not known beforehand: a wrong one is a failed row.
     """

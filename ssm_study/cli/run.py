@@ -17,9 +17,15 @@ from omegaconf.errors import OmegaConfBaseException
 
 from ssm_study import THREADS, limit_threads
 from ssm_study.cli.browser import open_page
-from ssm_study.cli.exit_status import DONE, SOME_FAILED, full_or_forbidden
-from ssm_study.cli.hydra_errors import refuse_dashes, with_suggestion
-from ssm_study.cli.request import JUST_ASKING, OPEN, check_request, checking_request, translate
+from ssm_study.cli.exit_status import DONE, SOME_FAILED, storage_error
+from ssm_study.cli.hydra_errors import refuse_dashes, explain_hydra_error
+from ssm_study.cli.request import (
+    JUST_ASKING,
+    OPEN,
+    check_request,
+    checked_request,
+    translate_arguments,
+)
 from ssm_study.cli.summary import conclude_run, conclude_sweep
 from ssm_study.engine.compose import Command, clear_hydra_state
 from ssm_study.refusal import BadRequest, require
@@ -68,14 +74,14 @@ def run(overrides: list[str]) -> int:
     opens = OPEN in overrides
     if not any("=" in word for word in overrides) and not set(overrides) & {"--help", "-h"}:
         print(f"ssm-study: {NOTHING_SET}", file=sys.stderr, flush=True)
-    overrides = translate(overrides)
+    overrides = translate_arguments(overrides)
     # Hydra then raises instead of printing, so that a sentence can be made of it.
     os.environ["HYDRA_FULL_ERROR"] = "1"
     sys.argv = ["ssm-study run", *overrides]
     try:
         return answer_request(overrides, opens)
     except (HydraException, OmegaConfBaseException) as error:
-        raise with_suggestion(error, overrides, configuration_folder()) from error
+        raise explain_hydra_error(error, overrides, configuration_folder()) from error
     except ValueError as error:
         explanation = explain_value(error, overrides)
         if explanation is None:
@@ -84,13 +90,13 @@ def run(overrides: list[str]) -> int:
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise
-        raise full_or_forbidden("results_dir", error) from error
+        raise storage_error("results_dir", error) from error
     finally:
         clear_hydra_state()
 
 
 def answer_request(overrides: list[str], opens: bool) -> int:
-    """Print the help, let Hydra answer, or do what is requested. Returns the exit status."""
+    """Print the help or Hydra's information, or run what is requested. Returns the exit status."""
     folder = configuration_folder()
     if any(word in ("--help", "-h") for word in overrides):
         Command(overrides, folder, "study").help()
@@ -101,7 +107,7 @@ def answer_request(overrides: list[str], opens: bool) -> int:
         return DONE
     print_progress("reading the request")
     request = check_request(overrides, folder, "study")
-    with checking_request(request):
+    with checked_request(request):
         print_progress("loading the libraries")
         request.execute(_task_function())
     if request.config.dry_run:
@@ -120,7 +126,7 @@ def explain_value(error: ValueError, overrides: list[str]) -> BadRequest | None:
         problem = "holds a number of thousands of digits"
         return BadRequest("request", " ".join(overrides), problem, "write it shorter")
     if "Config group override" in message:
-        return with_suggestion(error, overrides, configuration_folder())
+        return explain_hydra_error(error, overrides, configuration_folder())
     return None
 
 
@@ -131,7 +137,7 @@ def print_progress(what: str) -> None:
 
 
 def show_page(request: Command) -> None:
-    """Write the page of the study and show it in the browser."""
+    """Write the study's page and open it in the browser."""
     from ssm_study.report.page.writing import write_page
     from ssm_study.study.line import study_folder
 

@@ -38,7 +38,7 @@ def conclude_run(config: DictConfig) -> bool:
     about = [__version__, str(Path.cwd()), str(study), width]
     known = _read_stored_list(told, study, [*figures, study / "runs.parquet", study / "runs.csv"])
     if known[:-1] != about or record.get("status") != OK:
-        known = [*about, _outcome(study, record, drawn, figures, width)]
+        known = [*about, _outcome_text(study, record, drawn, figures, width)]
         with suppress(OSError, BadRequest):  # a study that may only be read
             told.parent.mkdir(exist_ok=True)
             refuse_symbolic_link(told.parent)
@@ -65,19 +65,19 @@ def _read_stored_list(told: Path, study: Path, files: Sequence[Path]) -> list[An
     return []
 
 
-def _outcome(
+def _outcome_text(
     study: Path, record: dict[str, Any], drawn: Sequence[str], figures: list[Path], width: int
 ) -> str:
     """Gather and draw a study, and return the text on how the run ended. It is coloured for a
     terminal of that width."""
-    from ssm_study.report.figures import draw  # here: a sweep and its jobs draw nothing
+    from ssm_study.report.figures import draw_figures  # here: a sweep and its jobs draw nothing
     from ssm_study.report.outcome import print_outcome
     from ssm_study.table.gather import gather
 
     gather(study)
     shown = figures if record.get("status") == OK else []
     if shown:
-        draw(drawn, study, run=record["run"])
+        draw_figures(drawn, study, run=record["run"])
     page = Console(
         file=io.StringIO(),
         width=width,
@@ -93,8 +93,8 @@ def _outcome(
 def conclude_sweep(config: DictConfig) -> bool:
     """Gather the study and print its table. True if any of its runs failed."""
     from ssm_study.evidence.finding import CANNOT_JUDGE
-    from ssm_study.table.show import show
+    from ssm_study.table.show import show_table
 
-    table = show(study_folder(config))
+    table = show_table(study_folder(config))
     withheld = config.strict and "evidence" in table and (table["evidence"] == CANNOT_JUDGE).any()
     return bool(table["status"].isin([FAILED, LOST, CORRUPT]).any() or withheld)

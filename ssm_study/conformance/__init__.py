@@ -33,9 +33,9 @@ def choices(group: str) -> list[str]:
 @cache
 def part(group: str, choice: str) -> Any:
     """Object that a study would construct for one choice of a configuration group."""
-    from ssm_study.cli.from_python import composed
+    from ssm_study.cli.from_python import compose_configuration
     from ssm_study.construction import construct_part
     from ssm_study.engine.settings import plain_settings
 
-    config = composed([f"{group}={choice}"])
+    config = compose_configuration([f"{group}={choice}"])
     return construct_part(group, plain_settings(config)[group])

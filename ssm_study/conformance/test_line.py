@@ -74,7 +74,7 @@ def test_the_whole_line(choice: tuple[str, ...], shared_results: Path) -> None:
     assert [finding for finding in verify(path.parent) if not finding.holds] == []
     for name in extension_modules("figures"):
         assert figures.caption(name)
-        for picture in figures.draw([name], shared_results / study):
+        for picture in figures.draw_figures([name], shared_results / study):
             assert picture.stat().st_size > 0
 
 

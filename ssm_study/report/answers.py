@@ -11,8 +11,14 @@ import numpy as np
 import pandas as pd
 import scipy
 
-from ssm_study.report.words import choice_label, words
-from ssm_study.table.columns import column, flag, requested_values, swept_settings, text
+from ssm_study.report.words import choice_label, column_words
+from ssm_study.table.columns import (
+    numeric_column,
+    boolean_column,
+    requested_values,
+    swept_settings,
+    text_column,
+)
 from ssm_study.table.rank import predicted_stable
 
 CONFIDENCE = 0.95
@@ -48,13 +54,14 @@ def parameters_line(table: pd.DataFrame) -> str:
     or that there was no sweep."""
     parts = []
     for name in swept_settings(table):
-        title = words(name).split(" (")[0].lower()
-        parts.append(f"{title} ({listed_values(requested_values(table, name))})")
+        title = column_words(name).split(" (")[0].lower()
+        parts.append(f"{title} ({list_values(requested_values(table, name))})")
     return f"Swept: {'; '.join(parts)}." if parts else "One setting, no sweep."
 
 
-def listed_values(values: pd.Series) -> str:
-    """Distinct values in order, `auto` last. Of many, their number, the first and the last."""
+def list_values(values: pd.Series) -> str:
+    """Text that lists the distinct values of a setting in order. Of many, their number, the first
+    and the last."""
     distinct = values.dropna().unique().tolist()
     distinct.sort(key=lambda value: (value == "auto", value))
     printed = [f"{value:g}" if isinstance(value, float) else str(value) for value in distinct]
@@ -63,13 +70,13 @@ def listed_values(values: pd.Series) -> str:
     return f"{len(printed)} values, {printed[0]} to {printed[-1]}"
 
 
-def by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Group the runs by plant. The runs of each plant with `DC motor: ` for their first sentence;
-    empty for a single plant.
+def group_by_plant(table: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Groups of runs with the same plant, each with the plant's name. The runs of each plant with
+    `DC motor: ` for their first sentence; empty for a single plant.
 
     Settling times of different plants do not compare.
     """
-    plants = text(table, "plant")
+    plants = text_column(table, "plant")
     if plants.nunique() < 2:
         yield "", table
         return
@@ -88,9 +95,9 @@ def feasibility_sentences(table: pd.DataFrame) -> tuple[str, ...]:
 def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
     """Sentences on the largest certifiable rates of the study's models, and how many requests
     exceeded them."""
-    rate = column(table, f"rate_{side}")
-    limit = column(table, f"{side}_rate_limit")
-    certified = flag(table, f"{side}_certified")
+    rate = numeric_column(table, f"rate_{side}")
+    limit = numeric_column(table, f"{side}_rate_limit")
+    certified = boolean_column(table, f"{side}_certified")
     known = rate.notna() & limit.notna()
     beyond = known & (rate >= limit)  # at the limit itself no certificate exists
     missed = known & (rate < limit) & ~certified
@@ -99,7 +106,9 @@ def frontier_sentences(table: pd.DataFrame, side: str) -> Iterator[str]:
         return
     yield limit_sentence(side, limit)
     if beyond.any():
-        yield beyond_sentence(int(beyond.sum()), int(known.sum()), int((beyond & certified).sum()))
+        yield exceeded_limit_sentence(
+            int(beyond.sum()), int(known.sum()), int((beyond & certified).sum())
+        )
     elif known.sum() > 1:
         yield "Every rate is below the limit of its model."
     else:
@@ -123,8 +132,8 @@ def limit_sentence(side: str, limit: pd.Series) -> str:
     )
 
 
-def beyond_sentence(beyond: int, known: int, certified: int) -> str:
-    """Sentence on how many requests exceed the exact rate limit, and how they ended."""
+def exceeded_limit_sentence(beyond: int, known: int, certified: int) -> str:
+    """Sentence on how many requested rates exceed the exact limit, and how those runs ended."""
     outcome = f"{certified} of those were certified" if certified else "none of those was certified"
     return f"{beyond} of {known} requests lie beyond it, and {outcome}."
 
@@ -134,15 +143,17 @@ def fit_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     fit ranks with the share of starts settled, or with the settling time."""
     if len(table) < 2:
         return ()
-    return tuple(prefix + fit_sentence(runs) for prefix, runs in by_plant(table))
+    return tuple(prefix + fit_sentence(runs) for prefix, runs in group_by_plant(table))
 
 
 def fit_sentence(table: pd.DataFrame) -> str:
     """Sentence on the rank correlation (Spearman) of the fit with the first outcome that varies."""
-    certified = flag(table, "controller_certified") & flag(table, "observer_certified")
-    fit = column(table, "fit_test_percent")
+    certified = boolean_column(table, "controller_certified") & boolean_column(
+        table, "observer_certified"
+    )
+    fit = numeric_column(table, "fit_test_percent")
     for name, outcome, meaning in OUTCOMES_OF_FIT:
-        other = column(table, name)
+        other = numeric_column(table, name)
         known = certified & fit.notna() & other.notna()
         fits = fit[known]
         if known.sum() < FEWEST_RANKED or fits.nunique() < FEWEST_RANKED:
@@ -161,8 +172,9 @@ def fit_sentence(table: pd.DataFrame) -> str:
 
 
 def prediction_question(table: pd.DataFrame) -> str:
-    """Wording of the question about the prediction. A log has no plant to ask about."""
-    on_model = text(table, "loop_on") == "identified model"
+    """Question about the prediction of stability, in words that fit the table. A log has no plant
+    to ask about."""
+    on_model = text_column(table, "loop_on") == "identified model"
     where = "model" if len(table) and on_model.all() else "plant"
     return f"Does the prediction hold on the {where}?"
 
@@ -170,9 +182,9 @@ def prediction_question(table: pd.DataFrame) -> str:
 def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
     """Sentences on how many loops settle where stability was predicted, how many where it was not,
     and how often the prediction may fail."""
-    share = column(table, "stable_fraction")
+    share = numeric_column(table, "stable_fraction")
     stable = predicted_stable(table)
-    known = column(table, "predicted_stable").notna() & share.notna()
+    known = numeric_column(table, "predicted_stable").notna() & share.notna()
     if not known.any():
         return ()
     sides = {
@@ -188,12 +200,13 @@ def prediction_sentences(table: pd.DataFrame) -> tuple[str, ...]:
         sentences.append(
             "All runs are on one side, so this study cannot show where the prediction fails."
         )
-    models = text(table, "stage_bounds_key")[known & stable]
+    models = text_column(table, "stage_bounds_key")[known & stable]
     return (*sentences, *failure_bound(models, share[known & stable]))
 
 
 def failure_bound(models: pd.Series, share: pd.Series) -> list[str]:
-    """Upper bound on how often a prediction fails. Each model counts once.
+    """Sentence with an upper bound on how often a prediction of stability fails. Each model counts
+    once.
 
     Loops of one model are not independent. With k of N models wrong the probability is below the p
     of `P(X <= k) = 0.05`, X binomial (Clopper & Pearson 1934); `1 - 0.05^(1/N)` for none.

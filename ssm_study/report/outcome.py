@@ -28,7 +28,7 @@ Row = tuple[str, str, str]  # the column that must be known, label, value
 
 
 def print_outcome(record: Mapping[str, Any], figures: Sequence[Path], console: Console) -> None:
-    """The end-of-run table, at most 80 columns wide, and where the figures lie."""
+    """Print the table of a run's results and the paths of its figures."""
     console.print(outcome_table(record), width=min(WIDTH, console.width))
     for reason in reasons(record):
         console.print(Text(reason), soft_wrap=False, width=WIDTH)
@@ -75,15 +75,15 @@ def outcome_text(record: Mapping[str, Any]) -> Text:
     evidence allows no judgement."""
     verdict = verdict_per_run(pd.DataFrame([dict(record)])).iloc[0]
     settles = verdict in (SETTLED, NO_FASTER)
-    where = ", on the identified model" if settles and not _on_plant(record) else ""
+    where = ", on the identified model" if settles and not _is_on_plant(record) else ""
     sentence = f"{verdict.word}: {verdict.sentence}{where}"
     if record.get("evidence") != CANNOT_JUDGE:
         return Text(sentence, style=verdict.style)
     return Text(f"cannot judge: the evidence allows no judgement. {sentence}", style="bold yellow")
 
 
-def _on_plant(record: Mapping[str, Any]) -> bool:
-    """Whether the loop ran on a plant, so that words may speak of one. A log has none, also where
+def _is_on_plant(record: Mapping[str, Any]) -> bool:
+    """Whether the loop ran on a plant and not on the identified model. A log has none, also where
     no loop was closed."""
     is_log = record.get("loop_on") is None and "plant" in record and record["plant"] is None
     return record.get("loop_on") != "identified model" and not is_log
@@ -91,14 +91,14 @@ def _on_plant(record: Mapping[str, Any]) -> bool:
 
 def loop_place(record: Mapping[str, Any]) -> str:
     """Words for where the loop was closed: `simulated plant` or `identified model`."""
-    if not _on_plant(record):
+    if not _is_on_plant(record):
         return "identified model"
     place = record.get("loop_on")
     return "simulated plant" if place in (None, "plant") else str(place)
 
 
-def printed(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
-    """Format a column's value as text with its unit. A dash stands where it is missing."""
+def format_column(record: Mapping[str, Any], name: str, form: str = ".3g", unit: str = "") -> str:
+    """Text of a recorded column with its unit. A dash stands where it is missing."""
     value = record.get(name)
     if value is None:
         return MISSING
@@ -111,24 +111,24 @@ def model_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     reading = log_reading(record)
     if reading:
         yield "evidence_reasons", "Log", reading
-    fit = printed(record, "fit_test_percent", ".1f", " %")
+    fit = format_column(record, "fit_test_percent", ".1f", " %")
     started = ", run from the log before it" if record.get("piece_start") == "past" else ""
     yield "fit_test_percent", "Fit on the test record", fit + started
     if record.get("members"):
-        mean = printed(record, "fit_test_members_percent", ".1f", " %")
-        count = printed(record, "members")
+        mean = format_column(record, "fit_test_members_percent", ".1f", " %")
+        count = format_column(record, "members")
         yield "fit_test_members_percent", "Mean that predicts", f"{mean}, of {count} models"
     yield "fit_baseline_percent", "Best baseline", baseline_text(record)
-    yield "model_choice", "Chosen by the log", printed(record, "model_choice")
+    yield "model_choice", "Chosen by the log", format_column(record, "model_choice")
     for name in sorted(key for key in record if key.startswith("score_test_")):
         unit = SCORE_UNITS.get(str(record.get("benchmark")), "")
         number = name.removeprefix("score_test_")
-        yield name, f"Score, record {number}", printed(record, name, ".4g", unit)
+        yield name, f"Score, record {number}", format_column(record, name, ".4g", unit)
     names = f"{record.get('disturbances')}, at equilibrium in the loop, not compensated"
     yield "disturbances", "Measured disturbances", names
-    lower = printed(record, "input_slope_lower")
-    upper = printed(record, "input_slope_upper")
-    slopes = f"[{lower}, {upper}] ({printed(record, 'bound_method')})"
+    lower = format_column(record, "input_slope_lower")
+    upper = format_column(record, "input_slope_upper")
+    slopes = f"[{lower}, {upper}] ({format_column(record, 'bound_method')})"
     yield "input_slope_lower", "Slopes of S_u", slopes
     if not record.get("neurons"):  # with neurons the linear part does not say it
         rate = max(1 - (record.get("spectral_radius") or 1.0) ** 2, 0.0)
@@ -139,7 +139,7 @@ def baseline_text(record: Mapping[str, Any]) -> str:
     """Fit of the best of a few simple models on the test record, and whether it predicts better."""
     fit = record.get("fit_baseline_percent")
     own = record.get("fit_test_percent")
-    text = f"{printed(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
+    text = f"{format_column(record, 'fit_baseline_percent', '.1f', ' %')}, {record.get('baseline')}"
     is_ahead = fit is not None and own is not None and fit - own >= AHEAD
     return f"{text}: it predicts better than this model" if is_ahead else text
 
@@ -158,16 +158,14 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the rates that exact arithmetic proves on the model for the gains that are used."""
     for side, theorem in THEOREMS.items():
         name = f"{side}_certified_rate"
-        limit = f"at most {printed(record, f'{side}_rate_limit')}"
+        limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
-        asked = (
-            f"{printed(record, f'rate_{side}')} {chosen}, {limit}: {certified_word(record, side)}"
-        )
+        asked = f"{format_column(record, f'rate_{side}')} {chosen}, {limit}: {certified_word(record, side)}"
         label = f"{side.capitalize()} rate"
         if record.get(name) is None:
             yield f"rate_{side}", label, asked
         else:
-            proved = f"{printed(record, name)} per sample ({theorem})"
+            proved = f"{format_column(record, name)} per sample ({theorem})"
             yield name, label, f"{proved}; {asked}"
     yield from limit_rows(record)
     yield from coverage_rows(record)
@@ -176,15 +174,15 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 def limit_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the rate proved with a limited input, and on the initial outputs from which the full
     rate holds."""
-    label = LIMITS_OF[_on_plant(record)]
+    label = LIMITS_OF[_is_on_plant(record)]
     if record.get("neurons") and record.get("controller_certified"):
         yield "neurons", label, "nothing is proved: the theorems on limits know no neurons"
-    low, high = (printed(record, f"limit_{end}") for end in ("lower", "upper"))
-    rate = printed(record, "limited_rate")
+    low, high = (format_column(record, f"limit_{end}") for end in ("lower", "upper"))
+    rate = format_column(record, "limited_rate")
     everywhere = "at no rate" if rate == MISSING else f"at {rate} per sample"
     outputs = "a range of each initial output (see the exported header)"
     if record.get("unlimited_from") is not None:
-        first, last = (printed(record, f"unlimited_{end}") for end in ("from", "to"))
+        first, last = (format_column(record, f"unlimited_{end}") for end in ("from", "to"))
         outputs = f"initial outputs in [{first}, {last}]"
     value = (
         f"input {low} to {high}: contracts globally {everywhere}, at the full rate from {outputs}"
@@ -201,7 +199,7 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     coverage = record.get("coverage")
     if coverage is None and record.get("coverage_reason") is None:
         until = "rest is proved up to {}" if record.get("neurons") else "{} is proved"
-        value = until.format(printed(record, "certified_tolerance"))
+        value = until.format(format_column(record, "certified_tolerance"))
         yield "certified_tolerance", "Mismatch tolerated", f"{value}, as a gain on the input"
     elif coverage is None:
         yield "coverage_reason", label, f"not covered: {record.get('coverage_reason')}"
@@ -236,7 +234,7 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the prediction that model and records allow before the controller is tried on the
     plant."""
     yield "evidence", "Evidence", str(record.get("evidence"))
-    label = "Prediction for the plant" if _on_plant(record) else "Prediction"
+    label = "Prediction for the plant" if _is_on_plant(record) else "Prediction"
     if record.get("evidence") == CANNOT_JUDGE:
         yield "evidence", label, "none: the evidence allows no judgement"
         return
@@ -249,7 +247,7 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     grounds = prediction_grounds(*(record.get(name) for name in names))
     sine_margin = record.get("sine_margin")
     if sine_margin is not None and sine_margin <= 1 < (record.get("resolved_margin") or 0.0):
-        margin = printed(record, "sine_margin")
+        margin = format_column(record, "sine_margin")
         grounds = f"single sines show more than the other records (margin {margin})"
     yield "predicted_stable", label, f"{word}: {grounds}" if grounds else word
 
@@ -257,13 +255,13 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     """Rows on the measured closed loop: initial states that settled, how fast, and the effect of
     the noise."""
-    count = printed(record, "stable_count", ".0f")
-    starts = printed(record, "initial_conditions", ".0f")
+    count = format_column(record, "stable_count", ".0f")
+    starts = format_column(record, "initial_conditions", ".0f")
     yield "stable_count", "Initial states settled", f"{count} of {starts}"
     time_s = record.get("settling_time_mean_s")
     open_loop_s = record.get("settling_time_open_loop_s")
     ratio = f" (ratio {time_s / open_loop_s:.2f})" if time_s is not None and open_loop_s else ""
-    mean = printed(record, "settling_time_mean_s", ".3f", " s")
+    mean = format_column(record, "settling_time_mean_s", ".3f", " s")
     comes_to_rest = open_loop_s is not None
     uncontrolled = f"{open_loop_s:.3f} s{ratio}" if comes_to_rest else "none settles"
     column = "settling_time_open_loop_s" if comes_to_rest else "settling_time_mean_s"
@@ -275,11 +273,11 @@ def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:
 def pi_words(record: Mapping[str, Any]) -> str:
     """Words on how a textbook's PI does from the same initial states, and whether it is the better
     controller."""
-    count = printed(record, "stable_count_pi", ".0f")
-    starts = printed(record, "initial_conditions", ".0f")
+    count = format_column(record, "stable_count_pi", ".0f")
+    starts = format_column(record, "initial_conditions", ".0f")
     pi_time_s = record.get("settling_time_pi_s")
     own_time_s = record.get("settling_time_mean_s")
-    words = f"{printed(record, 'settling_time_pi_s', '.3f', ' s')}, {count} of {starts}"
+    words = f"{format_column(record, 'settling_time_pi_s', '.3f', ' s')}, {count} of {starts}"
     all_settle = record.get("stable_count_pi") == record.get("initial_conditions")
     if all_settle and pi_time_s is not None and (own_time_s is None or pi_time_s < own_time_s):
         return f"{words}: faster than the certified controller"
@@ -292,8 +290,8 @@ def noise_words(record: Mapping[str, Any]) -> str:
     measured = record.get("noise_gain_measured")
     model = record.get("noise_gain_model")
     if measured is None:
-        return f"reaches the model's output {printed(record, 'noise_gain_model')}-fold"
-    words = f"reaches the output {printed(record, 'noise_gain_measured')}-fold"
+        return f"reaches the model's output {format_column(record, 'noise_gain_model')}-fold"
+    words = f"reaches the output {format_column(record, 'noise_gain_measured')}-fold"
     if measured == 0:  # friction holds it
         words = "does not move the output"
     if model is None:
@@ -305,7 +303,8 @@ def noise_words(record: Mapping[str, Any]) -> str:
 
 
 def certified_word(record: Mapping[str, Any], side: str) -> str:
-    """`certified`, `not certified`, `infeasible`, or `not reached`."""
+    """Word for the state of a certificate: `certified`, `not certified`, `infeasible` or `not
+    reached`."""
     if record.get(f"{side}_certified"):
         return "certified"
     feasible = record.get(f"{side}_feasible")

@@ -36,8 +36,9 @@ def picture_of_run(name: str, run: RunFolder) -> Picture:
         raise NothingToDraw(str(reason)) from reason
 
 
-def present(run: RunFolder, *parts: str) -> list[Any]:
-    """Read the named parts of a run's folder. Raises `NothingToDraw` where it lacks one."""
+def read_parts(run: RunFolder, *parts: str) -> list[Any]:
+    """Read named parts of a run's folder; raises an error that names a missing part. Raises
+    `NothingToDraw` where it lacks one."""
     values = [getattr(run, part) for part in parts]
     missing = [part for part, value in zip(parts, values, strict=True) if value is None]
     if missing:
@@ -47,20 +48,20 @@ def present(run: RunFolder, *parts: str) -> list[Any]:
 
 def show_margin(run: RunFolder) -> Picture:
     """Picture of the stability margin by frequency."""
-    model, gains, mismatch = present(run, "any_model", "gains", "mismatch")
+    model, gains, mismatch = read_parts(run, "any_model", "gains", "mismatch")
     curves = margin_curves(model, gains, certified_balls(model), mismatch)
     return margin_picture(curves, model.step_s, run.record.get("resolved_margin"))
 
 
 def show_nyquist(run: RunFolder) -> Picture:
     """Picture of the Nyquist curve with the measured mismatch."""
-    model, gains = present(run, "any_model", "gains")
+    model, gains = read_parts(run, "any_model", "gains")
     return nyquist_picture(model, gains, run.mismatch)
 
 
 def show_coverage(run: RunFolder) -> Picture:
     """Picture of the coverage by band."""
-    model, design, mismatch = present(run, "any_model", "design", "mismatch")
+    model, design, mismatch = read_parts(run, "any_model", "design", "mismatch")
     premise = measure_premise(
         model, run.validation_records, mismatch, run.start_up_samples, run.trials
     )
@@ -69,20 +70,20 @@ def show_coverage(run: RunFolder) -> Picture:
 
 def show_bode(run: RunFolder) -> Picture:
     """Picture of the frequency response beside the record's own estimate."""
-    model, record = present(run, "any_model", "validation")
+    model, record = read_parts(run, "any_model", "validation")
     units = (record.unit("measured"), record.unit("input"))
     return bode_picture(model, record.records[0], certified_balls(model).input, units)
 
 
 def show_poles(run: RunFolder) -> Picture:
     """Picture of the poles of model, loop and observer."""
-    model, gains, design = present(run, "any_model", "gains", "design")
+    model, gains, design = read_parts(run, "any_model", "gains", "design")
     return poles_picture(eigenvalue_groups(model, gains), design.certified_rate("state_feedback"))
 
 
 def show_residuals(run: RunFolder) -> Picture:
     """Picture of the correlations of the test record's error."""
-    (test,) = present(run, "test")
+    (test,) = read_parts(run, "test")
     start = run.start_up_samples
     errors = [test["measured"][0, start:] - test["simulated"][0, start:]]
     inputs = [test["input"][0, start:]]
@@ -93,7 +94,7 @@ def show_residuals(run: RunFolder) -> Picture:
 
 def show_free_run(run: RunFolder) -> Picture:
     """Picture of the free run on the test record."""
-    (test,) = present(run, "test")
+    (test,) = read_parts(run, "test")
     simulated = {"model": test["simulated"][0]}
     labels = test.labels("measured")
     return free_run_picture(
@@ -103,13 +104,13 @@ def show_free_run(run: RunFolder) -> Picture:
 
 def show_input_map(run: RunFolder) -> Picture:
     """Picture of the learned input map."""
-    model, excitation = present(run, "any_model", "excitation")
+    model, excitation = read_parts(run, "any_model", "excitation")
     return input_map_picture(model, certified_balls(model).input, excitation.label("input"))
 
 
 def show_set_point(run: RunFolder) -> Picture:
     """Picture of a step of the set point on the identified model."""
-    model, design, test, excitation = present(run, "any_model", "design", "test", "excitation")
+    model, design, test, excitation = read_parts(run, "any_model", "design", "test", "excitation")
     if not design.feasible or has_direct_feedthrough(model):
         raise NothingToDraw("There is no loop to move to a set point.")
     plant = _identified_plant(model, test)

@@ -11,8 +11,8 @@ from rich.text import Text
 
 from ssm_study.engine.records import read_record
 from ssm_study.report.outcome import WIDTH, print_outcome
-from ssm_study.report.words import digits_beside, words
-from ssm_study.table.columns import by_part
+from ssm_study.report.words import digits_beside_bound, column_words
+from ssm_study.table.columns import group_by_part
 
 
 def print_run(run_folder: Path, console: Console) -> None:
@@ -30,11 +30,11 @@ def record_table(record: Mapping[str, Any]) -> Table:
     table.add_column(ratio=3)
     table.add_column(ratio=2, overflow="fold")
     recorded = [name for name, value in record.items() if value is not None]
-    for title, names in by_part(recorded).items():
+    for title, names in group_by_part(recorded).items():
         if names:
             table.add_row(Text(title.upper(), style="bold"), "")
         for name in names:
-            table.add_row(Text(f"  {words(name)}"), Text(format_value(record[name])))
+            table.add_row(Text(f"  {column_words(name)}"), Text(format_value(record[name])))
     return table
 
 
@@ -42,4 +42,4 @@ def format_value(value: Any) -> str:
     """Text of a recorded value; a number is never rounded across one."""
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return digits_beside(value) if isinstance(value, float) else str(value)
+    return digits_beside_bound(value) if isinstance(value, float) else str(value)

@@ -25,7 +25,7 @@ from ssm_study.signals import Trajectories
 from ssm_study.stored_yaml import read_stored_yaml
 from ssm_study.study.recordings import RecordedCases, read_trials
 from ssm_study.systems import Gains
-from ssm_study.table.columns import text
+from ssm_study.table.columns import text_column
 from ssm_study.table.rank import best_first
 
 
@@ -40,9 +40,9 @@ class RunFolder:
 
     path: Path
 
-    def _parsed(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
-        """Read and parse a file of the run, None where there is none. Raises `BadRequest` that
-        names a damaged one."""
+    def _parse_file(self, name: str, parse: Callable[[str], Any] = json.loads) -> Any:
+        """Content of a file of the run after parsing; None if there is no such file. Raises
+        `BadRequest` that names a damaged one."""
         path = self.path / name
         try:
             return parse(read_limited_bytes(path).decode()) if path.is_file() else None
@@ -52,7 +52,8 @@ class RunFolder:
                 "report", path, f"the file is damaged ({cause})", "run the study again"
             ) from error
 
-    def _recording(self, name: str, most: int | None = None) -> RecordedCases | None:
+    def _read_recording(self, name: str, most: int | None = None) -> RecordedCases | None:
+        """Content of a recording of the run; None if there is no such file."""
         path = self.path / f"{name}.mcap"
         if not path.is_file():
             return None
@@ -61,24 +62,26 @@ class RunFolder:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        return self._parsed("record.json") or {}
+        """Record of the run."""
+        return self._parse_file("record.json") or {}
 
     @cached_property
     def certificate(self) -> dict[str, Any] | None:
-        return self._parsed("certificate.json")
+        """Content of `certificate.json`; None for a run without one."""
+        return self._parse_file("certificate.json")
 
     @cached_property
     def model(self) -> SSM | None:
         """Identified model. None for a baseline too: it is identified and scored, but nothing can
         be certified of it."""
-        data = self._parsed("model.json")
+        data = self._parse_file("model.json")
         found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM) else None
 
     @cached_property
     def any_model(self) -> Model | None:
         """Identified model, with or without neurons. None for a baseline."""
-        data = self._parsed("model.json")
+        data = self._parse_file("model.json")
         found = None if data is None else read_model_json(data)
         return found if isinstance(found, SSM | StructuredSSM) else None
 
@@ -119,37 +122,40 @@ class RunFolder:
 
     @property
     def comparison(self) -> pd.DataFrame | None:
-        return self._parsed("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
+        """Table that compares controllers on this run's plant; None where there is none."""
+        return self._parse_file("comparison.csv", lambda content: pd.read_csv(io.StringIO(content)))
 
     @cached_property
     def config(self) -> dict[str, Any]:
+        """Resolved configuration of the run."""
         path = self.path / ".hydra" / "config.yaml"
         return (yaml.safe_load(read_stored_yaml(path)) if path.is_file() else None) or {}
 
     @cached_property
     def curve(self) -> pd.DataFrame | None:
-        """The training curve, a row per epoch."""
-        rows = self._parsed("training_curve.json")
+        """Training curve with one row per epoch."""
+        rows = self._parse_file("training_curve.json")
         return pd.DataFrame(rows) if rows else None
 
     @cached_property
     def validation(self) -> RecordedCases | None:
-        """The first of the validation records, which may differ in length."""
-        return self._recording("validation", most=1)
+        """First validation record with the model's free run."""
+        return self._read_recording("validation", most=1)
 
     @cached_property
     def test(self) -> RecordedCases | None:
-        """The first of the test records, which may differ in length."""
-        return self._recording("test", most=1)
+        """First test record with the model's free run."""
+        return self._read_recording("test", most=1)
 
     @cached_property
     def excitation(self) -> RecordedCases | None:
         """Inputs of the training records."""
-        return self._recording("excitation")
+        return self._read_recording("excitation")
 
     @cached_property
     def closed_loop(self) -> RecordedCases | None:
-        return self._recording("closed_loop")
+        """Recording of the closed loop; None where no loop was closed."""
+        return self._read_recording("closed_loop")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,43 +173,45 @@ class StudyFolder:
 
     @property
     def name(self) -> str:
+        """Name of the study."""
         return " and ".join(folder.resolve().name for folder in (self.folder, *self.others))
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        tables = [gathered(self.folder)]
+        """Table of the study with one row per run."""
+        tables = [gather_table(self.folder)]
         for other in self.others:
             place = Path(os.path.relpath(other, self.folder))
-            table = gathered(other)
+            table = gather_table(other)
             tables.append(table.assign(run=[str(place / run) for run in table["run"]]))
         return tables[0] if len(tables) == 1 else pd.concat(tables, ignore_index=True)
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
-        """Tables of controllers and situations that runs left beside their records, one below the
-        other."""
-        found = {name: self.run(name).comparison for name in text(self.table, "run") if name}
+        """Comparison tables of all runs, one below the other."""
+        found = {name: self.run(name).comparison for name in text_column(self.table, "run") if name}
         tables = [table.assign(run=name) for name, table in found.items() if table is not None]
         return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
     def run(self, name: str) -> RunFolder:
+        """Files of the run with a given name."""
         return RunFolder(path=self.folder / name)
 
     @cached_property
     def best(self) -> RunFolder | None:
-        """The best run that left a model (see `best_first`), or None."""
+        """Best run of the study that left a model; None if there is none."""
         names = (
             [self.shown]
             if self.shown
-            else [name for name in text(best_first(self.table), "run") if name]
+            else [name for name in text_column(best_first(self.table), "run") if name]
         )
         return next(
             (self.run(name) for name in names if (self.folder / name / "model.json").is_file()),
             None,
         )
 
-    def of_best(self, *parts: str, otherwise: str) -> list[Any]:
-        """Read named parts of the best run, such as `model` or `closed_loop`. Raises
+    def read_from_best(self, *parts: str, otherwise: str) -> list[Any]:
+        """Read named parts of the study's best run, such as `model` or `closed_loop`. Raises
         `NothingToDraw` where it lacks one. Raises `NothingToDraw` where it lacks one."""
         found = [getattr(self.best, part, None) for part in parts]
         if any(part is None for part in found):
@@ -211,9 +219,9 @@ class StudyFolder:
         return found
 
 
-def gathered(folder: Path) -> pd.DataFrame:
-    """Collect the table of one study. Raises `BadRequest` where nobody gathered it, and for a
-    damaged one."""
+def gather_table(folder: Path) -> pd.DataFrame:
+    """Gather and return the table of a study. Raises `BadRequest` where nobody gathered it, and for
+    a damaged one."""
     path = folder / "runs.parquet"
     require(
         path.is_file(),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from ssm_study import style
-from ssm_study.table.columns import column, label
+from ssm_study.table.columns import numeric_column, column_label
 from ssm_study.table.rank import outcome_class
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def choice_label(choice: object) -> str:
     return CHOICES.get(str(choice), str(choice).replace("_", " "))
 
 
-def words(name: object) -> str:
-    """Printed name of a column, such as `Mean settling time (s)` for `settling_time_mean_s`."""
-    return DERIVED.get(str(name)) or label(str(name))
+def column_words(name: object) -> str:
+    """Printed name of a column in words, with its unit."""
+    return DERIVED.get(str(name)) or column_label(str(name))
 
 
 def prediction_grounds(
@@ -50,19 +50,18 @@ def prediction_grounds(
     grounds = []
     if margin is not None:
         sign = ">" if margin > 1 else "≤"
-        grounds.append(f"stability margin {digits_beside(margin)} {sign} 1")
+        grounds.append(f"stability margin {digits_beside_bound(margin)} {sign} 1")
     if radius is not None:
         sign = "<" if radius < 1 else "≥"
-        grounds.append(f"spectral radius of the controller {digits_beside(radius)} {sign} 1")
+        grounds.append(f"spectral radius of the controller {digits_beside_bound(radius)} {sign} 1")
     if noise is not None and noise > 0:
         sign = "<" if noise < 1 else "≥"
-        grounds.append(f"the noise reaches {digits_beside(noise)} {sign} 1 of the band")
+        grounds.append(f"the noise reaches {digits_beside_bound(noise)} {sign} 1 of the band")
     return ", ".join(grounds)
 
 
-def digits_beside(value: float, bound: float = 1.0) -> str:
-    """Number with three digits, or as many as keep it on its side of the bound it is compared
-    with."""
+def digits_beside_bound(value: float, bound: float = 1.0) -> str:
+    """Number as text with enough digits to show on which side of a bound it lies."""
     for digits in range(3, 17):
         text = f"{value:.{digits}g}"
         if (float(text) < bound) == (value < bound) and (float(text) > bound) == (value > bound):
@@ -149,7 +148,7 @@ def verdict_per_run(table: pd.DataFrame) -> pd.Series:
     """Verdict of every run in a table. A `Verdict` per row: its outcome class, where a run that
     is certified alone may have closed no loop."""
     found = outcome_class(table).map(lambda place: BY_CLASS[place]).astype(object)
-    return found.mask((found == LOST) & column(table, "stable_fraction").isna(), UNTRIED)
+    return found.mask((found == LOST) & numeric_column(table, "stable_fraction").isna(), UNTRIED)
 
 
 def verdicts(table: pd.DataFrame) -> pd.Series:
@@ -157,9 +156,9 @@ def verdicts(table: pd.DataFrame) -> pd.Series:
     return verdict_per_run(table).map(lambda verdict: verdict.word).astype(object).rename("verdict")
 
 
-def counts(table: pd.DataFrame) -> str:
-    """Line with the number of runs by verdict. A line such as `12 runs: 9 certified, settles; 2
-    infeasible; 1 failed`."""
+def verdict_counts(table: pd.DataFrame) -> str:
+    """Text line with the number of runs of each verdict. A line such as `12 runs: 9 certified,
+    settles; 2 infeasible; 1 failed`."""
     tally = verdicts(table).value_counts()
     parts = [
         f"{tally[verdict.word]} {verdict.word}" for verdict in VERDICTS if verdict.word in tally
@@ -169,7 +168,7 @@ def counts(table: pd.DataFrame) -> str:
     )
 
 
-def scatter(
+def draw_verdict_points(
     axes: "Axes", table: pd.DataFrame, x: pd.Series, y: pd.Series, dodge: float = 0.0
 ) -> None:
     """Draw one point per run in the colour and marker of its verdict. Only verdicts that occur

@@ -8,8 +8,8 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """Module that can be called as a function: `import ssm_study as st; st.study(...)` works
-    although a room has the same name."""
+    """Module type whose instances can be called as a function, so that `st.study(...)` works beside
+    the package `st.study`."""
 
     def __call__(self, *overrides: str) -> Any:
         """Run a study with these overrides, as `cli.from_python.study` does."""

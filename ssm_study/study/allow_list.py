@@ -50,8 +50,8 @@ REMEDY = "name a part of ssm_study; your own study: add --with FOLDER"
 
 
 def refuse_foreign_targets(config: DictConfig) -> None:
-    """Raise `BadRequest` for the first key of a configuration that names a class not on the allow
-    list, before anything is instantiated.
+    """Raise `BadRequest` if a configuration names a class outside the allow list, before anything
+    is constructed.
 
     Allowed as `_target_`: classes defined in our own specification rooms; in Hydra's section its
     plugins. Refused as well: interpolations that read the environment (secrets would end up in
@@ -76,20 +76,24 @@ def _refuse_in_task(tree: Any) -> None:
         if key == "_target_" and (gone := withdrawn_target(value)):
             require(False, path, value, gone.sentence, gone.remedy)
         require(
-            key != "_target_" or is_ours(value), path, value, "this may not be instantiated", REMEDY
+            key != "_target_" or is_allowed_target(value),
+            path,
+            value,
+            "this may not be instantiated",
+            REMEDY,
         )
-        is_plain = has_only(INTERPOLATION, value)
+        is_plain = has_only_allowed_interpolations(INTERPOLATION, value)
         require(is_plain, path, value, problem, "write the value itself")
 
 
-def has_only(allowed: re.Pattern[str], value: Any) -> bool:
-    """Whether all interpolations in a value are of the allowed form."""
+def has_only_allowed_interpolations(allowed: re.Pattern[str], value: Any) -> bool:
+    """Whether a value contains only interpolations of an allowed form."""
     return not isinstance(value, str) or value.count("${") == len(allowed.findall(value))
 
 
 def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
     """Raise `BadRequest` for a value in Hydra's own section that could run a program."""
-    is_plain = has_only(HYDRAS_INTERPOLATION, value)
+    is_plain = has_only_allowed_interpolations(HYDRAS_INTERPOLATION, value)
     problem = "this interpolation reads the environment or builds configuration from text"
     require(is_plain, path, value, problem, "write the value itself")
     if key == "_target_":
@@ -116,8 +120,8 @@ def _refuse_in_hydra(path: str, key: str, value: Any) -> None:
         )
 
 
-def is_ours(target: Any) -> bool:
-    """Whether `target` names a class that a configuration may instantiate."""
+def is_allowed_target(target: Any) -> bool:
+    """Whether a dotted name stands for a class that configurations may construct."""
     if not isinstance(target, str):
         return False
     trusted = "|".join([rf"ssm_study\.({'|'.join(ROOMS)})", *map(re.escape, trusted_packages())])

@@ -33,7 +33,7 @@ from ssm_study.models.warm_start import choose_piece_starts, piece_start_columns
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
 from ssm_study.study import trials
-from ssm_study.study.design_claims import certificate
+from ssm_study.study.design_claims import check_certificate
 from ssm_study.study.findings import (
     Checked,
     Claims,
@@ -49,9 +49,9 @@ from ssm_study.study.loop_recordings import (
     loop_subject,
     read_experiment,
 )
-from ssm_study.study.recording_labels import mislabelled
+from ssm_study.study.recording_labels import find_wrong_labels
 from ssm_study.study.recordings import TRIALS, record_signal_pairs
-from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, one_line
+from ssm_study.study.run_files import CONFIGURATION, OVERRIDES, RunFiles, error_text
 from ssm_study.study.stages.catalogue import STAGES
 from ssm_study.study.stages.dataset import DATASET
 from ssm_study.study.stages.evidence import read_judgement
@@ -59,7 +59,7 @@ from ssm_study.study.stages.free_run import SCORE
 from ssm_study.study.stages.loop import LOOPS
 from ssm_study.study.stages.model import MODEL, read_members
 from ssm_study.study.unreached_numbers import unreached_numbers
-from ssm_study.table.columns import BY_NAME, FURTHER, setting_of
+from ssm_study.table.columns import BY_NAME, FURTHER, setting_path
 from ssm_study.table.gather import PARQUET
 from ssm_study.training.metrics import records_fit_percent
 
@@ -69,8 +69,8 @@ MADE_OF_RUNS = "made from runs; ssm-study gather, report and export make them an
 NOT_REPEATED = "training is not repeated (see ssm-study reproduce)"
 
 
-def files(run: RunFiles) -> Claims:
-    """Check that every file such a run leaves exists, is sealed and is unchanged."""
+def check_files(run: RunFiles) -> Claims:
+    """Check that every file of the run exists, is sealed and is unchanged."""
     path = run.path / MANIFEST
     manifest = read_sealed_json(read_limited_bytes(path)) if path.is_file() else None
     damaged = damaged_files(run.path, manifest) if manifest else [MANIFEST]
@@ -80,14 +80,13 @@ def files(run: RunFiles) -> Claims:
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
-    sealed_names = set(manifest["files"]) if manifest else set()
-    yield from foreign_or_absent_files(run, sealed_names)
-    yield from files_not_checked(run)
+    sealed_names = set(manifest["check_files"]) if manifest else set()
+    yield from find_foreign_or_absent_files(run, sealed_names)
+    yield from list_files_not_checked(run)
 
 
-def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
-    """Problems with a run's files: needed but absent, present but not sealed, or sealed but of no
-    stage."""
+def find_foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked]:
+    """Findings on files of the run that are missing, unsealed or written by no stage."""
     needed = {CONFIGURATION, "model.json", "validation.mcap", "test.mcap", "excitation.mcap"}
     stages: tuple[Stage[Any], ...] = STAGES_OF_A_BASELINE
     if run.claims_certificate:
@@ -111,7 +110,7 @@ def foreign_or_absent_files(run: RunFiles, sealed: set[str]) -> Iterator[Checked
             yield Checked(claim=name, holds=False, found=found)
 
 
-def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
+def list_files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
     """Files and entries that no check derives again, each with the reason."""
     yield NotChecked({"runs.parquet, runs.csv, report.html, figures and exports": MADE_OF_RUNS})
     repeated = ("training_curve.json, choice.json", "certificate.json seconds, solver_status")
@@ -124,18 +123,20 @@ def files_not_checked(run: RunFiles) -> Iterator[NotChecked]:
         yield NotChecked({trials.TRIED: reason})
 
 
-def requested(run: RunFiles) -> Claims:
+def check_settings(run: RunFiles) -> Claims:
     """Check that the recorded settings are those of the configuration, and that the run's name is
     their hash."""
     name = str(run.config.run)
     hashed = run_name(run.config)  # what a name shows before its hash is the user's choice
     expected = name if name.endswith(hashed) else f"...-{hashed}"
     yield Derived({"study": str(run.config.study), "run": expected})
-    yield folder_claim(run.path.absolute(), name)
+    yield check_folder_name(run.path.absolute(), name)
     # As it was stored: a record names the parts by what they were called then.
     configuration = plain_settings(run.config)
     specification = replace(run.specification, configuration=configuration)
-    further_settings = [setting_of(column) for column in run.record if FURTHER.matches_name(column)]
+    further_settings = [
+        setting_path(column) for column in run.record if FURTHER.matches_name(column)
+    ]
     settings = STUDY.parameters(specification) | undeclared_settings(
         configuration, further_settings
     )
@@ -149,9 +150,9 @@ def requested(run: RunFiles) -> Claims:
             yield Checked(claim=f"synthesis.{rate}", holds=is_same, found=f"{value} was requested")
 
 
-def folder_claim(folder: Path, name: str) -> Checked:
-    """Claim that a run counts only once in its study: its folder has its name, or lies outside a
-    study."""
+def check_folder_name(folder: Path, name: str) -> Checked:
+    """Check that the run's folder has the name that its record gives, so that a run counts once in
+    its study."""
     study = folder.parent
     is_in_a_study = (study / PARQUET).exists() or (study / name).exists()
     if folder.name == name or not is_in_a_study:
@@ -160,13 +161,13 @@ def folder_claim(folder: Path, name: str) -> Checked:
     return Checked(claim="folder", holds=False, found=f"{folder.name} {problem}")
 
 
-def status(run: RunFiles) -> Claims:
+def check_status(run: RunFiles) -> Claims:
     """Check that the run is infeasible exactly if a part of its design is missing."""
     is_feasible = not run.claims_certificate or run.design.feasible
     yield Derived({"status": OK if is_feasible else INFEASIBLE})
 
 
-def data(run: RunFiles) -> Claims:
+def check_records(run: RunFiles) -> Claims:
     """Check that the records are those of the configuration, simulated or read again.
 
     A recording of somebody else's may be elsewhere by now: then what follows from it is not
@@ -177,7 +178,7 @@ def data(run: RunFiles) -> Claims:
     except (BadRequest, OSError) as error:
         if run.specification.plant is not None and not run.specification.plant.real:
             raise
-        reason = f"the recorded data cannot be read: {one_line(error)}"
+        reason = f"the recorded data cannot be read: {error_text(error)}"
         columns = (*data_metrics.COLUMNS, *evidence_metrics.COLUMNS, BY_NAME["fit_train_percent"])
         names = [column.name for column in columns if not column.setting]
         names += [name for name in run.record if name.startswith("score_test_")]
@@ -186,11 +187,11 @@ def data(run: RunFiles) -> Claims:
         names += ["excitation.mcap", "evidence.json", "labels of recordings", "predicted_stable"]
         yield NotChecked(dict.fromkeys(names, reason))
     else:
-        yield from data_read(run, records)
+        yield from check_record_columns(run, records)
 
 
-def data_read(run: RunFiles, records: DataSet) -> Claims:
-    """Columns and recordings that follow from the records."""
+def check_record_columns(run: RunFiles, records: DataSet) -> Claims:
+    """Check the columns and recordings that follow from the records of the data set."""
     with warnings.catch_warnings(action="ignore"):  # the warning is a column
         yield Derived(data_metrics.data_columns(records))
     yield Derived({"fit_train_percent": records_fit_percent(run.model, records.training, records)})
@@ -201,7 +202,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield check_agreement(
             f"{split}.mcap records", pairs, ITERATED, "the configuration gives them"
         )
-        yield from start_states(run, records, split)
+        yield from check_start_states(run, records, split)
     yield Derived(piece_start_columns(run.model, records, run.simulated.test))
     yield Derived(member_columns(read_members(run.path), records))
     if records.mismatch_records or run.trials:
@@ -218,7 +219,7 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
         yield Derived({f"score_test_{i + 1}": score for i, score in enumerate(scores_again)})
     excitation = excitation_pairs(run, records)
     yield check_agreement("excitation.mcap", excitation, ITERATED, "the configuration gives it")
-    for file, wrong in mislabelled(run, records):
+    for file, wrong in find_wrong_labels(run, records):
         found = "times, names, units and words are the run's"
         if wrong:
             found = f"not those of the run: {', '.join(wrong)}"
@@ -226,26 +227,25 @@ def data_read(run: RunFiles, records: DataSet) -> Claims:
 
 
 def excitation_pairs(run: RunFiles, records: DataSet) -> dict[str, tuple[Any, Any]]:
-    """Inputs and measured disturbances of the training records, each as stored and as made
-    again."""
+    """Stored inputs and disturbances of the training records, each with the recomputed ones."""
     inputs = [record.u for record in records.training]
-    pairs = numbered_pairs(run.inputs, inputs, "u ")
+    pairs = label_pairs(run.inputs, inputs, "u ")
     made = [record.d for record in records.training if record.d is not None]
     pairs["disturbances"] = (len(run.disturbances), len(made))
     if len(run.disturbances) == len(made):
-        pairs |= numbered_pairs(run.disturbances, made, "d ")
+        pairs |= label_pairs(run.disturbances, made, "d ")
     return pairs
 
 
-def numbered_pairs(
+def label_pairs(
     stored: Sequence[Any], made: Sequence[Any], word: str = ""
 ) -> dict[str, tuple[Any, Any]]:
-    """Pairs of stored values and values made again, labelled by a word and their number."""
+    """Label pairs of stored and recomputed values by a word and their number."""
     pairs = zip(stored, made, strict=True)
     return {f"{word}{number}": pair for number, pair in enumerate(pairs)}
 
 
-def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
+def check_start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checked]:
     """Check that the free runs of a split start from the kind of initial state that the record says
     was chosen.
 
@@ -257,7 +257,7 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
         return
     starts = choose_piece_starts(run.model, records)
     if is_from_past:
-        pairs = numbered_pairs(stored, getattr(starts, split))
+        pairs = label_pairs(stored, getattr(starts, split))
         yield check_agreement(
             f"{split}.mcap start_states", pairs, ITERATED, "the log's past gives it"
         )
@@ -269,7 +269,7 @@ def start_states(run: RunFiles, records: DataSet, split: str) -> Iterator[Checke
     yield Checked(claim=f"{split}.mcap start", holds=agrees, found=found)
 
 
-def model(run: RunFiles) -> Claims:
+def check_model(run: RunFiles) -> Claims:
     """Check the proved properties of the stored model, and that its sampling time is that of the
     records."""
     if run.claims_certificate:
@@ -282,14 +282,14 @@ def model(run: RunFiles) -> Claims:
     yield check_entries(run, "model.json", run.model)
 
 
-def fits(run: RunFiles) -> Claims:
+def check_fits(run: RunFiles) -> Claims:
     """Check that the stored model reproduces the stored simulations and the recorded errors."""
     replayed: dict[str, Simulation] = {}
     for split in ("validation", "test"):
         stored = getattr(run.simulated, split)
         start_up = stored.start_up_samples
         replay = Simulation.simulate_records(run.model, stored.records, start_up, stored.starts)
-        pairs = numbered_pairs(stored.simulated, replay.simulated)
+        pairs = label_pairs(stored.simulated, replay.simulated)
         yield check_agreement(
             f"{split}.mcap /simulated", pairs, ONE_FORMULA, "model.json replays it"
         )
@@ -297,15 +297,14 @@ def fits(run: RunFiles) -> Claims:
     yield Derived(fit_columns(replayed["validation"], replayed["test"]))
 
 
-def loop(run: RunFiles) -> Claims:
-    """Check that the recorded loops are those of the stored model and gains on the configured
-    plant, and that the columns follow from them."""
-    yield from loop_files(run)
+def check_loops(run: RunFiles) -> Claims:
+    """Check that the recorded closed loops and their columns follow from model, gains and plant."""
+    yield from check_loop_files(run)
     if not run.closes_loop:
         return
     controller = ObserverFeedback.from_design(run.model, run.design)
     stored, loop_on = read_experiment(run.path)
-    yield from loop_signals(run, controller, stored, loop_on)
+    yield from check_loop_signals(run, controller, stored, loop_on)
     fitted = run.loop.with_fixed_horizon(run.model)
     on_model = fitted.run_on_model(run.plant, controller, stored.controlled.y[:, 0])
     pairs: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
@@ -317,7 +316,7 @@ def loop(run: RunFiles) -> Claims:
         yield NotChecked({"closed_loop.mcap output, states": reason})
     else:
         again = fitted.run_on_plant(run.plant, controller, run.specification.loop_seed)
-        yield loop_on_plant(stored, again)
+        yield check_loop_on_plant(stored, again)
         pairs[NOISE_FREE] = stored.noise_free, again.noise_free
         measured = replace(stored, quiet=again.quiet)  # no recording holds the run without noise
     yield Derived(
@@ -330,7 +329,7 @@ def loop(run: RunFiles) -> Claims:
             )
 
 
-def textbook_pi(run: RunFiles) -> Claims:
+def check_textbook_pi(run: RunFiles) -> Claims:
     """Check the PI controller that the textbook's rule tunes on the stored model, by running it
     again on the configured plant."""
     specification = run.specification
@@ -340,7 +339,7 @@ def textbook_pi(run: RunFiles) -> Claims:
     )
 
 
-def loop_files(run: RunFiles) -> Iterator[Checked]:
+def check_loop_files(run: RunFiles) -> Iterator[Checked]:
     """Check that the recordings of loops exist where a loop was closed, and only there."""
     present = {name for name in LOOPS if (run.path / name).is_file()}
     if not run.closes_loop:
@@ -354,7 +353,7 @@ def loop_files(run: RunFiles) -> Iterator[Checked]:
         yield Checked(claim=name, holds=False, found="is absent")
 
 
-def loop_signals(
+def check_loop_signals(
     run: RunFiles, controller: ObserverFeedback, stored: LoopRuns, loop_on: str
 ) -> Iterator[Checked]:
     """Check that the recorded input is the controller's response to the recorded output. Also check
@@ -367,8 +366,9 @@ def loop_signals(
     yield Checked(claim="closed_loop.mcap loop_on", holds=holds, found=found)
 
 
-def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
-    """Check that the configured plant with the certified gains reproduces the recorded loops."""
+def check_loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
+    """Check that the configured plant with the certified gains reproduces the recorded closed
+    loops."""
     pairs = loop_signal_pairs(stored.controlled, again.controlled)
     for name in ("settling_band", "input_equilibrium"):
         pairs[name] = getattr(stored, name), getattr(again, name)
@@ -378,14 +378,14 @@ def loop_on_plant(stored: LoopRuns, again: LoopRuns) -> Checked:
 
 
 SECTIONS: tuple[Callable[[RunFiles], Claims], ...] = (
-    files,
-    requested,
-    status,
-    data,
-    model,
-    certificate,
-    fits,
-    loop,
-    textbook_pi,
+    check_files,
+    check_settings,
+    check_status,
+    check_records,
+    check_model,
+    check_certificate,
+    check_fits,
+    check_loops,
+    check_textbook_pi,
 )
-OF_A_BASELINE = (files, requested, status, data, model, fits)
+OF_A_BASELINE = (check_files, check_settings, check_status, check_records, check_model, check_fits)

@@ -1,4 +1,4 @@
-"""Checks of the claims in `certificate.json`, decided again in exact arithmetic, and of the columns
+"""Checks of the claims in `check_certificate.json`, decided again in exact arithmetic, and of the columns
 that follow from them."""
 
 import re
@@ -60,9 +60,9 @@ from ssm_study.synthesis.sine_judgement import simulated_sines, sine_columns
 from ssm_study.systems import Balls, System
 
 
-def certificate(run: RunFiles) -> Claims:
-    """Check both theorems in exact rational arithmetic on the stored matrices, and derive the
-    columns that follow from them."""
+def check_certificate(run: RunFiles) -> Claims:
+    """Check every certificate of the run in exact arithmetic, and the columns that follow from
+    them."""
     design = run.design
     balls = certified_balls(run.model)
     sentences = failed_checks(run.certificate, run.model.system, balls, requested_system(run))
@@ -75,25 +75,25 @@ def certificate(run: RunFiles) -> Claims:
     if TOLERANCE in design.withdrawn:
         yield NotChecked({"certified_tolerance": WITHDRAWN})
     for label, part in design.parts_by_name.items():
-        yield verdict_on_part(run, label, part, sentences)
-    yield from internal_model_claim(run)
-    yield from limits_claim(run)
-    yield from starts_claim(run)
-    mismatch = mismatch_again(run)
+        yield check_part(run, label, part, sentences)
+    yield from check_internal_model(run)
+    yield from check_input_limits(run)
+    yield from check_unlimited_starts(run)
+    mismatch = remeasure_mismatch(run)
     facts = design_columns(design, run.model, balls, mismatch)
-    facts |= coverage_again(run)
+    facts |= rederive_coverage(run)
     if "predicted_faster" in run.record:
         records = run.simulated.validation.records, run.trials
         facts |= response_columns(design, run.model, mismatch, *records)
-    facts |= sines_again(run, balls, mismatch)
+    facts |= rederive_sines(run, balls, mismatch)
     yield Derived(withhold_predictions(facts, run.record.get("evidence")))
 
 
-def verdict_on_part(
+def check_part(
     run: RunFiles, label: str, part: Theorem | Infeasible, sentences: list[str]
 ) -> Checked:
-    """Check that exact arithmetic confirms one part of the certificate, and that the requested
-    method found it."""
+    """Check that exact arithmetic confirms one certificate, and that the requested method found
+    it."""
     wrong = [sentence for sentence in sentences if re.match(rf"{label}\b", sentence)]
     wrong += information_errors(part)
     if label in SIDES and part.method != run.record.get("synthesis_method"):
@@ -105,8 +105,8 @@ def verdict_on_part(
     return Checked(claim=f"certificate.{label}{at_rate}", holds=not wrong, found=found)
 
 
-def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
-    """Claim that the internal model in the state feedback is the requested one, if any."""
+def check_internal_model(run: RunFiles) -> Iterator[Checked]:
+    """Check that the internal model in the state feedback is the requested one."""
     words = getattr(run.specification.synthesis, "modes", ())
     feedback = run.design.state_feedback
     if not words or not isinstance(feedback, StateFeedback):
@@ -118,8 +118,8 @@ def internal_model_claim(run: RunFiles) -> Iterator[Checked]:
     yield check_agreement("certificate internal model", pairs, ONE_FORMULA, source)
 
 
-def limits_claim(run: RunFiles) -> Iterator[Checked]:
-    """Claim that the input limits in the certificates are those of the loop, or of the records."""
+def check_input_limits(run: RunFiles) -> Iterator[Checked]:
+    """Check that the input limits in the certificates are those of the loop or of the records."""
     loop = run.specification.loop
     physical = np.stack(input_limits(loop.input_lower, loop.input_upper, run.training_inputs))
     limits = run.model.scale.scaled_input(physical).T
@@ -132,16 +132,16 @@ def limits_claim(run: RunFiles) -> Iterator[Checked]:
         yield check_agreement("certificate limits", pairs, ONE_FORMULA, source)
 
 
-def starts_claim(run: RunFiles) -> Iterator[Checked]:
+def check_unlimited_starts(run: RunFiles) -> Iterator[Checked]:
     """Check that the stored initial states are equilibria at the corners of a box of outputs, from
     which no input limit becomes active."""
     model = run.model
     for part in run.design.extra_certificates.values():
         if isinstance(part, UnlimitedStart) and isinstance(model, SSM):
-            yield stored_starts(part, equilibrium_starts(model, part.starts))
+            yield check_stored_starts(part, equilibrium_starts(model, part.starts))
 
 
-def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
+def check_stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None) -> Checked:
     """Check that the stored initial states of one certificate are those derived from the model."""
     claim = "certificate starts"
     if starts is None or starts.shape != part.starts.shape:
@@ -156,14 +156,14 @@ def stored_starts(part: UnlimitedStart, starts: Float[np.ndarray, "S n"] | None)
     return comparison
 
 
-def mismatch_again(run: RunFiles) -> Any:
+def remeasure_mismatch(run: RunFiles) -> Any:
     """Measure the mismatch again from the run's own recordings."""
     validation = run.simulated.validation
     measure = mismatch_behind_map if run.design.inverts_input_map else measure_mismatch
     return measure(run.model, validation.records, validation.start_up_samples, run.trials)
 
 
-def coverage_again(run: RunFiles) -> dict[str, Any]:
+def rederive_coverage(run: RunFiles) -> dict[str, Any]:
     """Derive the columns of the coverage again from the run's own recordings."""
     columns = ("coverage", "coverage_reason")
     is_claimed = any(run.record.get(name) is not None for name in columns)
@@ -178,10 +178,10 @@ def coverage_again(run: RunFiles) -> dict[str, Any]:
         test = run.simulated.test
         fresh = measure_premise(run.model, test.records, mismatch, test.start_up_samples)
     facts = coverage_columns(run.design, run.model, premise, fresh)
-    return facts | fresh_data_again(run, premise, mismatch)
+    return facts | rederive_fresh_data(run, premise, mismatch)
 
 
-def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
+def rederive_fresh_data(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dict[str, Any]:
     """Derive the column of the fresh data sets again by simulating them."""
     specification = run.specification
     if not specification.has_fresh_sets:
@@ -195,7 +195,7 @@ def fresh_data_again(run: RunFiles, premise: Premise, mismatch: Mismatch) -> dic
     )
 
 
-def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
+def rederive_sines(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, Any]:
     """Derive the columns of the single sines again by simulating them. None for a run made before
     they existed."""
     specification = run.specification
@@ -214,8 +214,8 @@ def sines_again(run: RunFiles, balls: Balls, mismatch: Mismatch) -> dict[str, An
 
 
 def requested_system(run: RunFiles) -> System:
-    """System for which the state feedback is certified, or would be: the model with its internal
-    model.
+    """System for which the state feedback is to be certified: the model with its internal model, if
+    any.
 
     A design without a state feedback states none, so the one that was requested counts.
     """
@@ -230,8 +230,8 @@ def requested_system(run: RunFiles) -> System:
 
 
 def information_errors(part: Theorem | Infeasible) -> list[str]:
-    """Relative errors of the stored numbers that decide nothing (margin and condition number),
-    derived again."""
+    """Sentences on stored numbers beside the proof, such as margin and condition number, that are
+    wrong."""
     if isinstance(part, Infeasible):
         return []
     again = smallest_eigenvalue(next(iter(part.as_floats(**part.variables).values())))

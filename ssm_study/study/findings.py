@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ssm_study.study.recordings import relative_distance
-from ssm_study.study.run_files import RunFiles, unknown_entries
+from ssm_study.study.run_files import RunFiles, find_unknown_entries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class Checked:
 
 @dataclass(frozen=True)
 class Derived:
-    """Columns of the record, derived again from the run's files."""
+    """Columns of the record with the values derived again from the run's files."""
 
     columns: Mapping[str, Any]
 
@@ -42,8 +42,7 @@ Claims = Iterator[Checked | Derived | NotChecked]
 def check_agreement(
     claim: str, pairs: Mapping[str, tuple[Any, Any]], tolerance: float, source: str
 ) -> Checked:
-    """Finding on whether each stored value equals the one made again, to `tolerance` of its largest
-    entry.
+    """Finding on whether stored values equal recomputed ones within a tolerance.
 
     `source` says in words what gives the value.
     """
@@ -60,6 +59,6 @@ def check_agreement(
 
 def check_entries(run: RunFiles, file: str, read: Any) -> Checked:
     """Finding on whether a file contains only entries that its reader uses."""
-    extra = unknown_entries(run.stored(file), read.to_json())
+    extra = find_unknown_entries(run.stored(file), read.to_json())
     found = f"unknown: {', '.join(extra)}" if extra else "known"
     return Checked(claim=f"{file} entries", holds=not extra, found=found)

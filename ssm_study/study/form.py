@@ -13,7 +13,7 @@ from ssm_study.study.findings import Checked, Claims, NotChecked
 from ssm_study.study.loop_recordings import NOISE_FREE
 from ssm_study.study.recordings import RecordedCases
 from ssm_study.study.run_files import RunFiles
-from ssm_study.table.columns import declaration_of
+from ssm_study.table.columns import find_declaration
 
 ERRORS = ("error_message", "error_type", "failure_transient")
 BEFORE = "fit_test_before_reduction_percent"
@@ -28,24 +28,24 @@ TYPES: dict[str, tuple[type, ...]] = {
 }
 
 
-def form(run: RunFiles) -> Claims:
-    """Check the run's own files, and that the values of its record are of their declared kinds."""
-    yield from _links(run.path)
-    yield from _byte_order_marks(run.path)
+def check_form(run: RunFiles) -> Claims:
+    """Check the form of the run's files: kinds of recorded values, unknown entries, links."""
+    yield from _report_links(run.path)
+    yield from _report_byte_order_marks(run.path)
     for name in ERRORS:
         if run.record.get(name) is not None:
             found = "stands in the record of a run that did not fail"
             yield Checked(claim=name, holds=False, found=found)
     for name, value in run.record.items():
-        column = declaration_of(name)
+        column = find_declaration(name)
         if column is None or column.is_pattern:  # those of one pattern may differ in kind
             continue
         if not has_declared_kind(column, value):
             found = f"is a {type(value).__name__}, not a {column.kind}"
             yield Checked(claim=f"{name} kind", holds=False, found=found)
-    yield from _unreduced(run)
+    yield from _check_unreduced_fit(run)
     if run.claims_certificate:
-        yield from _reasons(run)
+        yield from _check_reasons(run)
     if run.closes_loop:
         yield from _check_settling_bands(run)
 
@@ -60,17 +60,16 @@ def has_declared_kind(column: Column, value: Any) -> bool:
     return is_truth == (column.kind == "boolean") and isinstance(value, TYPES[column.kind])
 
 
-def _links(folder: Path) -> Iterator[Checked]:
-    """Report every symbolic link in the run folder as a claim that does not hold."""
+def _report_links(folder: Path) -> Iterator[Checked]:
+    """Failed findings, one for every symbolic link in the run folder."""
     links = [path for path in sorted(folder.rglob("*")) if path.is_symlink()]
     for path in links:
         name = path.relative_to(folder).as_posix()
         yield Checked(claim=name, holds=False, found="is a link, and no file of this run")
 
 
-def _byte_order_marks(folder: Path) -> Iterator[Checked]:
-    """Report every text file of the run that begins with a byte order mark as a claim that does not
-    hold."""
+def _report_byte_order_marks(folder: Path) -> Iterator[Checked]:
+    """Failed findings, one for every text file of the run that begins with a byte order mark."""
     for path in sorted(folder.rglob("*")):
         if path.suffix not in TEXTS or path.is_symlink() or not path.is_file():
             continue
@@ -81,8 +80,9 @@ def _byte_order_marks(folder: Path) -> Iterator[Checked]:
             yield Checked(claim=name, holds=False, found="begins with a byte order mark")
 
 
-def _unreduced(run: RunFiles) -> Iterator[Checked]:
-    """Check that, where no state was dropped, the fit before the reduction equals the fit."""
+def _check_unreduced_fit(run: RunFiles) -> Iterator[Checked]:
+    """Check that the fit before model reduction equals the fit after it where no state was
+    dropped."""
     before = run.record.get(BEFORE)
     requested = run.specification.configuration["model"].get("order")
     if not run.claims_certificate or run.model.order != requested or before is None:
@@ -94,8 +94,8 @@ def _unreduced(run: RunFiles) -> Iterator[Checked]:
     yield Checked(claim=BEFORE, holds=same, found=f"nothing was reduced, and the fit is {fit}")
 
 
-def _reasons(run: RunFiles) -> Claims:
-    """Check that the reason for a missing certificate is one short line; it decides nothing."""
+def _check_reasons(run: RunFiles) -> Claims:
+    """Check that the reason for a missing certificate is one short line."""
     for label, part in run.design.parts_by_name.items():
         if not isinstance(part, Infeasible):
             continue

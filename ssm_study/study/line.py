@@ -33,7 +33,7 @@ LOCAL = ("ProcessesLauncher", "BasicLauncher", "JoblibLauncher")  # these run jo
 
 
 class Study(Task["Specification"]):
-    """Task of the engine that takes one configuration from data to closed loop."""
+    """Task of the engine that computes one run, from data to closed loop."""
 
     libraries = (
         "torch",
@@ -60,13 +60,13 @@ class Study(Task["Specification"]):
         simulated = str(settings["data"].get("_target_", "")).endswith(".SimulatedData")
         if simulated and "'path'" not in str(settings):
             return []
-        from ssm_study.study.specification import files_of  # only for what names files
+        from ssm_study.study.specification import input_files  # only for what names files
 
-        return files_of(settings)
+        return input_files(settings)
 
     def check(self, settings: Settings) -> "Specification":
-        """Build the request. Raises `BadRequest` for every mistake that can be seen before work
-        begins.
+        """Build the specification of a run from its settings. Raises `BadRequest` for every mistake
+        that can be seen before work begins.
 
         Recorded data are read for it.
         """
@@ -90,14 +90,14 @@ class Study(Task["Specification"]):
             others = "validation, test and trials are at the plant's own amplitude"
             message = f"excitation.amplitude moves the training records alone; {others}."
             warnings.warn(message, TrainingAlone, 2)
-        if self.trains_here(specification, settings):
+        if self.trains_on_accelerator(specification, settings):
             from ssm_study.training.saving import build_trainer
 
             build_trainer(specification.training, [], Path())
         return specification
 
-    def trains_here(self, request: "Specification", settings: Settings) -> bool:
-        """Whether this machine will train the model on an accelerator.
+    def trains_on_accelerator(self, request: "Specification", settings: Settings) -> bool:
+        """Whether this machine will train the model of the request on an accelerator.
 
         False for a plan, for jobs that a cluster gets, and where the model is in the store.
         """
@@ -112,14 +112,14 @@ class Study(Task["Specification"]):
         return any(stage.name == "model" and not stage.reused for stage in planned.noted.values())
 
     def stages(self, request: "Specification", stages: Stages) -> None:
-        """Take all stages of a run.
+        """Run, or plan, all stages of a run in their order.
 
         A baseline is scored, and there it ends. With `refine` the design is tried before it is
         chosen again.
         """
         from ssm_study.study.trials import LOGS, TRIALS  # a refusal does without
 
-        data, _, bounded = self.identified(request, stages)
+        data, _, bounded = self.identify_model(request, stages)
         if not request.model.gives_ssm:
             return
         records = data
@@ -127,15 +127,17 @@ class Study(Task["Specification"]):
         unrecorded = stages.unrecorded()
         iterations = request.refine if isinstance(request.refine, int) else 0
         for iteration in range(1, iterations + 1):
-            tried += self.designed(request, unrecorded, records, bounded)
+            tried += self.design_and_close_loop(request, unrecorded, records, bounded)
             is_last = iteration == iterations
             records = (stages if is_last else unrecorded).run_stage(TRIALS, {}, {}, data, *tried)
         if isinstance(request.refine, list):
             records = stages.run_stage(LOGS, *request.select("refine", "data"), data)
         with_fresh_data = request.has_fresh_sets
-        self.designed(request, stages, records, bounded, with_fresh_data=with_fresh_data)
+        self.design_and_close_loop(
+            request, stages, records, bounded, with_fresh_data=with_fresh_data
+        )
 
-    def designed(
+    def design_and_close_loop(
         self,
         request: "Specification",
         stages: Stages,
@@ -144,8 +146,7 @@ class Study(Task["Specification"]):
         *,
         with_fresh_data: bool = False,
     ) -> tuple[StageOutput["Design"], StageOutput[Any]]:
-        """Take the stages that design controller and observer from these records and close the loop
-        with them."""
+        """Run the stages that design controller and observer and close the loop with them."""
         from ssm_study.study.stages.evidence import EVIDENCE
         from ssm_study.study.stages.fresh_data import FRESH_DATA
         from ssm_study.study.stages.loop import LOOP
@@ -179,11 +180,10 @@ class Study(Task["Specification"]):
         closed = stages.run_stage(LOOP, *loop_inputs, data, bounded, design)
         return design, closed
 
-    def identified(
+    def identify_model(
         self, request: "Specification", stages: Stages
     ) -> tuple[StageOutput["DataSet"], StageOutput["Trained"], StageOutput["ModelRun"]]:
-        """Take the stages from data to the model with its free runs, in the coordinates used
-        afterwards."""
+        """Run the stages from the records to the identified model and its free runs."""
         from ssm_study.study.stages.bounds import BOUNDS
         from ssm_study.study.stages.dataset import DATASET
         from ssm_study.study.stages.free_run import SCORE
@@ -201,7 +201,8 @@ class Study(Task["Specification"]):
         return data, model, bounded
 
     def run(self, request: "Specification", run: Run) -> Facts:
-        """Facts at the end of a run: infeasible where controller or observer is missing."""
+        """Final columns of a run: its status, infeasible where controller or observer is
+        missing."""
         del request
         sides = ("controller_feasible", "observer_feasible")
         is_infeasible = any(run.facts.get(name) is False for name in sides)
@@ -214,7 +215,7 @@ class Study(Task["Specification"]):
 
         A number stands where the configuration has it (`Column.setting`).
         """
-        from ssm_study.study.trials import lineage
+        from ssm_study.study.trials import lineage_columns
         from ssm_study.table.columns import SETTINGS  # pandas: a refusal does without
 
         configuration = request.configuration
@@ -223,14 +224,14 @@ class Study(Task["Specification"]):
         numbers = {name: value for name, value in values.items() if is_number_or_none(value)}
         model_kind = model.get("cell")  # gru and lstm share a class
         return numbers | {
-            "model": model_kind or (kind_of(model) or "").removesuffix("spec"),
-            "scaffold_in": kind_of(model.get("scaffold_in")),
-            "scaffold_out": kind_of(model.get("scaffold_out")),
+            "model": model_kind or (kind_of_part(model) or "").removesuffix("spec"),
+            "scaffold_in": kind_of_part(model.get("scaffold_in")),
+            "scaffold_out": kind_of_part(model.get("scaffold_out")),
             "plant": type(request.plant).__name__ if request.plant else None,
             "excitation": request.excitation.kind if request.plant else None,
             "synthesis_method": type(request.synthesis).method,
-            **lineage(configuration),
-            "rates_chosen": chosen_rates(values),
+            **lineage_columns(configuration),
+            "rates_chosen": sides_with_chosen_rate(values),
         }
 
     def command_line_columns(self, request: "Specification", overrides: Sequence[str]) -> Facts:
@@ -239,7 +240,7 @@ class Study(Task["Specification"]):
         )
 
     def preload(self, again: Set[str]) -> None:
-        """Import what all jobs use, except what only the stages other than `again` use."""
+        """Import what all jobs of a sweep use, except what only other stages need."""
         from ssm_study.study.preload import preload
 
         preload(again)
@@ -258,7 +259,7 @@ def study_folder(config: DictConfig) -> Path:
 
 
 def check_retry(config: DictConfig, run: str = "*") -> None:
-    """Raise `BadRequest` where failed runs are to be run again and there is no run yet."""
+    """Raise `BadRequest` if failed runs are to be repeated in a study that has no run yet."""
     study = study_folder(config)
     has_runs = any(study.glob(f"{run}/{RECORD}"))
     problem = f"there is nothing in {study} to run again"
@@ -268,8 +269,7 @@ def check_retry(config: DictConfig, run: str = "*") -> None:
 
 
 def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -> Facts:
-    """Columns for numbers of the configuration that have no declared column: `plant__step_s` for
-    `plant.step_s`.
+    """Columns for numbers of the configuration that have no declared column.
 
     A part, as `training/optimiser` or `peer@loop.peer`, is named by its kind.
     """
@@ -281,7 +281,7 @@ def undeclared_settings(configuration: Mapping[str, Any], keys: Iterable[str]) -
     for path in sorted(path for path in paths if "." in path):
         value = value_at(configuration, path)
         if not is_number_or_none(value):
-            value = kind_of(value) or str(value)
+            value = kind_of_part(value) or str(value)
         facts[path.replace(".", "__")] = value
     return facts
 
@@ -291,15 +291,16 @@ def is_number_or_none(value: Any) -> bool:
     return isinstance(value, int | float | None)
 
 
-def chosen_rates(values: Mapping[str, Any]) -> str:
-    """Words for the parts, controller and observer, whose rate `auto` chooses."""
+def sides_with_chosen_rate(values: Mapping[str, Any]) -> str:
+    """Text that names the parts, controller and observer, whose rate `auto` chooses."""
     if values["rates_chosen"] != "auto":
         return "neither"
     sides = [side for side in ("controller", "observer") if values[f"rate_{side}"] == "auto"]
     return ", ".join(sides) or "neither"
 
 
-def kind_of(part: Any) -> str | None:
-    """Kind of a part in the configuration: `monotone` for `...scaffolds.monotone.Monotone`."""
+def kind_of_part(part: Any) -> str | None:
+    """Kind of a part in the configuration, such as `monotone` for the class
+    `...scaffolds.monotone.Monotone`."""
     target = str(part.get("_target_", "")) if isinstance(part, dict) else ""
     return target.rsplit(".", 1)[-1].lower() or None

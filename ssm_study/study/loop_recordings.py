@@ -32,7 +32,7 @@ TOPICS = {
 def write_rollouts(
     path: Path, run: Rollouts, alone: Rollouts | None, plant: Plant, about: dict[str, str]
 ) -> None:
-    """Write closed loops into a recording, together with the outputs without control.
+    """Write simulations of a closed loop, and those without control, into a recording.
 
     Topics `/case_<i>/` reference, input, output (true), measured, estimate (scaled), states and
     uncontrolled.
@@ -60,7 +60,7 @@ def write_rollouts(
 
 
 def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
-    """Closed loops of a recording, and the recording itself.
+    """Read the simulations of a closed loop from a recording.
 
     Raises `BadRequest` if the file lacks a topic, or if its cases do not share one reference.
     """
@@ -82,7 +82,7 @@ def read_rollouts(path: Path) -> tuple[Rollouts, RecordedCases]:
 
 
 def loop_subject(plant: Plant | None) -> str:
-    """Text in a recording that says what the loop was closed on: a plant, or the identified
+    """Text for a recording that says whether the loop was closed on a plant or on the identified
     model."""
     if plant is None:
         return "identified model"
@@ -92,7 +92,7 @@ def loop_subject(plant: Plant | None) -> str:
 def write_experiment(
     folder: Path, closed: LoopRuns, on: Plant, twin: Plant, about: dict[str, str]
 ) -> None:
-    """Write every closed loop of a run into its file.
+    """Write all closed-loop simulations of a run into its folder.
 
     `on` is the plant, `twin` the identified model.
     """
@@ -105,7 +105,7 @@ def write_experiment(
 
 
 def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
-    """Closed loops that `write_experiment` stored, and the word for what they were closed on.
+    """Read all closed-loop simulations of a run, and what the loop was closed on.
 
     Raises `BadRequest` if a file lacks a topic.
     """
@@ -116,21 +116,22 @@ def read_experiment(folder: Path) -> tuple[LoopRuns, str]:
     closed = LoopRuns(
         controlled=run,
         uncontrolled=replace(run, y=outputs, left_at_sample=never_stopped),
-        on_model=_read_if_there(folder / ON_MODEL),
+        on_model=_read_existing_rollouts(folder / ON_MODEL),
         settling_band=recording.settling_band,
         input_equilibrium=np.array(input_equilibrium, dtype=float),
-        noise_free=_read_if_there(folder / NOISE_FREE),
+        noise_free=_read_existing_rollouts(folder / NOISE_FREE),
     )
     return closed, recording.about["loop_on"]
 
 
-def _read_if_there(path: Path) -> Rollouts | None:
-    """Closed loops of a recording. None where there is no such file."""
+def _read_existing_rollouts(path: Path) -> Rollouts | None:
+    """Closed-loop simulations of a recording; None if there is no such file. None where there is no
+    such file."""
     return read_rollouts(path)[0] if path.is_file() else None
 
 
 def loop_signal_pairs(stored: Rollouts | None, made: Rollouts | None) -> dict[str, tuple[Any, Any]]:
-    """Signals of stored closed loops, each with those made again, by name.
+    """Signals of stored closed-loop simulations, each with the recomputed one.
 
     Those that left their bound count up to there.
     """

@@ -31,9 +31,8 @@ HEAVY = {
 }
 
 
-def modules_for(again: Set[str]) -> Iterator[str]:
-    """Names of the modules that jobs import, without those that only stages other than `again`
-    use."""
+def modules_to_preload(again: Set[str]) -> Iterator[str]:
+    """Names of the modules that jobs of a sweep will import."""
     left = [modules for stage, modules in HEAVY.items() if stage not in again]
     for room in ROOMS:
         package = importlib.import_module(f"{ssm_study.__name__}.{room}")
@@ -43,9 +42,9 @@ def modules_for(again: Set[str]) -> Iterator[str]:
 
 
 def preload(again: Set[str]) -> None:
-    """Import what all jobs use, in the process from which they are forked. `again` is as in
-    `Task.preload`."""
-    for name in modules_for(again):
+    """Import what all jobs of a sweep use, in the process from which they are forked. `again` is as
+    in `Task.preload`."""
+    for name in modules_to_preload(again):
         with suppress(
             Exception
         ):  # a broken module matters to the runs that name it, and they will say so

@@ -22,9 +22,9 @@ _DATA_SETS: "OrderedDict[Key, DataSet]" = OrderedDict()
 
 
 def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
-    """Data set of a recorded source, as `build` makes it. It is read anew only if a file has
+    """Data set of a recorded source, read once in a process. It is read anew only if a file has
     changed."""
-    key = (repr(source), seed, *_contents(source.files()))
+    key = (repr(source), seed, *_file_checksums(source.files()))
     if key not in _DATA_SETS:
         _DATA_SETS[key] = source.build(seed)
     _DATA_SETS.move_to_end(key)
@@ -33,6 +33,6 @@ def read_data_set(source: "RecordedSource", seed: int) -> "DataSet":
     return _DATA_SETS[key]
 
 
-def _contents(paths: tuple[Path, ...]) -> list[tuple[str, str]]:
+def _file_checksums(paths: tuple[Path, ...]) -> list[tuple[str, str]]:
     """Absolute path and checksum of each file."""
     return [(str(path.absolute()), sha256_of_file(path)) for path in paths]

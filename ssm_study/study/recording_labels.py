@@ -32,7 +32,7 @@ Channels = Mapping[str, tuple[Channel, ...]]
 
 @dataclass(frozen=True, kw_only=True)
 class Labels:
-    """Labels that a recording of a run should have: channels by signal, and texts."""
+    """Expected channels, units and descriptions of one recording of a run."""
 
     file: str
     channels: Channels
@@ -40,7 +40,7 @@ class Labels:
 
 
 def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
-    """Labels that each recording in the run's folder should have."""
+    """Labels that the recordings in a run's folder should have."""
     expected = record_labels(data)
     if run.closes_loop:
         expected += loop_labels(run, data)
@@ -50,7 +50,7 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
 
 
 def record_labels(data: DataSet) -> list[Labels]:
-    """Labels of the recordings of the data set and of the simulations."""
+    """Labels of the recordings of the records and of the model's simulations."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances
@@ -74,16 +74,15 @@ def loop_labels(run: RunFiles, data: DataSet) -> list[Labels]:
 
 
 def loop_channels(plant: Plant) -> Channels:
-    """Channels of a loop's signals; those of the state estimate are numbered, since the model names
-    no states."""
+    """Channels of a closed loop's signals, with names and units."""
     channels = {"input": plant.inputs, "states": plant.states}
     for signal in ("reference", "output", "measured", "uncontrolled"):
         channels[signal] = plant.outputs
     return channels
 
 
-def mislabelled(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
-    """Recordings with labels that the run's data and plants contradict."""
+def find_wrong_labels(run: RunFiles, data: DataSet) -> Iterator[tuple[str, list[str]]]:
+    """Recordings whose labels contradict the run's data and plants, with the wrong labels."""
     for labels in expected_labels(run, data):
         recording = RecordedCases.of(run.path / labels.file)
         about = recording.about

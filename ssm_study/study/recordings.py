@@ -28,7 +28,7 @@ Pairs = dict[str, tuple[Any, Any]]
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCases:
-    """Recording by case and signal. `loop["output"]` is `(N, T, c)` over its N cases.
+    """Content of a recording by case and signal. `loop["output"]` is `(N, T, c)` over its N cases.
 
     `about` is its metadata. Cases are named by what stands before the last `/` of their topics, in
     the order of its number: `/case_3/output` is the signal `output` of the case `/case_3`; `/input`
@@ -54,7 +54,7 @@ class RecordedCases:
         return cls(path=path, cases={name: cases[name] for name in prefixes}, about=about)
 
     def signals(self, name: str) -> list[SignalGroup]:
-        """One signal of every case; the cases may differ in length."""
+        """All cases of one recorded signal."""
         is_there = all(name in case for case in self.cases.values())
         require(is_there, "topic", name, f"{self.path.name} lacks it", "run the study again")
         return [case[name] for case in self.cases.values()]
@@ -124,7 +124,7 @@ class RecordedCases:
 
 
 def _case_number(prefix: str) -> int:
-    """Number at the end of a case's name; 0 for none."""
+    """Number at the end of a case's name; 0 if there is none."""
     number = NUMBER_AT_END.search(prefix)
     return int(number[0]) if number else 0
 
@@ -198,13 +198,13 @@ def read_simulation(path: Path) -> Simulation:
 
 
 def states_to_text(states: Sequence[Any]) -> str:
-    """Initial states as JSON. Null stands for a record that starts from its first samples."""
+    """Initial states as a JSON text. Null stands for a record that starts from its first
+    samples."""
     return json.dumps([None if state is None else np.asarray(state).tolist() for state in states])
 
 
 def states_from_text(text: str, records: int) -> tuple[Any, ...]:
-    """Initial states of the given number of records from JSON. None for each where the text is
-    empty.
+    """Read initial states from a JSON text. None for each where the text is empty.
 
     Raises `BadRequest` for what is no list of them.
     """
@@ -222,7 +222,7 @@ def states_from_text(text: str, records: int) -> tuple[Any, ...]:
 
 
 def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
-    """Signals and sampling times of stored records, each with those made again."""
+    """Signals and sampling times of stored records, each with the recomputed one."""
     pairs: Pairs = {"records": (len(stored), len(made))}
     for i, (before, now) in enumerate(zip(stored, made, strict=False)):
         for name in ("u", "y", "d", "step_s", "closed_loop"):
@@ -231,7 +231,7 @@ def record_signal_pairs(stored: Trajectories, made: Trajectories) -> Pairs:
 
 
 def relative_distance(stored: Any, made: Any) -> float:
-    """Relative distance of two arrays, `max |stored - made| / max |made|`.
+    """Largest difference of two arrays relative to the largest entry.
 
     Infinite for another shape or a missing side; NaN where a number is none, which agrees with
     nothing.

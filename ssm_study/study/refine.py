@@ -46,7 +46,7 @@ def refine(run: Path, log: Path | None = None, times: int = TIMES) -> Iterator[S
     the closed loops on the run's own plant. Raises `BadRequest` for a run that is not ok, has no
     controller or no plant, or for its log.
     """
-    files = _refinable_run(run, log)
+    files = _check_refinable_run(run, log)
     for _ in range(1 if log else times):
         trial = _measure_trial(files, log)
         if trial.ends_refinement:
@@ -79,8 +79,9 @@ def _has_same_gains(files: RunFiles, child: RunFiles) -> bool:
     return all(np.array_equal(before[name], after[name]) for name in before)
 
 
-def _refinable_run(run: Path, log: Path | None) -> RunFiles:
-    """Files of the run to refine. Raises `BadRequest` for one that cannot be refined."""
+def _check_refinable_run(run: Path, log: Path | None) -> RunFiles:
+    """Files of a run after a check that it can be refined. Raises `BadRequest` for one that cannot
+    be refined."""
     files = RunFiles(path=run, record=read_record(run) or {})
     status = files.record.get("status")
     remedy = "give the folder of a run in its study"

@@ -13,7 +13,7 @@ from ssm_study.engine.records import read_record
 from ssm_study.engine.runs import FINISHED
 from ssm_study.refusal import require
 from ssm_study.study.run_files import RunFiles
-from ssm_study.table.columns import OF_THE_LINE, declaration_of
+from ssm_study.table.columns import OF_THE_LINE, find_declaration
 
 TIMES = "_seconds"  # columns in which a second run may well differ
 # relative; the same machine and versions give equal bits, another BLAS rounds differently
@@ -22,8 +22,8 @@ AROUND = ("version_", "git_", "machine", "threads")  # columns that could explai
 
 
 def reproduce(run: Path, job: Callable[[DictConfig], object]) -> tuple[list[str], bool]:
-    """Run the configuration of a finished run again with `job` and compare the records; nothing is
-    reused.
+    """Run the configuration of a finished run again with an empty store, and compare the two
+    records.
 
     Returns what `compared` says. Raises `BadRequest` for a folder that holds no finished run or no
     configuration.
@@ -49,14 +49,14 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
     and whether all columns agree.
     """
     all_names = dict.fromkeys((*then, *now))
-    of_the_line = [name for name in all_names if declaration_of(name) in OF_THE_LINE]
+    of_the_line = [name for name in all_names if find_declaration(name) in OF_THE_LINE]
     names = ["status", *(name for name in of_the_line if not name.endswith(TIMES))]
     pairs = {}
     for name in names:
         pair = (then.get(name), now.get(name))
         if pair != (None, None):
             pairs[name] = pair
-    differing = [name for name, pair in pairs.items() if not _agree(*pair)]
+    differing = [name for name, pair in pairs.items() if not _is_equal_to_rounding(*pair)]
     equal = sum(before == after for before, after in pairs.values())
     counts = f"{equal} equal to the last bit, {len(differing)} differ"
     lines = [f"{len(pairs)} columns compared: {counts}"]
@@ -69,9 +69,8 @@ def compare_records(then: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[li
     return lines, not differing
 
 
-def _agree(then: Any, now: Any) -> bool:
-    """Whether two values are equal, or numbers that differ by no more than rounding on two
-    machines."""
+def _is_equal_to_rounding(then: Any, now: Any) -> bool:
+    """Whether two values are equal, or numbers that differ only by rounding between machines."""
     if then == now:
         return True
     are_numbers = {type(then), type(now)} <= {int, float}

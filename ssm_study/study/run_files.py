@@ -70,18 +70,18 @@ class RunFiles:
 
     @cached_property
     def data(self) -> DataSet:
-        """Data set of the run, simulated or read again. Relative paths start where the run was
-        made, or in the present folder."""
+        """Data set of the run, simulated or read again from its logs. Relative paths start where
+        the run was made, or in the present folder."""
         try:
-            with chdir(self.made_in):
+            with chdir(self.working_folder):
                 return self._data()
         except BadRequest:
             return self._data()
 
     @property
-    def made_in(self) -> Path:
-        """Folder to which `results_dir` of the configuration is relative. It is the present one if
-        the run lies elsewhere."""
+    def working_folder(self) -> Path:
+        """Folder to which the relative paths of the run's configuration refer. It is the present
+        one if the run lies elsewhere."""
         below = Path(str(self.config.results_dir), str(self.config.study), str(self.config.run))
         whole, _, after = str(self.path.absolute()).rpartition(f"/{below}")
         return Path(whole) if whole and not after else Path()
@@ -103,22 +103,22 @@ class RunFiles:
 
     @cached_property
     def simulated(self) -> ModelRun:
-        """Stored model with its free runs, each read when first asked for."""
+        """Stored model with its stored free runs, each read when first asked for."""
         return ModelRun(self.path)
 
     @property
     def model(self) -> Any:
-        """The stored model."""
+        """Stored model of the run."""
         return self.simulated.model
 
     @cached_property
     def trials(self) -> Trajectories:
-        """Records used only for the mismatch, where the run has any."""
+        """Records that serve only to measure the mismatch."""
         return read_trials(self.path)
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Judgement of the plant derived again from data and model."""
+        """Judgement of the evidence, derived again from data and model."""
         data = self.data
         runs = self.simulated
         mismatch = measure_mismatch(
@@ -128,7 +128,7 @@ class RunFiles:
 
     def stored(self, name: str) -> dict[str, Any]:
         """Object in a JSON file of the run. Refuses one that repeats a key."""
-        as_object = partial(object_without_repeats, name)
+        as_object = partial(refuse_repeated_keys, name)
         content = json.loads(read_limited_bytes(self.path / name), object_pairs_hook=as_object)
         is_object = isinstance(content, dict)
         kind = type(content).__name__
@@ -137,12 +137,12 @@ class RunFiles:
 
     @cached_property
     def certificate(self) -> dict[str, Any]:
-        """The stored certificate, as JSON."""
+        """Content of the run's `certificate.json`."""
         return self.stored("certificate.json")
 
     @cached_property
     def design(self) -> Design:
-        """The stored design."""
+        """Stored controller and observer with their certificates."""
         return Design.from_json(self.certificate)
 
     @cached_property
@@ -221,8 +221,8 @@ class RunFiles:
         return self.specification.plant is not None or not has_direct_feedthrough(self.model)
 
 
-def object_without_repeats(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Object from the pairs of a JSON file, in which every key must occur once.
+def refuse_repeated_keys(file: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Object from the pairs of a JSON file; raises `BadRequest` for a repeated key.
 
     Raises `BadRequest` where a key stands twice, for one reader takes the first and another the
     last.
@@ -233,26 +233,26 @@ def object_without_repeats(file: str, pairs: list[tuple[str, Any]]) -> dict[str,
     return dict(pairs)
 
 
-def unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
-    """Dotted paths of entries in a stored object that its reader does not write.
+def find_unknown_entries(stored: Any, written: Any, at: str = "") -> list[str]:
+    """Dotted paths of entries in a stored object that its reader does not use.
 
     Nobody checks them.
     """
     paths: list[str] = []
     if isinstance(stored, list) and isinstance(written, list):
         for pair in zip(stored, written, strict=False):
-            paths += unknown_entries(*pair, at)
+            paths += find_unknown_entries(*pair, at)
     elif isinstance(stored, dict):
         for name, value in stored.items():
             path = f"{at}{name}"
             if isinstance(written, dict) and name in written:
-                paths += unknown_entries(value, written[name], f"{path}.")
+                paths += find_unknown_entries(value, written[name], f"{path}.")
             else:
                 paths.append(path)
     return paths
 
 
-def one_line(error: BaseException) -> str:
+def error_text(error: BaseException) -> str:
     """Text of an error in one line of at most 300 characters."""
     text = " ".join(str(error).split())
     return (text or type(error).__name__)[:300]

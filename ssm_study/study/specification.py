@@ -72,7 +72,7 @@ class Specification:
             **parts,
             seed=settings.seed,
             loop_seed=settings.loop_seed,
-            refine=_refine(settings.get("refine"), is_recorded),
+            refine=_checked_refine(settings.get("refine"), is_recorded),
             progress=bool(settings.progress),
             configuration=settings,
         )
@@ -109,7 +109,7 @@ class Specification:
             internal_model(words, step_s, outputs=1)
 
     def refuse_sizes(self) -> None:
-        """Raise `BadRequest` for a reduction to more states than the model has, and for data beyond
+        """Raise `BadRequest` for a reduction to more states than the model has, or for data beyond
         the memory."""
         order = self.configuration["model"].get("order")
         states = self.reduction.truncate_to
@@ -161,28 +161,27 @@ class Specification:
     def select(
         self, *names: str, computed: Mapping[str, Any] = NONE, unkeyed: Mapping[str, Any] = NONE
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of a stage, built together so that the stage's key and its
-        arguments cannot differ.
+        """Settings and arguments of a stage, built together so that its key and its arguments
+        cannot differ.
 
         The settings, of which its key is made, are those of the named parts and the `computed`
         values; the arguments the parts themselves, the same values, and those that are `unkeyed`.
         """
         settings = Settings({name: self.configuration[name] for name in names})
-        files = files_of(settings)
+        files = input_files(settings)
         checksums = {"files": [sha256_of_file(path) for path in files]} if files else {}
         parts = {name: getattr(self, name) for name in names}
         arguments = {**parts, **computed, **unkeyed}
         return Settings({**settings, **checksums, **computed}), arguments
 
     def dataset_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the stage of the records, without `data.fresh_sets`, which
-        changes none of them."""
+        """Settings and arguments of the stage that makes or reads the records."""
         plant = ("plant", "excitation") if self.plant else ()
         return self._select_with_data("seed", *plant)
 
     def sine_inputs(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Settings and arguments of the stage that tests a design with single sines on the
-        simulated plant."""
+        """Settings and arguments of the stage that tests a design with single sines on a simulated
+        plant."""
         return self._select_with_data("seed", "plant")
 
     def _select_with_data(self, *names: str) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -208,8 +207,8 @@ class Specification:
         return simulated and self.plant is not None and not self.plant.real
 
 
-def files_of(settings: Mapping[str, Any]) -> list[Path]:
-    """Files that the settings name; results depend on their content.
+def input_files(settings: Mapping[str, Any]) -> list[Path]:
+    """Files named in the settings, on whose content the results depend.
 
     Raises `BadRequest` for data that cannot be described.
     """
@@ -226,8 +225,8 @@ def files_of(settings: Mapping[str, Any]) -> list[Path]:
     return sorted(files)
 
 
-def _refine(requested: Any, is_recorded: bool) -> int | list[str] | None:
-    """Checked value of `refine`: logs of trials for recorded data, else a number of iterations."""
+def _checked_refine(requested: Any, is_recorded: bool) -> int | list[str] | None:
+    """Value of the setting `refine` after a check: logs of trials, or a number of iterations."""
     if is_recorded and requested is not None:
         logs = [requested] if isinstance(requested, str) else requested
         is_list = isinstance(logs, list) and bool(logs)

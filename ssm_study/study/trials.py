@@ -35,8 +35,10 @@ TRIED = "tried_designs.json"  # the designs that were tried before, oldest first
 FEWEST = 30  # samples of a trial: a third of them tell its initial state
 
 
-def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | None") -> None:
-    """Write the data set with the records of all loops that were tried.
+def compute_with_tried_loops(
+    folder: Path, data: DataSet, *tried: "Design | Experiment | None"
+) -> None:
+    """Write the data set extended by the records of all closed loops that were tried.
 
     `tried` is a design, its loops, the next design, its loops, ...
     """
@@ -50,10 +52,10 @@ def compute_tried(folder: Path, data: DataSet, *tried: "Design | Experiment | No
     _write_data_and_trials(folder, data, tuple(trials))
 
 
-def compute_logged(
+def compute_with_logged_trials(
     folder: Path, records: DataSet, *, refine: list[str], data: "RecordedSource"
 ) -> None:
-    """Write the data set with the user's logs of trials."""
+    """Write the data set extended by the user's logs of closed-loop trials."""
     trials = read_logs(refine, data, records.step_s)
     _write_data_and_trials(folder, records, trials)
 
@@ -67,8 +69,7 @@ def _write_data_and_trials(folder: Path, data: DataSet, trials: Trajectories) ->
 
 
 def records_of_loops(run: Rollouts) -> Trajectories:
-    """Records of closed loops: input and measured output of every case, up to where it left its
-    bound.
+    """Input and output records of closed-loop simulations, each up to where it left its bound.
 
     Cases with fewer than `FEWEST` samples are left out.
     """
@@ -117,8 +118,7 @@ def _check_trial(record: Trajectory, path: str, step_s: float) -> None:
 
 
 def repeat_trials(request: "Specification", run: Path) -> Trajectories:
-    """Make the trials of a finished run again, from its logs or by simulating the designs that it
-    tried."""
+    """Make the closed-loop trials of a finished run again, from its logs or by simulation."""
     if request.refine is None:
         return ()
     model = read_model(run)
@@ -136,8 +136,8 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
     return tuple(trials)
 
 
-def lineage(settings: Any) -> Facts:
-    """Number of refinements that led to a run, and the run that it refines.
+def lineage_columns(settings: Any) -> Facts:
+    """Columns on the history of a run: how many refinements led to it, and the run that it refines.
 
     That is the same run with one iteration, or one log, less.
     """
@@ -154,12 +154,12 @@ def lineage(settings: Any) -> Facts:
 
 
 def refined_run_name(settings: Any, refine: int | list[str] | None) -> str:
-    """Name that a run of these settings has with another value of `refine`. The part before the
+    """Name of the run that has these settings but another value of `refine`. The part before the
     hash stays the same."""
     prefix = str(settings["run"]).removesuffix(run_name(settings))
     changed = type(settings)({**settings, "refine": refine})
     return prefix + run_name(changed)
 
 
-TRIALS = Stage("trials", compute_tried, read_dataset, files=(LOOPS, TRIED))
-LOGS = Stage("trials", compute_logged, read_dataset, files=(LOOPS,))
+TRIALS = Stage("trials", compute_with_tried_loops, read_dataset, files=(LOOPS, TRIED))
+LOGS = Stage("trials", compute_with_logged_trials, read_dataset, files=(LOOPS,))

@@ -53,7 +53,7 @@ def unreached_numbers(run: RunFiles) -> dict[str, str]:
 def cancelled_biases(
     name: str, network: Network, signal: Float[np.ndarray, "T m"] | None
 ) -> dict[str, str]:
-    """Biases that change no value of `phi(W d + b) - phi(b)` in any layer, each with the reason.
+    """Biases of a network that have no effect on the recorded signal, each with the reason.
 
     They are those of neurons with one slope on both sides and, where the signal is known, of
     neurons that bend at no value between zero and those of the signal.
@@ -67,14 +67,16 @@ def cancelled_biases(
         if values is not None:
             moved = values @ network.weights[layer].T + bias
             flags = flags | (moved > 0).all(axis=0) | (moved < 0).all(axis=0)
-            values = leaky(moved, negative, positive) - leaky(bias, negative, positive)
+            values = leaky_rectifier(moved, negative, positive) - leaky_rectifier(
+                bias, negative, positive
+            )
         numbers = ", ".join(map(str, np.flatnonzero(flags)))
         if numbers:
             places[f"model.json {name}.biases.{layer}: {numbers}"] = CANCELLED
     return places
 
 
-def leaky(
+def leaky_rectifier(
     z: Float[np.ndarray, "*batch h"],
     negative: Float[np.ndarray, "h"],
     positive: Float[np.ndarray, "h"],
@@ -86,7 +88,7 @@ def leaky(
 def unreached_places(
     name: str, bends: Float[np.ndarray, "m h"], signal: Float[np.ndarray, "T m"]
 ) -> Iterator[str]:
-    """Break points that the signal does not pass, and slopes of pieces that it does not enter.
+    """Parts of a piecewise-linear map that a recorded signal does not reach.
 
     Of each row of numbers one place: `model.json scaffold_in.slopes.0: 0, 1, 16`.
     """

@@ -26,9 +26,9 @@ from ssm_study.refusal import escape_control_characters, require
 from ssm_study.renamed import WITHDRAWN_COLUMNS
 from ssm_study.study.claims import OF_A_BASELINE, SECTIONS
 from ssm_study.study.findings import Checked, Claims, Derived, NotChecked
-from ssm_study.study.form import form
-from ssm_study.study.run_files import RunFiles, one_line
-from ssm_study.table.columns import declaration_of
+from ssm_study.study.form import check_form
+from ssm_study.study.run_files import RunFiles, error_text
+from ssm_study.table.columns import find_declaration
 
 UNGIVEN = "nothing in the run's files gives it"
 
@@ -54,7 +54,7 @@ class Verification:
         return all(finding.holds for finding in self.findings)
 
     def demand(self, field: str, value: Any) -> None:
-        """Raise `BadRequest` that names the claims that do not hold, if there are any."""
+        """Raise `BadRequest` that lists the failed claims, if there are any."""
         wrong = [finding for finding in self.findings if not finding.holds]
         causes = "; ".join(finding_lines(wrong))[:300]
         problem = f"{len(wrong)} of {len(self.findings)} claims do not hold: {causes}"
@@ -118,7 +118,7 @@ def _finding_text(finding: Checked) -> str:
 
 
 def verify(run: Path) -> Verification:
-    """Derive every claim of a run again and return the verdict.
+    """Check every claim of a run again from its files alone.
 
     Raises `BadRequest` if `run` is no finished run folder, or is made of parts that are not trusted
     here.
@@ -138,11 +138,11 @@ def verify(run: Path) -> Verification:
 
 
 def verify_files(run: RunFiles) -> Verification:
-    """Derive every claim of a finished run again from its opened files."""
+    """Check every claim of a finished run whose files are opened."""
     findings: list[Checked] = []
     derived: dict[str, Any] = {}
     unchecked: dict[str, str] = {}
-    for result in _results(run):
+    for result in _findings_of_sections(run):
         if isinstance(result, Checked):
             findings.append(result)
         elif isinstance(result, Derived):
@@ -159,20 +159,18 @@ def verify_files(run: RunFiles) -> Verification:
     return Verification(findings=tuple(findings), unchecked=unchecked)
 
 
-def _results(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
-    """Findings of all sections; an error that a damaged file causes becomes a claim that does not
-    hold."""
-    for section in (form, *_sections(run)):
+def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChecked]:
+    """Findings of all sections of the check; an error in a section becomes a failed claim."""
+    for section in (check_form, *_sections(run)):
         try:
             yield from section(run)
         except Exception as error:
-            problem = f"cannot be derived: {one_line(error)}"
+            problem = f"cannot be derived: {error_text(error)}"
             yield Checked(claim=section.__name__, holds=False, found=problem)
 
 
 def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
-    """Sections that apply to the run; all of them where its configuration cannot be read, so that
-    the section which needs it reports that."""
+    """Sections of the check that apply to the run."""
     try:
         return SECTIONS if run.claims_certificate else OF_A_BASELINE
     except Exception as error:
@@ -184,9 +182,9 @@ def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
 def judge_column(
     name: str, record: Mapping[str, Any], derived: Mapping[str, Any], unchecked: Mapping[str, str]
 ) -> Checked | str:
-    """Finding on one column of the record, or why it is not checked. Empty where the record claims
-    nothing."""
-    column = declaration_of(name)
+    """Finding on one column of the record, or the reason why it is not checked. Empty where the
+    record claims nothing."""
+    column = find_declaration(name)
     stored = record.get(name)
     if name in ADDED_COLUMNS and name not in record and record.get("record_version") == 1:
         return ADDED
@@ -200,24 +198,23 @@ def judge_column(
     if reason:
         return reason
     problem = UNGIVEN if column else "no such column is declared"
-    return Checked(claim=name, holds=False, found=f"stored {_short(stored)}, yet {problem}")
+    return Checked(claim=name, holds=False, found=f"stored {_short_text(stored)}, yet {problem}")
 
 
 def compare_column(name: str, stored: Any, value: Any) -> Checked:
     """Finding on whether a stored column equals the derived one."""
-    column = declaration_of(name) or Column(name, "Float64")
+    column = find_declaration(name) or Column(name, "Float64")
     value = storable_value(
         name, value
     )  # as a record holds it: an infinite margin is the text `inf`
-    if _agrees(stored, value, column):
+    if _is_equal_to_rounding(stored, value, column):
         return Checked(claim=name, holds=True, found=f"{value}")
-    found = f"derived {value}, stored {_short(stored)}"
+    found = f"derived {value}, stored {_short_text(stored)}"
     return Checked(claim=name, holds=False, found=found)
 
 
-def _agrees(stored: Any, value: Any, column: Column) -> bool:
-    """Whether two values are equal, or finite numbers that differ by no more than rounding on two
-    machines."""
+def _is_equal_to_rounding(stored: Any, value: Any, column: Column) -> bool:
+    """Whether two values are equal, or numbers that differ only by rounding between machines."""
     if isinstance(value, float) and type(stored) in (int, float):
         largest_error = column.tolerance * abs(value) + column.resolution
         try:
@@ -227,7 +224,7 @@ def _agrees(stored: Any, value: Any, column: Column) -> bool:
     return type(stored) is type(value) and bool(stored == value)  # True is not 1
 
 
-def _short(value: Any) -> str:
-    """Value as a short text."""
+def _short_text(value: Any) -> str:
+    """Value as a short text for a finding."""
     text = escape_control_characters(" ".join(str(value).split()))
     return text if len(text) <= 80 else f"{text[:77]}..."

@@ -42,42 +42,43 @@ BY_NAME = {column.name: column for column in COLUMNS}
 PATTERNS = tuple(column for column in DECLARED if column.is_pattern)
 
 
-def declaration_of(name: str) -> Column | None:
-    """Declaration of the column of this name. None where no room declares it."""
+def find_declaration(name: str) -> Column | None:
+    """Declaration of the column with a given name; None for an undeclared one. None where no room
+    declares it."""
     if name in BY_NAME:
         return BY_NAME[name]
     return next((column for column in PATTERNS if column.matches_name(name)), None)
 
 
-def label(name: str) -> str:
+def column_label(name: str) -> str:
     """Printed name of a column with its unit.
 
     For instance `Mean settling time (s)` for `settling_time_mean_s`.
     """
     if name in BY_NAME:
         return BY_NAME[name].label
-    return setting_of(name) or name.replace("_", " ")
+    return setting_path(name) or name.replace("_", " ")
 
 
-def setting_of(name: str) -> str:
-    """Entry of the configuration that a column holds, such as `plant.step_s`. Empty where it holds
+def setting_path(name: str) -> str:
+    """Dotted path of the setting that a column holds, such as `plant.step_s`. Empty where it holds
     none."""
     if FURTHER.matches_name(name):
         return name.replace("__", ".")
     return BY_NAME[name].setting if name in BY_NAME else ""
 
 
-def settings(table: pd.DataFrame) -> list[str]:
-    """Names of the columns that hold settings of the configuration, those without a declared column
-    last. `rates_chosen` is left out. `rates_chosen` is left out."""
+def setting_columns(table: pd.DataFrame) -> list[str]:
+    """Names of the columns that hold settings of the configuration. `rates_chosen` is left out.
+    `rates_chosen` is left out."""
     declared_names = [column.name for column in SETTINGS]
     further = sorted(name for name in map(str, table) if FURTHER.matches_name(name))
     names = [*declared_names, *further]
     return [name for name in names if name in table and name != "rates_chosen"]
 
 
-def by_part(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names of columns, grouped by the part of the study that they describe.
+def group_by_part(names: Iterable[str]) -> dict[str, list[str]]:
+    """Group names of columns by the part of the study that they describe.
 
     Settings come first, what no part declares last.
     """
@@ -87,13 +88,13 @@ def by_part(names: Iterable[str]) -> dict[str, list[str]]:
             titles[column.name] = "Settings" if column.setting else title
     parts: dict[str, list[str]] = {title: [] for title in ("Settings", *PARTS, "Circumstances")}
     for name in names:
-        declared_name = getattr(declaration_of(name), "name", name)
+        declared_name = getattr(find_declaration(name), "name", name)
         parts[titles.get(declared_name, "Circumstances")].append(name)
     return parts
 
 
 def suggest_column(name: str, names: Iterable[str]) -> str:
-    """Suggestion for a misspelt column, the nearest names or how to list them."""
+    """Suggestion for a misspelt column name: the nearest names, or how to list all."""
     half_of_the_letters = 0.5
     near = get_close_matches(name, list(names), n=3, cutoff=half_of_the_letters)
     if near:
@@ -102,7 +103,7 @@ def suggest_column(name: str, names: Iterable[str]) -> str:
 
 
 def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, str, str, str]]:
-    """Name, printed word, better direction and treatment by `verify` of each column.
+    """Description of each column: name, printed name, better direction, and how `verify` treats it.
 
     All columns, or those that have values in the table.
     """
@@ -111,7 +112,7 @@ def describe_columns(table: pd.DataFrame | None = None) -> Iterator[tuple[str, s
     if table is not None:
         filled = [str(name) for name in table if table[name].notna().any()]
         with_values = tuple(column for column in DECLARED if any(map(column.matches_name, filled)))
-        undeclared = [str(name) for name in table if declaration_of(str(name)) is None]
+        undeclared = [str(name) for name in table if find_declaration(str(name)) is None]
     for column in with_values:
         unchecked = column.unchecked and f"not checked: {column.unchecked}"
         yield (column.name, column.label, column.better, unchecked)
@@ -124,20 +125,20 @@ def requested_values(table: pd.DataFrame, name: str) -> pd.Series:
     if not name.startswith("rate_"):
         return table[name]
     side = name.removeprefix("rate_")
-    is_chosen = text(table, "rates_chosen").str.contains(side)
+    is_chosen = text_column(table, "rates_chosen").str.contains(side)
     return table[name].astype(object).mask(is_chosen, "auto")
 
 
 def swept_settings(table: pd.DataFrame) -> list[str]:
     """Settings in which the runs differ, those with most values first, the seed last."""
-    names = [name for name in ("study", *settings(table)) if name in table]
+    names = [name for name in ("study", *setting_columns(table)) if name in table]
     counts = {name: requested_values(table, name).nunique() for name in names}
     varied = [name for name, count in counts.items() if count > 1]
     return sorted(varied, key=lambda name: (name == "seed", -counts[name]))
 
 
-def column(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as numbers, NaN where the table has none.
+def numeric_column(table: pd.DataFrame, name: str) -> pd.Series:
+    """Column of a table as numbers, NaN where values are missing.
 
     So that a table of failures can be ranked and drawn too.
     """
@@ -146,13 +147,14 @@ def column(table: pd.DataFrame, name: str) -> pd.Series:
     return pd.to_numeric(table[name], errors="coerce").astype(float)
 
 
-def flag(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as truth values. Missing counts as false."""
-    return column(table, name).fillna(0.0) > 0
+def boolean_column(table: pd.DataFrame, name: str) -> pd.Series:
+    """Column of a table as truth values, false where values are missing. Missing counts as
+    false."""
+    return numeric_column(table, name).fillna(0.0) > 0
 
 
-def text(table: pd.DataFrame, name: str) -> pd.Series:
-    """Column of a table as words, empty where missing."""
+def text_column(table: pd.DataFrame, name: str) -> pd.Series:
+    """Column of a table as texts, empty where values are missing."""
     if name not in table:
         return pd.Series("", index=table.index, name=name, dtype=str)
     return table[name].astype("string").fillna("").astype(str)

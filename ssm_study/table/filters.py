@@ -1,4 +1,4 @@
-"""Selection of rows by an expression, as in `--where "order == 8 and fit_test_percent > 85"`.
+"""Selection of rows by an expression, as in `--filter_rows "order == 8 and fit_test_percent > 85"`.
 
 `pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
 calls, attributes, subscripts and names that are no columns are refused before it sees them.
@@ -22,8 +22,9 @@ IS_MISSING = "__is_missing"  # ends the name that stands for `column == null`
 TEXT = pd.StringDtype("python", na_value=np.nan)  # a comparison with what is missing is false
 
 
-def where(table: pd.DataFrame, expression: str) -> pd.DataFrame:
-    """Rows of `table` for which `expression` holds. A comparison with a missing value is false.
+def filter_rows(table: pd.DataFrame, expression: str) -> pd.DataFrame:
+    """Rows of a table for which an expression such as `order == 8` holds. A comparison with a
+    missing value is false.
 
     `null`, `true`, `false` and `inf` are constants; `x == null` selects what is missing. Raises
     `BadRequest` for what is no comparison of columns and for unknown columns.

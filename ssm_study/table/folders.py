@@ -10,8 +10,8 @@ from ssm_study.refusal import BadRequest
 MANY = 8  # names in a sentence
 
 
-def study_folder(path: Path) -> Path:
-    """Check that the folder `path` may hold runs, and return it.
+def check_study_folder(path: Path) -> Path:
+    """Return the folder of a study after a check that it may hold runs.
 
     Raises `BadRequest` that names the study nearby that may have been meant.
     """
@@ -40,19 +40,19 @@ def _remedy_for_no_folder(path: Path) -> str:
     return "give the folder that holds the run folders"
 
 
-def study_or_run_folder(path: Path) -> Path:
-    """Folder of the study that `path` means, or else of the run.
+def find_study_or_run(path: Path) -> Path:
+    """Folder of the study, or else of the run, that a path means.
 
     Raises `BadRequest` where neither is there.
     """
     is_run = (path / RECORD).is_file()
     may_be_part = not path.is_dir() and bool(_run_names(path.parent))
-    return run_folder(path) if is_run or may_be_part else study_folder(path)
+    return find_run_folder(path) if is_run or may_be_part else check_study_folder(path)
 
 
-def run_folder(path: Path) -> Path:
-    """Folder of the one run that `path` means. It is the path itself, or a run whose name, or the
-    digits at its end, begin or end with it.
+def find_run_folder(path: Path) -> Path:
+    """Folder of the single run that a path or part of a name means. It is the path itself, or a run
+    whose name, or the digits at its end, begin or end with it.
 
     `results/paper/1a2b3c4d5e`, `results/paper/1a2b`, or `results/paper/order8-width32-seed3`. The
     study itself stands for its only run. Raises `BadRequest` where no run or several are meant.

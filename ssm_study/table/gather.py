@@ -22,7 +22,7 @@ from ssm_study.durable import (
 )
 from ssm_study.engine.records import LOST, RECORD, RUNNING, read_record
 from ssm_study.refusal import require
-from ssm_study.table.columns import BY_NAME, declaration_of
+from ssm_study.table.columns import BY_NAME, find_declaration
 
 PARQUET = "runs.parquet"
 CSV = "runs.csv"
@@ -54,7 +54,7 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     require(study.is_dir(), "study", study, "no such study folder", remedy)
     marks = record_marks(study)
     require(bool(marks), "study", study, "there is no run in it", remedy)
-    last_table, last_marks = (NO_RUNS, {}) if anew else _last_gathered(study)
+    last_table, last_marks = (NO_RUNS, {}) if anew else _read_last_table(study)
     has_ended = ~last_table["status"].isin([RUNNING, LOST])
     names = last_table["run"][has_ended]
     ended = [name for name in names if name in marks]
@@ -62,23 +62,23 @@ def gather(study: Path, anew: bool = False) -> pd.DataFrame:
     if len(unchanged) == len(last_table) == len(marks):  # no run is new, gone or changed
         return last_table
     rows = last_table[last_table["run"].isin(unchanged)]
-    old_records = _records(rows)
+    old_records = _records_by_run(rows)
     study_name = study.resolve().name
     records = []
     for name in sorted(marks):
         record = old_records.get(name) or read_record(study / name)
         if record is not None:
             records.append(record | {"study": study_name, "run": name})
-    table = table_of(records)
+    table = table_from_records(records)
     _write_table(study, table, marks)
     return table
 
 
 def _write_table(study: Path, table: pd.DataFrame, marks: Marks) -> None:
-    """Write both files of the table, then the marks by which they are recognised as up to date."""
+    """Write the table's files, then the marks by which they are recognised as up to date."""
     parquet = io.BytesIO()
     table.to_parquet(parquet, index=False)
-    csv = _without_formulas(table).to_csv(index=False)
+    csv = _escape_formulas(table).to_csv(index=False)
     write_atomically(study / PARQUET, parquet.getvalue())
     write_atomically(study / CSV, csv.encode())
     names = (PARQUET, CSV)
@@ -101,8 +101,9 @@ def record_marks(study: Path) -> Marks:
     return marks
 
 
-def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
-    """Last gathered table and its marks; no rows where its files were changed since."""
+def _read_last_table(study: Path) -> tuple[pd.DataFrame, Marks]:
+    """Table as it was last gathered, and the marks of its records; empty where its files were
+    changed."""
     with suppress(OSError):
         index = read_sealed_json(read_limited_bytes(study / MARKS))
         if index is not None:
@@ -115,10 +116,10 @@ def _last_gathered(study: Path) -> tuple[pd.DataFrame, Marks]:
 
 def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
     """Whether a declared column in one of these rows differs from the record of its run."""
-    for run, row in _records(rows).items():
+    for run, row in _records_by_run(rows).items():
         record = (read_record(study / run) or {}) | {"study": row["study"], "run": run}
         for name, shown_value in row.items():
-            column = declaration_of(name)
+            column = find_declaration(name)
             if column is None:
                 continue
             kind = column.kind or cast(Kind, rows[name].dtype.name)
@@ -127,8 +128,8 @@ def contradicts_records(study: Path, rows: pd.DataFrame) -> bool:
     return False
 
 
-def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
-    """Rows by run, with None in place of pandas' NA, as JSON has them."""
+def _records_by_run(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
+    """Rows of a table as records by run, with None for missing values."""
     columns = [values.astype(object).where(values.notna(), None) for _, values in rows.items()]
     names = [str(name) for name in rows]
     records = {}
@@ -138,8 +139,8 @@ def _records(rows: pd.DataFrame) -> dict[str, dict[str, Any]]:
     return records
 
 
-def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Copy of the table in which texts that a spreadsheet would run as formulas begin with an
+def _escape_formulas(table: pd.DataFrame) -> pd.DataFrame:
+    """Copy of a table in which texts that a spreadsheet would run as formulas begin with an
     apostrophe."""
     texts: pd.Index = table.select_dtypes("string").columns
     quoted = {}
@@ -150,8 +151,8 @@ def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(**quoted)
 
 
-def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
-    """Records as a table of typed, nullable columns.
+def table_from_records(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Table with typed, nullable columns from the records of runs.
 
     All declared columns, and the further ones that hold a value somewhere.
     """
@@ -161,7 +162,7 @@ def table_of(records: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     columns = {}
     for name in (*BY_NAME, *undeclared):
         values = [record.get(name) for record in records]
-        columns[name] = _typed_column(values, declaration_of(name))
+        columns[name] = _typed_column(values, find_declaration(name))
     return pd.DataFrame(columns)
 
 

@@ -4,22 +4,23 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from ssm_study.table.columns import BY_NAME, requested_values, settings
+from ssm_study.table.columns import BY_NAME, requested_values, setting_columns
 
 MEASURED = ("fit_test_percent", "resolved_margin", "stable_fraction", "settling_time_mean_s")
 HEADS = ("fit %", "margin", "settled", "settle s")
 FEWEST = 2  # seeds of one setting, below which there is no deviation
 
 
-def over_seeds(table: pd.DataFrame) -> list[str]:
-    """Text lines of a small table with the settings that vary, the seeds, and `mean ± deviation` of
-    each result.
+def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
+    """Text lines of a table with mean and deviation of each result over the seeds.
 
     Empty where no setting has two seeds. Seeds without a result are left out of its mean.
     """
     if "seed" not in table or table["seed"].nunique() < FEWEST:
         return []
-    values = {name: requested_values(table, name) for name in settings(table) if name != "seed"}
+    values = {
+        name: requested_values(table, name) for name in setting_columns(table) if name != "seed"
+    }
     varied = [name for name, own in values.items() if own.nunique(dropna=False) > 1]
     labels = pd.Series("all", table.index)
     if varied:
@@ -31,7 +32,7 @@ def over_seeds(table: pd.DataFrame) -> list[str]:
             rows.append(list(group_cells(str(label), runs)))
     if not rows:
         return []
-    titles = [heading(name) for name in varied]
+    titles = [setting_heading(name) for name in varied]
     head = [", ".join(titles) or "setting", "seeds", *HEADS]
     return ["", "mean ± deviation over seeds", *align_columns([head, *rows])]
 
@@ -48,8 +49,8 @@ def align_columns(rows: list[list[str]]) -> list[str]:
     return lines
 
 
-def heading(name: str) -> str:
-    """Short heading of a setting."""
+def setting_heading(name: str) -> str:
+    """Short column heading of a setting."""
     column = BY_NAME.get(name)
     return column.head if column is not None and column.head else name
 

@@ -8,7 +8,13 @@ import numpy as np
 import pandas as pd
 
 from ssm_study.refusal import BadRequest
-from ssm_study.table.columns import BY_NAME, column, flag, suggest_column, text
+from ssm_study.table.columns import (
+    BY_NAME,
+    numeric_column,
+    boolean_column,
+    suggest_column,
+    text_column,
+)
 
 NO_FASTER = 0.995  # settling time over the uncontrolled one, from where it prints as 1.00
 
@@ -20,11 +26,13 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
     certified, 4 a baseline, which has no controller, 5 infeasible, 6 failed, which any other status
     than ok counts as.
     """
-    certified = flag(table, "controller_certified") & flag(table, "observer_certified")
-    status = text(table, "status")
-    no_verdict = column(table, "controller_certified").isna()
-    no_controller = column(table, "controller_feasible").isna() & no_verdict
-    settles = certified & (column(table, "stable_fraction") >= 1)
+    certified = boolean_column(table, "controller_certified") & boolean_column(
+        table, "observer_certified"
+    )
+    status = text_column(table, "status")
+    no_verdict = numeric_column(table, "controller_certified").isna()
+    no_controller = numeric_column(table, "controller_feasible").isna() & no_verdict
+    settles = certified & (numeric_column(table, "stable_fraction") >= 1)
     cases = {
         6: ~status.isin(["ok", "infeasible"]),
         5: status == "infeasible",
@@ -38,8 +46,8 @@ def outcome_class(table: pd.DataFrame) -> pd.Series:
 
 def settling_ratio(table: pd.DataFrame) -> pd.Series:
     """Mean settling time relative to the uncontrolled one; NaN where either is unknown."""
-    open_loop_s = column(table, "settling_time_open_loop_s")
-    return column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
+    open_loop_s = numeric_column(table, "settling_time_open_loop_s")
+    return numeric_column(table, "settling_time_mean_s") / open_loop_s.where(open_loop_s > 0)
 
 
 def predicted_stable(table: pd.DataFrame) -> pd.Series:
@@ -47,7 +55,7 @@ def predicted_stable(table: pd.DataFrame) -> pd.Series:
 
     False where nothing is said.
     """
-    return flag(table, "predicted_stable")
+    return boolean_column(table, "predicted_stable")
 
 
 def best_first(table: pd.DataFrame) -> pd.DataFrame:
@@ -57,11 +65,11 @@ def best_first(table: pd.DataFrame) -> pd.DataFrame:
     would have chosen without the plant. Settling times are relative to the plant left alone where
     that is known, so plants compare.
     """
-    time = column(table, "settling_time_mean_s")
-    open_loop = column(table, "settling_time_open_loop_s")
+    time = numeric_column(table, "settling_time_mean_s")
+    open_loop = numeric_column(table, "settling_time_open_loop_s")
     if open_loop[time.notna()].notna().all():
         time = time / open_loop
-    fit = column(table, "fit_test_percent").fillna(-np.inf)
+    fit = numeric_column(table, "fit_test_percent").fillna(-np.inf)
     keys = {
         "class": outcome_class(table),
         "unforeseen": ~predicted_stable(table),

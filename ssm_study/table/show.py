@@ -17,13 +17,13 @@ from ssm_study.table.columns import (
     RESULTS,
     describe_columns,
     requested_values,
-    setting_of,
-    settings,
-    text,
+    setting_path,
+    setting_columns,
+    text_column,
 )
-from ssm_study.table.filters import where as filtered
+from ssm_study.table.filters import filter_rows as filtered
 from ssm_study.table.gather import contradicts_records, gather
-from ssm_study.table.over_seeds import over_seeds
+from ssm_study.table.over_seeds import seed_statistics_lines
 from ssm_study.table.rank import rank_runs
 
 WIDTH = 80  # of a pipe, and the least of a terminal
@@ -51,14 +51,14 @@ SUMMARY_LINES = textwrap.TextWrapper(
 REASONS = ("error_message", "infeasible_reason", "uncertified_reason")
 
 
-def show(
+def show_table(
     study: Path,
     by: str | None = None,
     where: str | None = None,
     cost: bool = False,
     columns: bool = False,
 ) -> pd.DataFrame:
-    """Print the study's table, best first and brought up to date. Returns the whole table.
+    """Gather a study and print its table, the best run first. Returns the whole table.
 
     `where` filters, `by` sorts. With `cost`: instead of it what was computed and what reused, stage
     by stage. With `columns`: which columns hold values, what they are called, which way is better
@@ -70,9 +70,9 @@ def show(
         print("\n".join(lines))
         return table
     print_rows(rows, by)
-    for line in over_seeds(rows):
+    for line in seed_statistics_lines(rows):
         print(line)
-    for line in summary(table, shown=len(rows)):
+    for line in summary_lines(table, shown=len(rows)):
         print(SUMMARY_LINES.fill(line))
     return table
 
@@ -183,7 +183,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
         run=run,
         certified=certificate_words(table),
         settled=settled,
-        predicted_stable=predictions(table),
+        predicted_stable=prediction_words(table),
     )
     first = ["run", "status"] if by is None else ["run", by, "status"]
     outcomes = [name for name in OUTCOMES if table[name].notna().any()]
@@ -191,7 +191,7 @@ def plain_table(table: pd.DataFrame, by: str | None = None, width: int = WIDTH) 
     taken = 0
     by_importance = dict.fromkeys([*first, *telling, *outcomes, *varied])  # each name once
     for name in by_importance:
-        cells = [column_head(name), *map(cell, table[name])]
+        cells = [column_head(name), *map(format_cell, table[name])]
         room = max(map(len, cells))
         if taken + room + 2 > width and columns:  # a narrower one may still fit
             continue
@@ -222,10 +222,10 @@ def column_head(name: str) -> str:
     return short or name.rpartition("__")[-1]
 
 
-def predictions(table: pd.DataFrame) -> pd.Series:
+def prediction_words(table: pd.DataFrame) -> pd.Series:
     """Prediction of each run as a word, marked where its evidence is doubtful."""
     words = table["predicted_stable"].map({True: "yes", False: "no"}).astype("string")
-    evidence = text(table, "evidence")
+    evidence = text_column(table, "evidence")
     words = words.mask((evidence == "doubt") & (words == "yes"), "yes, doubt")
     return words.mask(evidence == "cannot judge", "cannot judge")
 
@@ -233,7 +233,7 @@ def predictions(table: pd.DataFrame) -> pd.Series:
 def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """Settings in which the runs differ, and those that tell more runs apart than the ones
     before."""
-    values = {name: requested_values(table, name) for name in settings(table)}
+    values = {name: requested_values(table, name) for name in setting_columns(table)}
     varied = [name for name in values if values[name].nunique(dropna=False) > 1]
     telling: list[str] = []
     # A number for each group of runs that are not told apart yet.
@@ -248,8 +248,9 @@ def _varied_settings(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     return varied, telling
 
 
-def cell(value: object) -> str:
-    """Printed value: four digits, yes or no. `-` for what is missing."""
+def format_cell(value: object) -> str:
+    """Text of a table's value: four digits for numbers, yes or no for truth values. `-` for what is
+    missing."""
     if value is None or value is pd.NA:
         return "-"
     if isinstance(value, (bool, np.bool_)):
@@ -257,9 +258,8 @@ def cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else escape_control_characters(str(value))
 
 
-def summary(table: pd.DataFrame, shown: int) -> list[str]:
-    """Text lines with counts by status and the reasons of runs without success, each reason
-    once."""
+def summary_lines(table: pd.DataFrame, shown: int) -> list[str]:
+    """Text lines with the number of runs by status, and the reasons of runs without success."""
     run = short_names(table["run"])
     table = table.assign(run=run)
     counts = table["status"].value_counts()
@@ -274,22 +274,22 @@ def summary(table: pd.DataFrame, shown: int) -> list[str]:
         status: table[table["status"] == status]
         for status in ("failed", "infeasible", "lost", "corrupt")
     }
-    lines = ["", f"{total}: {', '.join(words)}", *over_folds(table)]
-    lines += _reasons("failed", parts["failed"])
-    lines += _reasons("infeasible", parts["infeasible"])
-    lines += _reasons("not certified", uncertified)
-    lines += _reasons("lost", parts["lost"])
-    return lines + _reasons("corrupt", parts["corrupt"])
+    lines = ["", f"{total}: {', '.join(words)}", *fold_statistics_lines(table)]
+    lines += _reason_lines("failed", parts["failed"])
+    lines += _reason_lines("infeasible", parts["infeasible"])
+    lines += _reason_lines("not certified", uncertified)
+    lines += _reason_lines("lost", parts["lost"])
+    return lines + _reason_lines("corrupt", parts["corrupt"])
 
 
-def over_folds(table: pd.DataFrame) -> list[str]:
+def fold_statistics_lines(table: pd.DataFrame) -> list[str]:
     """Text lines with mean and deviation of the fit on held-out folds, for each model's
     settings."""
     if "fold" not in table or table["fold"].nunique() < 2:
         return []
     varied = []
-    for name in settings(table):
-        is_of_the_model = not setting_of(name).startswith(("synthesis", "data.fold"))
+    for name in setting_columns(table):
+        is_of_the_model = not setting_path(name).startswith(("synthesis", "data.fold"))
         if is_of_the_model and table[name].nunique(dropna=False) > 1:
             varied.append(name)
     groups = table.groupby(varied, dropna=False) if varied else [((), table)]
@@ -298,14 +298,15 @@ def over_folds(table: pd.DataFrame) -> list[str]:
         fit_test_percent = runs.groupby("fold")["fit_test_percent"]
         fits = fit_test_percent.mean().dropna()
         pairs = zip(varied, values, strict=True)
-        which = "".join(f", {name} {cell(value)}" for name, value in pairs)
-        mean = f"mean test fit {cell(fits.mean())} %"
-        lines.append(f"  {len(fits)} folds: {mean}, deviation {cell(fits.std())} %{which}")
+        which = "".join(f", {name} {format_cell(value)}" for name, value in pairs)
+        mean = f"mean test fit {format_cell(fits.mean())} %"
+        lines.append(f"  {len(fits)} folds: {mean}, deviation {format_cell(fits.std())} %{which}")
     return lines
 
 
-def _reasons(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
-    """Text lines with the reasons of some runs; reasons that differ in numbers alone are one."""
+def _reason_lines(status: str, rows: pd.DataFrame, limit: int = 20) -> list[str]:
+    """Text lines with the reasons of unsuccessful runs; reasons that differ only in numbers are
+    merged."""
     columns = [name for name in ("run", *REASONS) if name in rows]
     runs: dict[str, list[tuple[str, str]]] = {}
     for row in rows[columns].to_dict("records"):

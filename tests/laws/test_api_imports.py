@@ -12,7 +12,7 @@ from hydra import initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 
 import ssm_study as st
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.refusal import BadRequest
 
 
@@ -56,10 +56,10 @@ def test_a_hydra_program_may_compose_with_us() -> None:
     folder = str(conf_path)
     with initialize_config_dir(folder, version_base="1.3"):
         theirs = GlobalHydra.instance().hydra
-        study = composed(["study=library"]).study
+        study = compose_configuration(["study=library"]).study
         assert study == "library"
         with pytest.raises(BadRequest, match="modle"):
-            composed(["modle.order=2"])
+            compose_configuration(["modle.order=2"])
         assert GlobalHydra.instance().hydra is theirs
 
 

@@ -15,7 +15,7 @@ from ssm_study.cli import commands
 from ssm_study.cli.browser import open_page, page_link
 from ssm_study.cli.commands import figures_line, may_overwrite
 from ssm_study.cli.main import DONE, WRONG_REQUEST, main
-from ssm_study.cli.request import translate
+from ssm_study.cli.request import translate_arguments
 from ssm_study.cli.run import print_progress
 from ssm_study.engine.records import write_record
 from ssm_study.engine.runs import Run
@@ -23,7 +23,7 @@ from ssm_study.engine.task import RunStages
 from ssm_study.refusal import BadRequest
 from ssm_study.report.figures import closed_loop_responses
 from ssm_study.report.study_folder import RunFolder
-from ssm_study.table.folders import run_folder
+from ssm_study.table.folders import find_run_folder
 
 
 class Terminal(io.StringIO):
@@ -44,16 +44,16 @@ def test_a_run_is_named_by_the_begin_or_the_end_of_its_name(tmp_path: Path) -> N
         (tmp_path / name).mkdir()
         record = {"status": "ok"}
         write_record(tmp_path / name, record)
-    folder = run_folder(tmp_path / "order8")
+    folder = find_run_folder(tmp_path / "order8")
     assert folder.name == "order8-seed0-ccc"
-    folder = run_folder(tmp_path / "order4-seed1")
+    folder = find_run_folder(tmp_path / "order4-seed1")
     assert folder.name == "order4-seed1-bbb"
-    folder = run_folder(tmp_path / "aaa")
+    folder = find_run_folder(tmp_path / "aaa")
     assert folder.name == "order4-seed0-aaa"
     with pytest.raises(BadRequest, match="2 runs are there"):
-        run_folder(tmp_path / "order4")
+        find_run_folder(tmp_path / "order4")
     with pytest.raises(BadRequest, match="no record"):
-        run_folder(tmp_path / "seed0")
+        find_run_folder(tmp_path / "seed0")
 
 
 @pytest.mark.parametrize(("answer", "expected"), [("y", True), ("yes", True), ("", False)])
@@ -113,7 +113,7 @@ def test_the_page_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     expected = [(tmp_path / "report.html").as_uri()]
     assert shown == expected
     arguments = ["seed=1", "--open"]
-    assert translate(arguments) == ["seed=1"]
+    assert translate_arguments(arguments) == ["seed=1"]
 
 
 def test_progress_is_a_line_a_stage_on_a_terminal_alone(

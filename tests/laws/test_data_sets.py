@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from plants_cases import choices, from_yaml
 
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.data.assembly import dataset_from_tensors, dataset_to_tensors
 from ssm_study.data.simulated import TrainingAlone, simulate_mismatch_records
 from ssm_study.signals import DataSet
@@ -86,14 +86,14 @@ def test_an_amplitude_of_the_excitation_moves_the_training_records_alone_and_say
         *([*made.validation, *made.test, *made.mismatch_records] for made in mades), strict=True
     ):
         np.testing.assert_array_equal(one.u, other.u)
-    asked = composed(["experiment=smoke", "excitation.amplitude=1.0"])
+    asked = compose_configuration(["experiment=smoke", "excitation.amplitude=1.0"])
     with pytest.warns(
         TrainingAlone, match="validation, test and trials are at the plant's own amplitude"
     ):
         STUDY.check(STUDY.settings(asked))
     with warnings.catch_warnings():
         warnings.simplefilter("error", TrainingAlone)
-        dict_config = composed(["experiment=smoke"])
+        dict_config = compose_configuration(["experiment=smoke"])
         STUDY.check(STUDY.settings(dict_config))
 
 

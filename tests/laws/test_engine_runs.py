@@ -19,7 +19,7 @@ from ssm_study.engine.store import intact_manifest
 from ssm_study.engine.task import run_folder
 from ssm_study.refusal import BadRequest
 from ssm_study.study.stages.files import write_json
-from ssm_study.study.stages.model import with_null_gaps
+from ssm_study.study.stages.model import null_where_not_finite
 
 
 def good(run: Run) -> dict[str, object]:
@@ -308,7 +308,7 @@ def test_a_fit_that_left_the_finite_is_a_gap_in_the_curve(tmp_path):
         {"epoch": 0.0, "fit_training_percent": -math.inf},
         {"epoch": 1.0, "fit_training_percent": 80.0},
     ]
-    write_json(tmp_path / "curve.json", with_null_gaps(curve))
+    write_json(tmp_path / "curve.json", null_where_not_finite(curve))
     text = (tmp_path / "curve.json").read_text()
     kept = json.loads(text)
     fit_training_percents = [row["fit_training_percent"] for row in kept]

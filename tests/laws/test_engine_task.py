@@ -17,7 +17,7 @@ from ssm_study.engine.launcher import preload_for_jobs
 from ssm_study.engine.records import read_record
 from ssm_study.engine.settings import Settings
 from ssm_study.engine.store import Store
-from ssm_study.study.preload import modules_for
+from ssm_study.study.preload import modules_to_preload
 from ssm_study.table.gather import gather
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -141,7 +141,7 @@ def test_a_sweep_that_trains_nothing_imports_nothing_that_trains() -> None:
 def test_what_solves_and_what_trains_is_imported_where_several_jobs_do(
     again: set[str], solver: int, trainer: int
 ) -> None:
-    asked = list(modules_for(again))
+    asked = list(modules_to_preload(again))
     assert asked.count("ssm_study.synthesis.lmi") == solver
     assert asked.count("ssm_study.training.fit") == trainer
     assert asked.count("ssm_study.loop.rollout") == 1

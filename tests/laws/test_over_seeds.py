@@ -3,7 +3,7 @@
 import pandas as pd
 import pytest
 
-from ssm_study.table.over_seeds import mean_and_deviation, over_seeds
+from ssm_study.table.over_seeds import mean_and_deviation, seed_statistics_lines
 
 
 def study(**more: object) -> pd.DataFrame:
@@ -24,7 +24,7 @@ def study(**more: object) -> pd.DataFrame:
 
 
 def test_each_setting_has_its_mean_and_deviation() -> None:
-    lines = over_seeds(study())
+    lines = seed_statistics_lines(study())
     expected = ["", "mean ± deviation over seeds"]
     assert lines[:2] == expected
     first, second = (line.split() for line in lines[-2:])
@@ -36,9 +36,9 @@ def test_each_setting_has_its_mean_and_deviation() -> None:
 
 def test_one_seed_or_one_run_a_setting_has_no_deviation() -> None:
     table = study(seed=0)
-    assert over_seeds(table) == []
+    assert seed_statistics_lines(table) == []
     table = study(rate_controller=range(6))
-    assert over_seeds(table) == []
+    assert seed_statistics_lines(table) == []
 
 
 @pytest.mark.parametrize(("values", "words"), [([], "-"), ([2.0], "2"), ([1.0, 2.0], "1.5 ± 0.71")])

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.data.recorded import RecordedData
 from ssm_study.study import read_once
 from ssm_study.study.line import STUDY
@@ -62,7 +62,7 @@ def test_the_check_of_a_run_and_its_first_stage_read_its_log_once(
         "data.step_s=0.1",
         f"results_dir={tmp_path / 'results'}",
     ]
-    request = STUDY.request(composed(words))
+    request = STUDY.request(compose_configuration(words))
     folder = tmp_path / "stage"
     folder.mkdir()
     compute_dataset(folder, data=request.data, seed=request.seed)

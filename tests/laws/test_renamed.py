@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study import renamed
-from ssm_study.cli.request import translate
+from ssm_study.cli.request import translate_arguments
 from ssm_study.durable import (
     add_digest,
     read_limited_bytes,
@@ -192,7 +192,7 @@ def tables(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
     arguments = ["model.summed=true", "seed=1"]
     expected = ["model.integrating=true", "seed=1"]
-    assert translate(arguments) == expected
+    assert translate_arguments(arguments) == expected
     model = {"summed": True, "order": 2}
     training = {"old_weight": 0.0, "starts": 1}
     tree = {"model": model, "training": training}
@@ -206,11 +206,11 @@ def test_old_settings_are_read_and_withdrawn_ones_refused() -> None:
     ):
         renamed.current_settings(tree)
     with pytest.raises(BadRequest, match=r"training.old_weight = 0.1: was withdrawn in 0.2"):
-        translate(["training.old_weight=0.1"])
+        translate_arguments(["training.old_weight=0.1"])
     with pytest.raises(
         BadRequest, match=r"model = old_net: was withdrawn in 0.2 .*; use model=gru"
     ):
-        translate(["-m", "model=ssm,old_net"])
+        translate_arguments(["-m", "model=ssm,old_net"])
 
 
 @pytest.mark.usefixtures("tables")

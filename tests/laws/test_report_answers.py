@@ -6,7 +6,7 @@ import report_tables
 import scipy
 
 from ssm_study.report.answers import answers, parameters_line
-from ssm_study.report.page.data import question
+from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
 
 QUESTIONS = ("Where does feasibility end", "better fit", "prediction hold")
@@ -148,4 +148,4 @@ def test_a_rate_is_swept_where_it_was_requested_and_auto_is_one_of_its_values() 
     ]
     table = pd.DataFrame(rows)
     assert parameters_line(table) == "Swept: controller rate, ρ (0.1, 0.3, auto); seed (0, 1)."
-    assert question(table) == "What changes with the controller rate?"
+    assert page_title(table) == "What changes with the controller rate?"

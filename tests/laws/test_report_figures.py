@@ -61,9 +61,9 @@ def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 OF_A_REAL_RUN = {"coverage_by_band", "set_point_step"}
 
 
-@pytest.mark.parametrize("name", sorted({*figures.names()} - OF_A_REAL_RUN))
+@pytest.mark.parametrize("name", sorted({*figures.figure_names()} - OF_A_REAL_RUN))
 def test_every_figure_draws_png_and_pdf(studies: dict[str, Path], name: str) -> None:
-    png, pdf = figures.draw([name], studies["runs"])
+    png, pdf = figures.draw_figures([name], studies["runs"])
     assert png.read_bytes().startswith(b"\x89PNG")
     assert pdf.read_bytes().startswith(b"%PDF")
     assert (
@@ -77,8 +77,8 @@ def test_nothing_is_drawn_of_what_a_study_has_not_and_each_reason_is_a_sentence(
     studies: dict[str, Path], kind: str
 ) -> None:
     told: list[str] = []
-    assert figures.draw(None, studies[kind], told.append) == []
-    assert [sentence.split(" ")[2].strip(".") for sentence in told] == figures.names()
+    assert figures.draw_figures(None, studies[kind], told.append) == []
+    assert [sentence.split(" ")[2].strip(".") for sentence in told] == figures.figure_names()
     assert all(sentence.endswith(".") for sentence in told)
     figures_path = studies[kind] / "figures"
     assert not (figures_path).exists()
@@ -90,9 +90,9 @@ NEEDS_SEVERAL = {"robustness", "peers", "feasibility_map"}  # runs or controller
 def test_of_a_single_run_every_figure_is_drawn_but_those_that_compare_runs(
     smoke_copy: Path,
 ) -> None:
-    paths = figures.draw(None, smoke_copy)
+    paths = figures.draw_figures(None, smoke_copy)
     drawn = {path.stem for path in paths}
-    expected = set(figures.names()) - NEEDS_SEVERAL
+    expected = set(figures.figure_names()) - NEEDS_SEVERAL
     assert drawn == expected
 
 
@@ -130,7 +130,7 @@ def test_one_situation_is_no_robustness(
     assert len(nominal) < len(whole)
     monkeypatch.setattr(StudyFolder, "comparison", nominal)
     told: list[str] = []
-    assert figures.draw(["robustness"], studies["runs"], told.append) == []
+    assert figures.draw_figures(["robustness"], studies["runs"], told.append) == []
     assert "several situations" in told[0]
 
 
@@ -162,17 +162,17 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
     random_run(folder / record["run"], kind="mlp", channels=1, seed=2)
     run = folder / record["run"]
     write_recordings(run, seed=1)
-    others = figures.draw(names, folder)[0].read_bytes()
+    others = figures.draw_figures(names, folder)[0].read_bytes()
     monkeypatch.setattr("ssm_study.table.gather.gather", lambda _: runs)
     kinds = ("png", "pdf")
     pictures = [folder / "figures" / f"{names[0]}.{kind}" for kind in kinds]
     told = folder / "told.json"
-    assert str(pictures[0].relative_to(folder)) in endings._outcome(
+    assert str(pictures[0].relative_to(folder)) in endings._outcome_text(
         folder, record, names, pictures, 80
     )
     told.write_text("[1]")
     own = pictures[0].read_bytes()
-    expected = figures.draw(names, folder, run=record["run"])[0].read_bytes()
+    expected = figures.draw_figures(names, folder, run=record["run"])[0].read_bytes()
     assert own == expected
     assert own != others
     later = time.time_ns() + 10**9
@@ -184,9 +184,9 @@ def test_the_figures_after_a_run_are_its_own_and_not_the_bests(
 
 @pytest.mark.parametrize("name", ["feasibility_map", "closed_loop_responses"])
 def test_the_same_files_give_the_same_bytes(studies: dict[str, Path], name: str) -> None:
-    paths = figures.draw([name], studies["runs"])
+    paths = figures.draw_figures([name], studies["runs"])
     first = [path.read_bytes() for path in paths]
-    paths = figures.draw([name], studies["runs"])
+    paths = figures.draw_figures([name], studies["runs"])
     expected = [path.read_bytes() for path in paths]
     assert first == expected
 
@@ -200,7 +200,7 @@ def test_what_needs_a_loop_or_a_proof_is_not_drawn_of_runs_without(
         drawn(name, studies["runs"])
 
 
-@pytest.mark.parametrize("name", figures.names())
+@pytest.mark.parametrize("name", figures.figure_names())
 def test_a_full_figure_has_a_paper_width_and_a_unit_on_every_axis(
     studies: dict[str, Path], smoke_study: Path, name: str
 ) -> None:
@@ -244,7 +244,7 @@ def test_of_a_model_with_neurons_it_is_not_said_that_there_is_none(
     path.write_text(text)
     told: list[str] = []
     assert (
-        figures.draw(
+        figures.draw_figures(
             ["certified_decay", "hankel_spectrum", "learned_dead_zone"], folder, told.append
         )
         == []
@@ -256,7 +256,7 @@ UNITLESS = {"Sample", "Epoch", "Balanced state", "Controller", "Situation"}
 
 
 def test_every_figure_has_a_caption() -> None:
-    for name in figures.names():
+    for name in figures.figure_names():
         assert figures.caption(name).endswith("."), name
 
 
@@ -264,17 +264,17 @@ def test_an_unknown_figure_is_refused_with_the_choices(studies: dict[str, Path])
     with pytest.raises(
         BadRequest, match=r"only = pie_chart: there is no such figure; choose among .*peers"
     ):
-        figures.draw(["pie_chart"], studies["runs"])
+        figures.draw_figures(["pie_chart"], studies["runs"])
 
 
 def test_a_folder_that_is_no_study_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadRequest, match=r"it has no runs\.parquet; run `ssm-study gather`"):
-        figures.draw(None, tmp_path)
+        figures.draw_figures(None, tmp_path)
 
 
 def drawn(name: str, folder: Path) -> Figure:
     study_folder = StudyFolder(folder=folder)
-    return figures.drawn(name, study_folder)
+    return figures.draw_one_figure(name, study_folder)
 
 
 def test_the_settling_band_is_that_of_the_loop_and_not_of_the_plant_that_was_configured(

@@ -13,7 +13,7 @@ import report_tables
 
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.live import LOCALHOST, serve
+from ssm_study.report.page.live import LOCALHOST, start_server
 
 pytest.importorskip("altair", reason="the extra `report` is not installed")
 
@@ -36,7 +36,7 @@ def study(tmp_path: Path) -> Path:
 @pytest.fixture
 def address(study: Path) -> Iterator[str]:
     said: list[str] = []
-    with serve(study, 0, said.append) as server:
+    with start_server(study, 0, said.append) as server:
         thread = Thread(target=server.serve_forever, daemon=True)
         thread.start()
         yield said[0]
@@ -69,6 +69,6 @@ def test_a_taken_port_and_a_missing_study_are_refused(
 ) -> None:
     port = int(address.rsplit(":", 1)[1].strip("/"))
     with pytest.raises(BadRequest, match="port"):
-        serve(study, port, print)
+        start_server(study, port, print)
     with pytest.raises(BadRequest, match="no such study folder"):
-        serve(tmp_path / "none", 0, print)
+        start_server(tmp_path / "none", 0, print)

@@ -60,9 +60,9 @@ def test_an_unknown_status_counts_as_failed_not_as_fine() -> None:
 
 def test_counts_add_up() -> None:
     table = report_tables.table(50)
-    parts = words.counts(table).split(": ")[1].split("; ")
+    parts = words.verdict_counts(table).split(": ")[1].split("; ")
     assert sum(int(part.split()[0]) for part in parts) == 50
-    assert words.counts(report_tables.empty()) == "0 runs"
+    assert words.verdict_counts(report_tables.empty()) == "0 runs"
 
 
 def test_where_nobody_could_judge_a_large_margin_predicts_nothing() -> None:

@@ -14,10 +14,10 @@ from ssm_study.durable import json_bytes
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import COLUMNS
-from ssm_study.table.filters import where
+from ssm_study.table.filters import filter_rows
 from ssm_study.table.gather import gather
 from ssm_study.table.rank import rank_runs
-from ssm_study.table.show import plain_table, show, summary
+from ssm_study.table.show import plain_table, show_table, summary_lines
 
 RECORDS = [
     {
@@ -152,7 +152,7 @@ def test_gathering_twice_gives_the_same_bytes(study: Path) -> None:
     ],
 )
 def test_filters_compare_columns(study: Path, expression: str, runs: str) -> None:
-    run = where(gather(study), expression)["run"]
+    run = filter_rows(gather(study), expression)["run"]
     text = "".join(run)
     assert text == runs
 
@@ -187,7 +187,7 @@ def test_filters_evaluate_nothing_else(
 ) -> None:
     monkeypatch.chdir(study)
     with pytest.raises(BadRequest, match="where"):
-        where(gather(study), expression)
+        filter_rows(gather(study), expression)
     assert not (study / "pwned").exists()
 
 
@@ -207,7 +207,7 @@ def test_best_comes_first(study: Path) -> None:
 
 
 def test_what_is_shown_fits_and_explains(study: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    show(study, where="order > 4")
+    show_table(study, where="order > 4")
     output = capsys.readouterr().out
     lines = output.splitlines()
     largest = max(len(line) for line in lines if "failed c:" not in line)
@@ -223,7 +223,7 @@ def test_a_run_without_certificate_is_listed_with_its_reason(
 ) -> None:
     record = {"status": "ok", "run": "b", "uncertified_reason": "observer: too few digits"}
     write_record(study / "b", record)
-    show(study)
+    show_table(study)
     output = capsys.readouterr().out
     assert "not certified b: observer: too few digits" in output
     assert output.count("not certified ") == 1
@@ -242,7 +242,7 @@ def test_the_column_sorted_by_is_shown_and_a_misspelt_one_is_answered_with_the_n
     assert heads.split()[1:3] == expected
     for refused in (
         lambda: rank_runs(table, "fit_tets_percent"),
-        lambda: where(table, "fit_tets_percent > 1"),
+        lambda: filter_rows(table, "fit_tets_percent > 1"),
     ):
         with pytest.raises(BadRequest, match="did you mean fit_test_percent"):
             refused()
@@ -255,7 +255,7 @@ def test_a_path_in_a_reason_stays_in_one_piece(
     path = "/home/somebody/" + "-a-long-name" * 15
     record = {"status": "failed", "error_message": f"cannot read {path}", "run": "c"}
     write_record(study / "c", record)
-    show(study)
+    show_table(study)
     assert path in capsys.readouterr().out
 
 
@@ -267,7 +267,7 @@ def test_no_cell_is_a_formula_and_no_name_commands_the_terminal(study: Path) -> 
     assert "'=HYPERLINK(1)" in text
     # The table itself says what it was.
     assert table.set_index("run").loc["c", "error_message"] == "=HYPERLINK(1)"
-    said = plain_table(table) + "\n".join(summary(table, 5))
+    said = plain_table(table) + "\n".join(summary_lines(table, 5))
     assert "\x1b" not in said
     assert "\\x1b[2J" in said
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from ssm_study.report.page.data import best_ordered
+from ssm_study.report.page.data import sort_for_page
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.table.columns import DECLARED, declaration_of, label
-from ssm_study.table.gather import table_of
+from ssm_study.table.columns import DECLARED, find_declaration, column_label
+from ssm_study.table.gather import table_from_records
 from ssm_study.table.rank import rank_runs
 from ssm_study.table.show import plain_table, short_names
 
@@ -102,13 +102,13 @@ def test_names_are_declared_once_and_patterns_cover_no_other_column() -> None:
     names = [column.name for column in DECLARED]
     assert len(set(names)) == len(names)
     assert all(
-        declaration_of(column.name) is column for column in DECLARED if not column.is_pattern
+        find_declaration(column.name) is column for column in DECLARED if not column.is_pattern
     )
-    assert declaration_of("score_test_2") is declaration_of("score_test_*")
-    assert declaration_of("stage_model_key") is not declaration_of("stage_model_seconds")
-    assert declaration_of("nothing_such") is None
-    assert label("settling_time_mean_s") == "Mean settling time (s)"
-    assert label("nothing_such") == "nothing such"
+    assert find_declaration("score_test_2") is find_declaration("score_test_*")
+    assert find_declaration("stage_model_key") is not find_declaration("stage_model_seconds")
+    assert find_declaration("nothing_such") is None
+    assert column_label("settling_time_mean_s") == "Mean settling time (s)"
+    assert column_label("nothing_such") == "nothing such"
 
 
 @pytest.mark.parametrize("folder", COMMITTED, ids=lambda path: path.name)
@@ -119,14 +119,14 @@ def test_show_page_and_figures_name_the_same_run(folder: Path) -> None:
         .where(lambda t: t.notna(), None)
         .to_dict("records")
     )
-    table = table_of(records)
+    table = table_from_records(records)
     run = rank_runs(table)["run"]
     best = run.iloc[0]
     lines = plain_table(rank_runs(table)).splitlines()
     run = rank_runs(table)["run"]
     expected = short_names(run).iloc[0]
     assert lines[1].split()[0] == expected
-    run = best_ordered(table)["run"]
+    run = sort_for_page(table)["run"]
     assert run.iloc[0] == best
 
 
@@ -144,7 +144,7 @@ def test_a_figure_shows_the_best_run(tmp_path: Path) -> None:
             ("bare", 0.1, False),
         )
     ]
-    table = table_of(rows)
+    table = table_from_records(rows)
     table.to_parquet(tmp_path / "runs.parquet")
     for name in table["run"]:
         (tmp_path / name).mkdir()

@@ -2,11 +2,11 @@
 
 import pandas as pd
 
-from ssm_study.report.page.data import question
+from ssm_study.report.page.data import page_title
 from ssm_study.table.columns import swept_settings
-from ssm_study.table.filters import where
-from ssm_study.table.gather import table_of
-from ssm_study.table.show import cost_lines, plain_table, stage_costs, summary
+from ssm_study.table.filters import filter_rows
+from ssm_study.table.gather import table_from_records
+from ssm_study.table.show import cost_lines, plain_table, stage_costs, summary_lines
 
 
 def test_a_wide_table_is_cut_to_eighty_columns() -> None:
@@ -23,7 +23,7 @@ def test_a_wide_table_is_cut_to_eighty_columns() -> None:
         }
         for i in range(3)
     ]
-    lines = plain_table(table_of(wide)).splitlines()
+    lines = plain_table(table_from_records(wide)).splitlines()
     largest = max(map(len, lines))
     assert largest <= 80
 
@@ -43,7 +43,7 @@ def sweep(count: int) -> pd.DataFrame:
         }
         for i in range(count)
     ]
-    return table_of(rows)
+    return table_from_records(rows)
 
 
 def test_what_was_swept_stands_before_what_came_of_it() -> None:
@@ -59,7 +59,7 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
     """Settings that no column of their own repeats tell runs apart: in `show`, in filters and on
     the page."""
     settings = [(step_s, undone) for step_s in (0.005, 0.02) for undone in (False, True)]
-    table = table_of(
+    table = table_from_records(
         {
             "run": f"r-{i}",
             "status": "ok",
@@ -71,8 +71,8 @@ def test_settings_of_the_command_tell_runs_apart() -> None:
     )
     expected = ["plant__step_s", "synthesis__invert_input"]
     assert swept_settings(table) == expected
-    assert question(table) == "What changes with plant.step_s and synthesis.invert_input?"
-    run = where(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"]
+    assert page_title(table) == "What changes with plant.step_s and synthesis.invert_input?"
+    run = filter_rows(table, "plant__step_s > 0.01 and synthesis__invert_input")["run"]
     assert run.tolist() == ["r-3"]
     heads, *_, last = plain_table(table).splitlines()
     expected = ["run", "status", "step_s", "invert_input"]
@@ -93,7 +93,7 @@ def test_a_side_that_nobody_certified_is_not_said_to_be() -> None:
             [(True, True), (True, None), (None, True), (None, None)]
         )
     ]
-    lines = plain_table(table_of(rows)).splitlines()[1:]
+    lines = plain_table(table_from_records(rows)).splitlines()[1:]
     expected = ["both", "ctl", "obs", "-"]
     assert [line.split()[2] for line in lines] == expected
 
@@ -112,23 +112,23 @@ def test_a_setting_that_follows_from_another_gives_way_to_the_outcomes() -> None
          "stable_count": 10, "initial_conditions": 10, "resolved_margin": 1.697,
          "predicted_stable": True},
     ]  # fmt: skip
-    lines = plain_table(table_of(rows)).splitlines()
+    lines = plain_table(table_from_records(rows)).splitlines()
     heads = lines[0].split()
     assert heads[2] == "model"
     expected = ["settled", "fit", "%", "margin", "predicted"]
     assert heads[-5:] == expected
     assert "scaffold_out" not in heads
     # Where there is room.
-    lines = plain_table(table_of(rows), width=160).splitlines()
+    lines = plain_table(table_from_records(rows), width=160).splitlines()
     assert "scaffold_out" in lines[0]
 
 
 def test_one_reason_is_told_once() -> None:
-    lines = summary(sweep(20), shown=20)
+    lines = summary_lines(sweep(20), shown=20)
     assert lines[1] == "20 runs: 10 ok, 10 infeasible"
     told = [f"{i:010d}" for i in range(10, 15)]
     assert lines[2:] == [f"  infeasible {', '.join(told)} and 5 more: too fast"]
-    assert summary(sweep(1), shown=1)[1] == "1 run: 1 ok"
+    assert summary_lines(sweep(1), shown=1)[1] == "1 run: 1 ok"
 
 
 def test_folds_are_told_with_their_mean_and_deviation() -> None:
@@ -145,11 +145,11 @@ def test_folds_are_told_with_their_mean_and_deviation() -> None:
         }
         for k, (order, fold, fit) in enumerate(scores)
     ]
-    told = summary(table_of(rows), 5)[2:]
+    told = summary_lines(table_from_records(rows), 5)[2:]
     assert told[0] == "  2 folds: mean test fit 85 %, deviation 7.071 %, order 2"
     assert told[1] == "  1 folds: mean test fit 85 %, deviation - %, order 4"
     records = rows[:2]
-    assert len(summary(table_of(records), 2)) == 2  # one fold is no spread
+    assert len(summary_lines(table_from_records(records), 2)) == 2  # one fold is no spread
 
 
 def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
@@ -161,7 +161,7 @@ def test_reasons_that_differ_in_a_number_are_one_line_with_its_range() -> None:
         }
         for k in (9, 4, 7)
     ]
-    assert summary(table_of(rows), 3)[2:] == [
+    assert summary_lines(table_from_records(rows), 3)[2:] == [
         "  infeasible 9, 4, 7: rate 0.4 to 0.9 of S_u2 is above 0.25; ask 3e-1"
     ]
 
@@ -177,12 +177,12 @@ def test_costs_count_each_stage_once() -> None:
         }
         for i in range(20)
     ]
-    costs = stage_costs(table_of(runs))
+    costs = stage_costs(table_from_records(runs))
     expected = [1, 10.0, 190.0]
     assert costs.loc["model", ["distinct", "spent_s", "saved_s"]].tolist() == expected
     expected = [20, 20.0, 0.0]
     assert costs.loc["loop", ["distinct", "spent_s", "saved_s"]].tolist() == expected
     assert costs.index[0] == "loop"
     expected = ["together", "30", "s", "3", "min"]
-    assert cost_lines(table_of(runs))[-1].split() == expected
-    assert cost_lines(table_of([]))
+    assert cost_lines(table_from_records(runs))[-1].split() == expected
+    assert cost_lines(table_from_records([]))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.loop.peers.pi import PI
 from ssm_study.loop.reference import StepReference
 from ssm_study.loop.regulation import Loop
@@ -193,7 +193,7 @@ def test_without_a_board_it_is_refused_in_one_sentence(
 def test_many_cases_at_once_are_refused_before_anything_is_heated(
     plant: Any, fake: FakeBoard
 ) -> None:
-    config = composed(["experiment=smoke"])
+    config = compose_configuration(["experiment=smoke"])
     known = Specification.from_config(config)
     changed_plant = replace(plant, hardware=True)
     asked = replace(known, plant=changed_plant)

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ssm_study.api.parts import GROUPS, Parts, configuration_folders, load_choice
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.engine.settings import plain_settings
 from ssm_study.refusal import BadRequest
 
@@ -30,7 +30,7 @@ def test_the_folder_is_ours() -> None:
 
 @pytest.mark.parametrize(("group", "choice"), CHOICES)
 def test_every_choice_is_what_hydra_composes(group: str, choice: str) -> None:
-    config = composed([f"{group}={choice}", "study=any"])
+    config = compose_configuration([f"{group}={choice}", "study=any"])
     settings = plain_settings(config)
     theirs = settings[group]
     tree = load_choice(group, choice)
@@ -43,11 +43,11 @@ def test_settings_are_what_hydra_composes(words: tuple[str, ...]) -> None:
         "model": "ssm", "training": "default", "synthesis": "auto", "loop": "regulation",
     }  # fmt: skip
     parts = Parts(defaults, words)
-    config = composed([*words, "study=any"])
+    config = compose_configuration([*words, "study=any"])
     theirs = plain_settings(config)
     for name, tree in parts.trees.items():
         assert tree == dict(theirs[name])
-    config = composed([*parts.words_for_command(), "study=any"])
+    config = compose_configuration([*parts.words_for_command(), "study=any"])
     again = plain_settings(config)
     for name in parts.trees:
         assert again[name] == theirs[name]

@@ -23,7 +23,7 @@ from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.scaffolds.monotone import MonotoneScaffold
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import Scale
-from ssm_study.study.design_claims import stored_starts
+from ssm_study.study.design_claims import check_stored_starts
 from ssm_study.synthesis.deployed import (
     WithinLimits,
     certify_input_limits,
@@ -353,10 +353,10 @@ def test_no_limit_acts_from_any_corner_of_the_box_also_where_the_outputs_are_mix
     assert (largest_request(model, design, bounding) / 0.6 > 6) == (coupling > 0)
     part = certify_input_limits(model, design, *ends)["state_feedback_unlimited"]
     starts = equilibrium_starts(model, part.starts)
-    checked = stored_starts(part, starts)
+    checked = check_stored_starts(part, starts)
     assert checked.holds
     starts = equilibrium_starts(model, old.starts)
-    checked = stored_starts(old, starts)
+    checked = check_stored_starts(old, starts)
     holds = checked.holds
     assert holds == (coupling == 0)
 

@@ -21,9 +21,9 @@ from ssm_study.study.claims import SECTIONS
 from ssm_study.study.findings import Checked, Derived
 from ssm_study.study.recordings import read_simulation
 from ssm_study.study.run_files import RunFiles
-from ssm_study.study.verify import _short, compare_column, judge_column, verify
+from ssm_study.study.verify import _short_text, compare_column, judge_column, verify
 from ssm_study.synthesis.metrics import design_columns
-from ssm_study.table.columns import declaration_of
+from ssm_study.table.columns import find_declaration
 
 # Relative tolerance of each number, written out again: what another machine's rounding may do.
 ONE_FORMULA = 1e-9
@@ -272,7 +272,7 @@ def test_every_column_is_named_when_it_alone_is_another_or_left_out(
     """Over all columns of the record: a lie is found, unless the column is listed as not checked
     with its reason."""
     for name, value in record.items():
-        if value is not None and not (column := declaration_of(name)).unchecked:  # type: ignore[union-attr]
+        if value is not None and not (column := find_declaration(name)).unchecked:  # type: ignore[union-attr]
             assert named(record | {name: other(value)}, derived) == {name}
             assert named({key: kept for key, kept in record.items() if key != name}, derived) == {
                 name
@@ -368,4 +368,4 @@ def test_the_command_ends_with_one_line_and_speaks_json(
 def test_a_long_value_is_told_in_eighty_characters() -> None:
     lengths = (79, 80, 81, 500)
     expected = [79, 80, 80, 80]
-    assert [len(_short("x" * length)) for length in lengths] == expected
+    assert [len(_short_text("x" * length)) for length in lengths] == expected

@@ -37,7 +37,7 @@ def test_the_figure_says_what_the_inputs_can_identify(smoke_run: Path, tmp_path:
         text = json.dumps(record | more)
         record_path.write_text(text)
         study_folder = StudyFolder(folder=study)
-        return figures.drawn("excitation", study_folder).axes
+        return figures.draw_one_figure("excitation", study_folder).axes
 
     told = drawn()
     warned = drawn(excitation_warning="2 levels only")

@@ -12,7 +12,7 @@ from omegaconf import DictConfig, open_dict
 
 import ssm_study as st
 from benchmarks.adversarial.plants.peaking_gain import PeakingGain
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.cli.main import main
 from ssm_study.engine.records import read_record
 from ssm_study.engine.runs import seal_run
@@ -67,7 +67,7 @@ def _benchmarks_trusted():
 @pytest.fixture(scope="module")
 def hidden(tmp_path_factory) -> DictConfig:
     folder = tmp_path_factory.mktemp("refine")
-    config = composed(
+    config = compose_configuration(
         ["study=peak", "seed=1", f"results_dir={folder}", "+data.trials=false", *HIDDEN, *TINY]
     )
     with open_dict(config):

@@ -11,7 +11,7 @@ from report_runs import random_run
 from ssm_study import style
 from ssm_study.export.targets import write_controller
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.live import is_loopback, serve
+from ssm_study.report.page.live import is_loopback, start_server
 from ssm_study.report.page.writing import write_page
 
 pytest.importorskip("altair", reason="the extra `report` is not installed")
@@ -93,7 +93,7 @@ HOSTS = {
 def test_the_live_page_answers_to_the_names_of_this_machine_alone(study: Path, host: str) -> None:
     """A page elsewhere can give its own name our address, and then read what we answer."""
     assert is_loopback(host) is HOSTS[host]
-    with serve(study, 0, lambda _: None) as server:
+    with start_server(study, 0, lambda _: None) as server:
         thread = Thread(target=server.serve_forever, daemon=True)
         thread.start()
         connection = http.client.HTTPConnection("127.0.0.1", server.server_address[1])

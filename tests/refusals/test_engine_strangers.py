@@ -10,10 +10,10 @@ import pytest
 from omegaconf import OmegaConf
 
 from ssm_study.cli.main import main
-from ssm_study.cli.request import check_request, translate
+from ssm_study.cli.request import check_request, translate_arguments
 from ssm_study.engine.records import parse_record
 from ssm_study.refusal import BadRequest
-from ssm_study.study.allow_list import PLUGINS, is_ours, refuse_foreign_targets
+from ssm_study.study.allow_list import PLUGINS, is_allowed_target, refuse_foreign_targets
 
 ROOT = Path(__file__).resolve().parents[2]
 EVIL_TARGETS = [
@@ -50,7 +50,7 @@ EVIL_TARGETS = [
 
 @pytest.mark.parametrize("target", EVIL_TARGETS)
 def test_foreign_targets_are_refused_wherever_they_stand(target: object) -> None:
-    assert not is_ours(target)
+    assert not is_allowed_target(target)
     model = {"scaffold": {"_target_": target}}
     b = [{"_target_": target}]
     a = [{"b": b}]
@@ -109,7 +109,7 @@ def test_everything_we_ship_is_allowed() -> None:
     assert [
         name
         for folder, name in targets
-        if not (is_ours(name) or (folder == plugins and PLUGINS.fullmatch(name)))
+        if not (is_allowed_target(name) or (folder == plugins and PLUGINS.fullmatch(name)))
     ] == []
 
 
@@ -222,10 +222,10 @@ def test_no_pickle_anywhere_and_torch_load_only_for_weights() -> None:
 def test_our_options_become_hydras() -> None:
     arguments = ["seed=1,2", "-m", "--retry-failed"]
     expected = ["--multirun", "seed=1,2", "retry_failed=true"]
-    assert translate(arguments) == expected
+    assert translate_arguments(arguments) == expected
     launcher = ["hydra/launcher=ray", "hydra.launcher.ray.init.address=HEAD:6399"]
     launcher += ["++hydra.launcher.ray.init.object_store_memory=null", "~hydra.launcher.partition"]
     arguments = ["-m", "seed=1,2", *launcher, "--dry-run"]
-    planned = translate(arguments)
+    planned = translate_arguments(arguments)
     expected = ["--multirun", "seed=1,2", "hydra/launcher=processes", "dry_run=true"]
     assert planned == expected

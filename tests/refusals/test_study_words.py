@@ -10,7 +10,7 @@ import pytest
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import OmegaConf
 
-from ssm_study.cli.from_python import composed
+from ssm_study.cli.from_python import compose_configuration
 from ssm_study.cli.hydra_errors import suggest_for_key
 from ssm_study.cli.main import INTERRUPTED, main
 from ssm_study.cli.run import _warning_text, configuration_folder
@@ -18,7 +18,7 @@ from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
-from ssm_study.table.folders import run_folder, study_folder
+from ssm_study.table.folders import find_run_folder, check_study_folder
 
 
 @pytest.mark.skipif(
@@ -56,34 +56,34 @@ def test_the_folder_that_was_meant(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         (study / name).mkdir(parents=True)
         record = {"run": name, "status": "ok"}
         write_record(study / name, record)
-    folder = run_folder(study / "0a1b2c3d4e")
+    folder = find_run_folder(study / "0a1b2c3d4e")
     assert folder == study / "order8-width32-seed0-0a1b2c3d4e"
-    folder = run_folder(study / "order4-width32-seed0-5f6a7b8c9d")
+    folder = find_run_folder(study / "order4-width32-seed0-5f6a7b8c9d")
     assert folder.name.startswith("order4")
     with pytest.raises(
         BadRequest, match="2 runs are there; name one: order4-width32-seed0-5f6a7b8c9d, order8"
     ):
-        run_folder(study)
+        find_run_folder(study)
     with pytest.raises(
         BadRequest, match=r"there is no record\.json; name one of its study: order4"
     ):
-        run_folder(study / "nothing")
-    assert study_folder(study) == study
+        find_run_folder(study / "nothing")
+    assert check_study_folder(study) == study
     for wrong in ("paper", "results/papr"):
         with pytest.raises(BadRequest, match=r"did you mean results/paper\?$"):
-            study_folder(Path(wrong))
+            check_study_folder(Path(wrong))
     (study / "runs.parquet").touch()
     with pytest.raises(BadRequest, match="name one: paper"):
-        study_folder(Path("results"))
+        check_study_folder(Path("results"))
     with pytest.raises(BadRequest, match="give the folder of one run"):
-        run_folder(Path("elsewhere"))
+        find_run_folder(Path("elsewhere"))
 
 
 def test_a_study_stands_for_its_only_run(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     record = {"run": "a", "status": "ok"}
     write_record(tmp_path / "a", record)
-    assert run_folder(tmp_path) == tmp_path / "a"
+    assert find_run_folder(tmp_path) == tmp_path / "a"
 
 
 def test_an_interrupt_is_one_sentence_and_still_an_interrupt() -> None:
@@ -153,7 +153,7 @@ def test_a_cluster_may_have_what_this_machine_lacks(
 ) -> None:
     hydra = {"launcher": {"_target_": f"hydra_plugins.{launcher}"}}
     there = OmegaConf.create({"hydra": hydra})
-    config = composed(["experiment=smoke", "training.accelerator=none"])
+    config = compose_configuration(["experiment=smoke", "training.accelerator=none"])
     hydra_config = HydraConfig.instance()
     monkeypatch.setattr(hydra_config, "cfg", there)
     study = STUDY.check(STUDY.settings(config))

@@ -1,7 +1,7 @@
-"""One file per figure, named as printed. Each has `draw(study) -> Figure` and a docstring that is
+"""One file per figure, named as printed. Each has `draw_figures(study) -> Figure` and a docstring that is
 its caption.
 
-A new figure is a new file here: `names()` finds it, and every command and test with it.
+A new figure is a new file here: `figure_names()` finds it, and every command and test with it.
 """
 
 import base64
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def names() -> list[str]:
+def figure_names() -> list[str]:
     """Names of all figures."""
     ours = (module.name for module in iter_modules(__path__) if not module.name.startswith("_"))
     return sorted({*extension_modules("figures"), *ours})
 
 
 def _module(name: str) -> ModuleType:
-    """Module of a figure by its name; ours where another package has one of the same name."""
+    """Module that draws a figure, by the figure's name."""
     ours = any((Path(place) / f"{name}.py").is_file() for place in __path__)
     return import_module(f"{__name__}.{name}" if ours else extension_modules("figures")[name])
 
@@ -42,8 +42,9 @@ def caption(name: str) -> str:
     return " ".join((_module(name).__doc__ or "").split())
 
 
-def drawn(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
-    """The figure in the style of the paper. Raises `NothingToDraw` with the reason."""
+def draw_one_figure(name: str, study: StudyFolder, width: style.Width = "page") -> "Figure":
+    """Draw a single figure of a study in the style of the paper. Raises `NothingToDraw` with the
+    reason."""
     with style.paper_style(width):
         figure: Figure = _module(name).draw(study)
     return figure
@@ -57,6 +58,7 @@ class CaptionedFigure:
     caption: str
 
     def _repr_mimebundle_(self, **_: object) -> dict[str, object]:
+        """Image and caption of the figure for a notebook."""
         source = f"data:image/png;base64,{base64.b64encode(self.png).decode()}"
         caption = f"<figcaption>{escape(self.caption)}</figcaption>"
         return {
@@ -70,19 +72,18 @@ def captioned_figure(name: str, study: StudyFolder, width: style.Width = "page")
     """Draw a figure of a study for a notebook. Raises `NothingToDraw` with the reason."""
     content = BytesIO()
     with style.paper_style(width):
-        drawn(name, study, width).savefig(content, format="png")
+        draw_one_figure(name, study, width).savefig(content, format="png")
     return CaptionedFigure(png=content.getvalue(), caption=caption(name))
 
 
-def draw(
+def draw_figures(
     wanted: Sequence[str] | None,
     study_folder: Path,
     tell: Callable[[str], object] = lambda _: None,
     run: str | None = None,
     width: style.Width = "page",
 ) -> list[Path]:
-    """Draw and save the named figures (None: all) of a study into `study_folder/figures`, each as
-    PNG and PDF.
+    """Draw and save several or all figures of a study.
 
     Those of a single run show `run`, else the study's best. Pure functions of the gathered table
     and the run folders' files: the same files give the same bytes. A figure of what the study does
@@ -93,21 +94,23 @@ def draw(
     paths = []
     for name in wanted or ():
         require(
-            name in names(),
+            name in figure_names(),
             "only",
             name,
             "there is no such figure",
-            f"choose among {', '.join(names())}",
+            f"choose among {', '.join(figure_names())}",
         )
-    for name in wanted or names():
+    for name in wanted or figure_names():
         with style.paper_style(width):  # what is saved asks for the settings once more
             try:
-                figure = drawn(name, study, width)
+                figure = draw_one_figure(name, study, width)
                 paths += style.save_figure(figure, study.folder / "figures", name)
             except NothingToDraw as reason:
                 tell(f"not drawn: {name}. {reason}")
     if paths:
-        there = {path.stem for path in (study.folder / "figures").glob("*.png")} & set(names())
+        there = {path.stem for path in (study.folder / "figures").glob("*.png")} & set(
+            figure_names()
+        )
         told = "".join(
             f"![{name}]({name}.png)\n\n**{name}.** {caption(name)}\n\n" for name in sorted(there)
         )

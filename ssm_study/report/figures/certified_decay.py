@@ -22,53 +22,54 @@ Step = Callable[[Float[np.ndarray, "N n"]], Float[np.ndarray, "N n"]]
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the decay of controller and of observer for the best run without neurons."""
-    model, certificate = study.of_best(
+    model, certificate = study.read_from_best(
         "model", "certificate", otherwise="No run left a certificate for a model without neurons."
     )
     fig = style.new_figure(style.PAGE_IN, 2.3)
     control, observe = fig.subplots(1, 2)
-    feedback = part_of(certificate, "state_feedback")
-    observer = part_of(certificate, "observer")
+    feedback = certificate_part(certificate, "state_feedback")
+    observer = certificate_part(certificate, "observer")
     if "k" in feedback:
         a, b, k, p = (np.array(feedback[name]) for name in ("a", "b", "k", "p"))
         metric = np.linalg.inv(p)  # the dual form: M = P^-1
-        draw_decay(control, distances(controlled(model, a, b, k), metric), feedback)
+        draw_decay(control, relative_distances(controlled_step(model, a, b, k), metric), feedback)
         label_axes(control, "State feedback")
     if "l" in observer:
         metric = np.array(observer["q"])  # the primal form: M = Q
-        draw_decay(observe, distances(observed(model, np.array(observer["l"])), metric), observer)
+        draw_decay(
+            observe,
+            relative_distances(observer_step(model, np.array(observer["l"])), metric),
+            observer,
+        )
         label_axes(observe, "Observer error")
     return fig
 
 
-def part_of(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
-    """One certificate, of controller or observer, with what is proved of the gains where the run
-    knows it."""
+def certificate_part(certificate: Mapping[str, Any], side: str) -> dict[str, Any]:
+    """Stored certificate of controller or observer, that of the largest proved rate where there is
+    one."""
     deployed = certificate.get(f"{side}_deployed") or {}
     return (certificate.get(side) or {}) | deployed
 
 
-def controlled(
+def controlled_step(
     model: SSM,
     a: Float[np.ndarray, "n n"],
     b: Float[np.ndarray, "n k"],
     k: Float[np.ndarray, "m n"],
 ) -> Step:
-    """`x+ = A x + B S_u(K x)` in scaled units, with the matrices that were certified (integrators
-    among them)."""
+    """Function that computes the next state of the controlled model, in scaled units."""
     return lambda x: x @ a.T + model.scaffold_in(x @ k.T) @ b.T
 
 
-def observed(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
-    """`xh+ = A xh + L S_y(C xh)`: two observers that see the same input and output (u = 0, D drops
-    out)."""
+def observer_step(model: SSM, l: Float[np.ndarray, "n p"]) -> Step:  # noqa: E741 - the paper's letter
+    """Function that computes the next state of the observer, in scaled units."""
     rest = np.zeros((PAIRS, model.linear.b.shape[1]))
     return lambda x: model.advance(x, rest) + model.scaled_output_at(x, rest) @ l.T
 
 
-def distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
-    """Relative distances `d_k / d_0`, with `d_k = sqrt((x - z)^T M (x - z))`, for random pairs of
-    initial states over four decades of size."""
+def relative_distances(step: Step, metric: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "N T"]:
+    """Distances of random pairs of trajectories over time, relative to their initial distances."""
     rng = np.random.default_rng(SEED)
     sizes = 10 ** rng.uniform(-2, 2, (2, PAIRS, 1))
     x, z = sizes * rng.standard_normal((2, PAIRS, len(metric)))

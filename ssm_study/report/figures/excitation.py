@@ -20,7 +20,7 @@ LONGEST_SEGMENT = 256  # samples per periodogram: frequency resolution against a
 def draw(study: StudyFolder) -> Figure:
     """Draw coverage and spectrum of the first input channel. Coverage, order and warning are those
     found when the data set was made."""
-    kept, record = study.of_best(
+    kept, record = study.read_from_best(
         "excitation", "record", otherwise="No run left an excitation to draw."
     )
     fig = style.new_figure(style.PAGE_IN, 2.2)
@@ -32,7 +32,9 @@ def draw(study: StudyFolder) -> Figure:
     counts, edges = np.histogram(u, bins=40)
     amplitude.stairs(100 * counts / len(u), edges, fill=True, color=style.BLUE)
     amplitude.set(
-        xlabel=label, ylabel="Share of samples (%)", title=f"Training records{_covered(record)}"
+        xlabel=label,
+        ylabel="Share of samples (%)",
+        title=f"Training records{_coverage_title(record)}",
     )
     segment = min(
         LONGEST_SEGMENT, *map(len, records)
@@ -55,7 +57,8 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def _covered(record: Mapping[str, Any]) -> str:
+def _coverage_title(record: Mapping[str, Any]) -> str:
+    """Title that says which share of the input range the records cover."""
     if record.get("excitation_warning"):
         return ": two levels, slopes of $S_u$ not identifiable"
     share = record.get("input_coverage")

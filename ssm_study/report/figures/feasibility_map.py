@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import counts, words
-from ssm_study.table.columns import column, flag
+from ssm_study.report.words import verdict_counts, column_words
+from ssm_study.table.columns import numeric_column, boolean_column
 
 RATE = "rate_controller"
 LIMIT = "controller_rate_limit"
@@ -20,16 +20,16 @@ LIMIT = "controller_rate_limit"
 def draw(study: StudyFolder) -> Figure:
     """Draw every run with its verdict, and a bar per model at its exact limit."""
     table = study.table
-    ratio = column(table, "input_slope_lower") / column(table, "input_slope_upper")
-    rate = column(table, RATE)
+    ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
+    rate = numeric_column(table, RATE)
     known = ratio.notna() & rate.notna()
     if known.sum() < 2:
-        raise NothingToDraw(f"It takes two runs with slopes and a rate ({counts(table)}).")
+        raise NothingToDraw(f"It takes two runs with slopes and a rate ({verdict_counts(table)}).")
     spreads_far = ratio.max() > 20 * ratio[ratio > 0].min()
     fig = style.new_figure(style.COLUMN_IN, 2.8)
     axes = fig.add_subplot(xscale="log" if spreads_far else "linear")
-    certified = flag(table, "controller_certified")
-    feasible = flag(table, "controller_feasible")
+    certified = boolean_column(table, "controller_certified")
+    feasible = boolean_column(table, "controller_feasible")
     groups = (
         (certified, "certified", style.BLUE, "o"),
         (feasible & ~certified, "found, not certified", style.ORANGE, "s"),
@@ -39,10 +39,10 @@ def draw(study: StudyFolder) -> Figure:
         if (here & known).any():
             look: dict[str, Any] = {"c": colour, "marker": marker, "s": 16, "lw": 0.9, "zorder": 3}
             axes.scatter(ratio[here], rate[here], label=label, **look)
-    draw_frontier(axes, ratio, column(table, LIMIT))
+    draw_frontier(axes, ratio, numeric_column(table, LIMIT))
     style.place_legend_above(axes, columns=2)
     axes.set_xlabel("Certified slope ratio of S$_u$, smallest / largest (–)")
-    axes.set_ylabel(words(RATE))
+    axes.set_ylabel(column_words(RATE))
     return fig
 
 

@@ -12,7 +12,8 @@ from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    (model,) = study.of_best("model", otherwise="No run left a model without neurons.")
+    """Draw the Hankel singular values of the best run's model."""
+    (model,) = study.read_from_best("model", otherwise="No run left a model without neurons.")
     if model.linear.spectral_radius >= 1:
         raise NothingToDraw("The linear part is not stable: it has no Hankel singular values.")
     values = hankel_singular_values(model.linear)

@@ -25,7 +25,8 @@ Range = Float[np.ndarray, "N"]
 
 
 def draw(study: StudyFolder) -> Figure:
-    model, record, config = study.of_best(
+    """Draw the learned input map beside the motor's true dead-zone, and its slope."""
+    model, record, config = study.read_from_best(
         "model", "record", "config", otherwise="No run left a model without neurons."
     )
     if model.scaffold_in.inputs != 1:
@@ -33,20 +34,24 @@ def draw(study: StudyFolder) -> Figure:
     fig = style.new_figure(style.PAGE_IN, 2.5)
     value, slope = fig.subplots(1, 2)
     (threshold, held), scale = known_dead_zone(config), float(model.scale.input_scale[0])
-    voltage = _around_rest(
+    voltage = _voltage_range(
         model, REACH_IN_SCALES * scale if threshold is None else REACH_IN_DEAD_ZONES * threshold
     )
     gain = 1.0 if threshold is None else _gain_to_volts(model, threshold)
     value.plot(
-        voltage, gain * _lifted(model, voltage), color=style.BLUE, label="learned S$_u$", zorder=3
+        voltage,
+        gain * _mapped_voltage(model, voltage),
+        color=style.BLUE,
+        label="learned S$_u$",
+        zorder=3,
     )
-    _slopes(slope, model, voltage, record)
+    _draw_slopes(slope, model, voltage, record)
     if threshold is not None:
         true = np.where(np.abs(voltage) < threshold, 0.0, scale / gain)
         line = {"color": style.INK, "lw": 0.9}
         value.plot(voltage, _dead_zone(voltage, threshold), ls="--", label="true dead-zone", **line)
         slope.step(voltage, true, where="mid", ls="--", label="dead-zone", **line)
-        fig.suptitle(_said(model, voltage, threshold), size=8, x=0.01, ha="left")
+        fig.suptitle(_dead_zone_sentence(model, voltage, threshold), size=8, x=0.01, ha="left")
     if threshold is not None and held:
         widened = _dead_zone(voltage, threshold + held)
         value.plot(voltage, widened, color=style.GREY, lw=0.9, ls=":", label="with friction")
@@ -72,18 +77,19 @@ def known_dead_zone(config: Mapping[str, Any]) -> tuple[float | None, float]:
     return plant.get("dead_zone_v"), 2 * torque * resistance / constant if constant else 0.0
 
 
-def _around_rest(model: SSM, reach: float) -> Range:
+def _voltage_range(model: SSM, reach: float) -> Range:
+    """Input voltages around the equilibrium at which the map is drawn."""
     return model.scale.input_equilibrium[0] + np.linspace(-reach, reach, 401)
 
 
-def _lifted(model: SSM, voltage: Range) -> Range:
+def _mapped_voltage(model: SSM, voltage: Range) -> Range:
+    """Learned input map evaluated at physical voltages."""
     return model.map_input(voltage[:, None])[:, 0]
 
 
-def _said(model: SSM, voltage: Range, threshold: float) -> str:
-    """Sentence on how much of a dead-zone was learned, from the mean slope inside it over the mean
-    slope outside. Zero would be all."""
-    rise = np.diff(_lifted(model, voltage)) / np.diff(voltage)  # per volt
+def _dead_zone_sentence(model: SSM, voltage: Range, threshold: float) -> str:
+    """Sentence on how much of the true dead-zone the input map has learned. Zero would be all."""
+    rise = np.diff(_mapped_voltage(model, voltage)) / np.diff(voltage)  # per volt
     inside = np.abs(voltage[1:] + voltage[:-1]) / 2 < threshold
     share = float(rise[inside].mean() / rise[~inside].mean())
     learned = (
@@ -101,17 +107,18 @@ def _said(model: SSM, voltage: Range, threshold: float) -> str:
 def _gain_to_volts(model: SSM, threshold: float) -> float:
     """Factor that brings S_u nearest to the dead-zone by least squares. S_u is free up to a factor
     that B takes up."""
-    voltage = _around_rest(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
-    learned = _lifted(model, voltage)
+    voltage = _voltage_range(model, REACH_IN_SCALES * float(model.scale.input_scale[0]))
+    learned = _mapped_voltage(model, voltage)
     return float(_dead_zone(voltage, threshold) @ learned / (learned @ learned))
 
 
 def _dead_zone(voltage: Range, threshold: float) -> Range:
-    """`v - sgn(v) v_dz`, 0 inside."""
+    """True dead-zone of the motor: zero inside, the voltage less the threshold outside."""
     return np.sign(voltage) * np.maximum(np.abs(voltage) - threshold, 0.0)
 
 
-def _slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -> None:
+def _draw_slopes(axes: Axes, model: SSM, voltage: Range, record: Mapping[str, Any]) -> None:
+    """Draw the slope of the learned input map and the interval that the certificate assumes."""
     scaled = (voltage - model.scale.input_equilibrium[0]) / model.scale.input_scale[0]
     local = [model.scaffold_in.jacobian(np.array([v]))[0, 0] for v in scaled]
     lower = record.get("input_slope_lower")

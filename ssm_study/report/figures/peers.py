@@ -12,8 +12,8 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import choice_label, counts, words
-from ssm_study.table.columns import column, text
+from ssm_study.report.words import choice_label, verdict_counts, column_words
+from ssm_study.table.columns import numeric_column, text_column
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,15 +29,17 @@ def draw(study: StudyFolder) -> Figure:
     """Draw a panel per number, a row per controller."""
     compared = "controller" in study.comparison
     if compared:
-        table = study.comparison[text(study.comparison, "situation") == "nominal"]
+        table = study.comparison[text_column(study.comparison, "situation") == "nominal"]
     else:
         table = study.table
-    method = text(table, "controller" if compared else "synthesis_method")
-    panels = panels_of(table)
+    method = text_column(table, "controller" if compared else "synthesis_method")
+    panels = create_panels(table)
     measured = pd.concat([panel.values for panel in panels], axis=1).notna().any(axis=1)
     known = method.ne("") & measured
     if method[known].nunique() < 2:
-        raise NothingToDraw(f"It takes two controllers in the closed loop ({counts(study.table)}).")
+        raise NothingToDraw(
+            f"It takes two controllers in the closed loop ({verdict_counts(study.table)})."
+        )
     methods = list(dict.fromkeys(method[known]))  # in the order of the table, which tells a story
     if panels[0].values[known].nunique() < 2:  # the share that settles is the same for all
         panels = panels[1:]
@@ -53,18 +55,22 @@ def draw(study: StudyFolder) -> Figure:
     return fig
 
 
-def panels_of(table: pd.DataFrame) -> list[PeerPanel]:
-    """Panels of the share settled, the settling time over the uncontrolled one, and the peak
-    input."""
-    ratio = column(table, "settling_time_mean_s") / column(table, "settling_time_open_loop_s")
+def create_panels(table: pd.DataFrame) -> list[PeerPanel]:
+    """Panels of the figure: share settled, relative settling time and peak input of each
+    controller."""
+    ratio = numeric_column(table, "settling_time_mean_s") / numeric_column(
+        table, "settling_time_open_loop_s"
+    )
     ratio = ratio.where(ratio > 0)  # without: starts that were at rest
     logarithmic = {"xscale": "log"} if ratio.notna().any() else {}
-    share = column(table, "stable_fraction")
-    peak = column(table, "input_peak_v")
+    share = numeric_column(table, "stable_fraction")
+    peak = numeric_column(table, "input_peak_v")
     return [
-        PeerPanel(values=share, label=words("stable_fraction"), scale={"xlim": (-0.05, 1.05)}),
+        PeerPanel(
+            values=share, label=column_words("stable_fraction"), scale={"xlim": (-0.05, 1.05)}
+        ),
         PeerPanel(values=ratio, label="Settling time / uncontrolled (–)", scale=logarithmic),
-        PeerPanel(values=peak, label=words("input_peak_v"), scale={"xlim": (0, None)}),
+        PeerPanel(values=peak, label=column_words("input_peak_v"), scale={"xlim": (0, None)}),
     ]
 
 

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
 from ssm_study.report.words import choice_label
-from ssm_study.table.columns import column
+from ssm_study.table.columns import numeric_column
 
 DARK = 0.45  # ratio below which a cell is so dark that its number is white
 FASTEST = 0.2  # ratio at the dark end of the colours
@@ -26,13 +26,13 @@ def draw(study: StudyFolder) -> Figure:
     """Draw controllers down and situations across, one cell each."""
     compared = study.comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
-    if not several or column(compared, "stable_fraction").isna().all():
+    if not several or numeric_column(compared, "stable_fraction").isna().all():
         raise NothingToDraw(
             "No run compared controllers in several situations (experiment=robustness does)."
         )
     shares = _table(compared, "stable_fraction")
     times = _table(compared, "settling_time_mean_s")
-    alone_s = float(column(compared, "settling_time_open_loop_s").dropna().iloc[0])
+    alone_s = float(numeric_column(compared, "settling_time_open_loop_s").dropna().iloc[0])
     ratios = (times / alone_s).where(shares > WHOLE)
     fig = style.new_figure(style.PAGE_IN, 1.1 + 0.3 * len(shares))
     axes = fig.add_subplot()
@@ -73,7 +73,7 @@ def _write_cells(
 def _table(compared: pd.DataFrame, name: str) -> pd.DataFrame:
     """Table of settling times with a row per controller and a column per situation, in the order of
     the comparison."""
-    rows = compared.assign(value=column(compared, name))
+    rows = compared.assign(value=numeric_column(compared, name))
     means = rows.pivot_table(
         index="controller", columns="situation", values="value", aggfunc="mean", dropna=False
     )

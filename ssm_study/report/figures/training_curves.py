@@ -6,25 +6,25 @@ from matplotlib.ticker import MaxNLocator
 
 from ssm_study import style
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.table.columns import column
+from ssm_study.table.columns import numeric_column
 
 
 def draw(study: StudyFolder) -> Figure:
     """Draw the columns of the curve that start with `fit_` (%), or else those of a loss, against
     `epoch`."""
-    (curve,) = study.of_best("curve", otherwise="No run left a training curve.")
+    (curve,) = study.read_from_best("curve", otherwise="No run left a training curve.")
     fig = style.new_figure(style.COLUMN_IN, 2.3)
     axes = fig.add_subplot()
     fits = [name for name in map(str, curve) if name.startswith("fit_")]
     for name in fits or [name for name in map(str, curve) if "loss" in name]:
-        y = column(curve, name)
+        y = numeric_column(curve, name)
         records = (
             name.removesuffix("_percent")
             .removeprefix("fit_")
             .removeprefix("loss_")
             .replace("_", " ")
         )
-        axes.plot(column(curve, "epoch")[y.notna()], y.dropna(), label=f"{records} records")
+        axes.plot(numeric_column(curve, "epoch")[y.notna()], y.dropna(), label=f"{records} records")
     axes.set_yscale("linear" if fits else "log")
     axes.set(xlabel="Epoch", ylabel="Fit (%)" if fits else "Loss (scaled output units²)")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -16,7 +16,7 @@ LONGEST = 1200  # samples; a longer record would be a solid block of ink in a co
 
 def draw(study: StudyFolder) -> Figure:
     """Draw both records of the best run in one column."""
-    test, validation, record = study.of_best(
+    test, validation, record = study.read_from_best(
         "test", "validation", "record", otherwise="No run left a validation record."
     )
     has_disturbance = all("disturbance" in case for case in validation.cases.values())

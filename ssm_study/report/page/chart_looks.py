@@ -27,6 +27,6 @@ def framed(spec: dict[str, Any], description: str, height: int = HEIGHT) -> dict
 
 
 def quantitative(field: str, title: str | None, **scale: Any) -> dict[str, Any]:
-    """Vega-Lite axis of numbers."""
+    """Vega-Lite axis for a numeric field."""
     shown: dict[str, Any] = {"field": field, "type": "quantitative", "title": title}
     return shown | ({"scale": scale} if scale else {})

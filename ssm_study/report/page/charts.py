@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from ssm_study import style
-from ssm_study.report.words import VERDICTS, words
-from ssm_study.table.columns import column
+from ssm_study.report.words import VERDICTS, column_words
+from ssm_study.table.columns import numeric_column
 
 HEIGHT = 250  # pixels
 SAME_FIT = 0.1  # percent: below, what fits differ by is chance
@@ -57,20 +57,22 @@ def panels(table: pd.DataFrame) -> list[dict[str, Any]]:
 
     Fits that all but agree say nothing.
     """
-    fits = column(table, "fit_test_percent")
+    fits = numeric_column(table, "fit_test_percent")
     alike = fits.max() - fits.min() < SAME_FIT
     drawn = [_telling(table, panel) for panel in PANELS if not (alike and panel.x == fits.name)]
     usable = [
-        panel for panel in drawn if (column(table, panel.x) * column(table, panel.y)).notna().any()
+        panel
+        for panel in drawn
+        if (numeric_column(table, panel.x) * numeric_column(table, panel.y)).notna().any()
     ]
     return [vars(panel) | {"spec": specification(panel, table)} for panel in usable]
 
 
 def _telling(table: pd.DataFrame, panel: Panel) -> Panel:
-    """Replace the share of settled starts by the settling time in a plot where every start of every
-    run settles. Where every start of every run settles, a share says nothing: then the plot shows
-    how fast they settle."""
-    shares = column(table, panel.y).dropna()
+    """Panel with the settling time in place of the share of settled starts where every start
+    settles. Where every start of every run settles, a share says nothing: then the plot shows how
+    fast they settle."""
+    shares = numeric_column(table, panel.y).dropna()
     if panel.y != "stable_fraction" or len(shares) < 2 or (shares < 1).any():
         return panel
     return replace(panel, y="settling_time_mean_s", note=f"{panel.note} {ALL_SETTLE}".strip())
@@ -83,13 +85,13 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     It also fills the data sets `runs` and `ticks`.
     """
     upright = [] if panel.rule_x is None else [panel.rule_x]
-    median = float(column(table, panel.rule_y).median())
+    median = float(numeric_column(table, panel.rule_y).median())
     level = [] if np.isnan(median) else [median]
-    ticks = column(table, panel.tick).dropna().tolist()
+    ticks = numeric_column(table, panel.tick).dropna().tolist()
     across = _scale(panel.x, table, panel.log == "x", upright)
     up = _scale(panel.y, table, panel.log == "y", level + ticks)
-    x = alt.X(f"{panel.x}:Q", title=words(panel.x), scale=across)
-    y = alt.Y(f"{panel.y}:Q", title=words(panel.y), scale=up)
+    x = alt.X(f"{panel.x}:Q", title=column_words(panel.x), scale=across)
+    y = alt.Y(f"{panel.y}:Q", title=column_words(panel.y), scale=up)
     layers = [_rule().encode(x=alt.datum(value)) for value in upright]
     layers += [_rule().encode(y=alt.datum(value)) for value in level]
     if panel.tick:  # on the points' scale: one of its own would include zero
@@ -98,14 +100,14 @@ def specification(panel: Panel, table: pd.DataFrame) -> dict[str, Any]:
     layers.append(_ring().encode(x=at_x, y=alt.Y(f"{panel.y}:Q", scale=up)))
     points = _points().encode(x=x, y=y)
     chart = alt.layer(*layers, points, data=alt.NamedData("runs"))
-    axes = f"{words(panel.y)} against {words(panel.x)}"
+    axes = f"{column_words(panel.y)} against {column_words(panel.x)}"
     description = f"{panel.question} {axes}, one point per run"
     sized = chart.properties(width="container", height=HEIGHT, description=description)
     return _dressed(sized)
 
 
 def _bars() -> alt.Chart:
-    """Layer that draws a short bar per run, in the data set `ticks`."""
+    """Chart layer with one short bar per run for its stage times."""
     look: dict[str, Any] = {
         "color": style.INK,
         "size": 16,
@@ -124,7 +126,7 @@ def _ring() -> alt.Chart:
 
 
 def _dressed(chart: Any) -> dict[str, Any]:
-    """Apply the page's fonts and colours to a chart."""
+    """Vega-Lite specification with the page's fonts and colours."""
     chart = chart.configure(font="system-ui, sans-serif", background="white").configure_view(
         stroke=None
     )
@@ -184,7 +186,8 @@ def _brush(*encodings: Literal["x", "y"]) -> alt.Parameter:
 
 
 def _rule() -> alt.Chart:
-    """Layer that draws one line. On the data of the points it would be drawn once per run."""
+    """Chart layer with a single reference line. On the data of the points it would be drawn once
+    per run."""
     return alt.Chart(alt.InlineData([{}])).mark_rule(
         strokeDash=[4, 3], color=style.GREY, aria=False
     )
@@ -198,7 +201,7 @@ def _scale(name: str, table: pd.DataFrame, log: bool, beside: list[float]) -> al
     """
     if name == "stable_fraction":
         return alt.Scale(domain=[-0.05, 1.05], nice=False)  # points at 0 and 1 are drawn whole
-    values = pd.concat([column(table, name).dropna(), pd.Series(beside, dtype=float)])
+    values = pd.concat([numeric_column(table, name).dropna(), pd.Series(beside, dtype=float)])
     if values.empty:  # the explorer: the script fills in the column
         return alt.Scale(zero=False, padding=8)
     low = float(values.min())

@@ -13,24 +13,24 @@ from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
 from ssm_study.report.page.first_screen import (
-    cards,
+    outcome_cards,
     introduction,
-    record_of,
+    row_as_record,
     remarks,
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
-from ssm_study.report.words import VERDICTS, choice_label, counts, verdicts, words
+from ssm_study.report.words import VERDICTS, choice_label, verdict_counts, verdicts, column_words
 from ssm_study.table.columns import (
     DECLARED,
     FURTHER,
     RESULTS,
-    by_part,
-    column,
+    group_by_part,
+    numeric_column,
     requested_values,
     swept_settings,
-    text,
+    text_column,
 )
 from ssm_study.table.rank import best_first
 
@@ -55,20 +55,20 @@ ALSO_FIRST = (
 
 def page_data(study: StudyFolder) -> dict[str, Any]:
     """Collect everything that the page's script needs, as plain JSON values."""
-    table = best_ordered(study.table)
+    table = sort_for_page(study.table)
     names = [str(name) for name in table]
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
-    data["columns"] = {name: coded(table[name]) for name in names}
-    data["words"] = {name: words(name) for name in names}
-    data["menus"] = by_part(names)
+    data["columns"] = {name: encode_repeats(table[name]) for name in names}
+    data["column_words"] = {name: column_words(name) for name in names}
+    data["menus"] = group_by_part(names)
     data["known_columns"] = [column.name for column in DECLARED if column.word]
     data["first"] = first_columns(table)
     data["parameters"] = swept_settings(table)
     data["trajectories"] = trajectories(study, table)
     data["pictures"] = pictures(study, table)
     data["comparisons"] = comparisons(study, table)
-    data["slider"] = slider(table)
+    data["slider_settings"] = slider_settings(table)
     return data
 
 
@@ -78,10 +78,10 @@ def first_columns(table: pd.DataFrame) -> list[str]:
     return ["run", "verdict", *swept_settings(table), "stable_count", *results, *ALSO_FIRST]
 
 
-def slider(table: pd.DataFrame) -> dict[str, Any] | None:
-    """Settings of the slider that steps through a swept number. The swept number that a slider
-    moves: the runs that share all other settings with the best, in its order; a rate before other
-    numbers. None where there is no such sweep."""
+def slider_settings(table: pd.DataFrame) -> dict[str, Any] | None:
+    """Settings of the page's slider over a swept number; None where nothing numeric was swept. The
+    swept number that a slider moves: the runs that share all other settings with the best, in its
+    order; a rate before other numbers. None where there is no such sweep."""
     if not len(table):
         return None
     settings = swept_settings(table)
@@ -97,7 +97,7 @@ def slider(table: pd.DataFrame) -> dict[str, Any] | None:
         numbers = pd.to_numeric(requested_values(table, name)[alike], errors="coerce").dropna()
         numbers = numbers[~numbers.duplicated()].sort_values()
         if len(numbers) > 1:
-            title = words(name).partition(" (")[0]
+            title = column_words(name).partition(" (")[0]
             return {"title": title, "runs": numbers.index.tolist(), "values": numbers.tolist()}
     return None
 
@@ -106,14 +106,17 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Text blocks of the page's HTML."""
     best = study.best
     config = best.path / ".hydra" / "config.yaml" if best else None
-    on = {"Plant": text(table, "plant").map(choice_label), "Data": text(table, "data_source")}
+    on = {
+        "Plant": text_column(table, "plant").map(choice_label),
+        "Data": text_column(table, "data_source"),
+    }
     subject = "".join(
         f"{word}: {', '.join(names)}. "
         for word, said in on.items()
         if (names := sorted({*said} - {""}))
     )
-    parts: dict[str, Any] = {"title": study.name, "question": question(table)}
-    parts["swept"] = f"{subject}{counts(table)}. {parameters_line(table)}"
+    parts: dict[str, Any] = {"title": study.name, "question": page_title(table)}
+    parts["swept"] = f"{subject}{verdict_counts(table)}. {parameters_line(table)}"
     parts["several"] = len(table) > 1
     parts["answers"] = answers(table)
     parts["provenance"] = provenance(study, table)
@@ -121,12 +124,12 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     parts["failures"] = failure_groups(table)
     parts["most_reasons"] = MOST_REASONS
     parts["most_runs"] = MOST_RUNS
-    parts["names"] = text(table, "run").tolist()
+    parts["names"] = text_column(table, "run").tolist()
     if len(table):
-        first = record_of(table.iloc[0])
+        first = row_as_record(table.iloc[0])
         parts["introduction"] = introduction(table)
         parts["settings"] = settings_line(table)
-        parts["cards"] = cards(first)
+        parts["outcome_cards"] = outcome_cards(first)
         parts["remarks"] = list(remarks(first))
     return parts
 
@@ -138,12 +141,12 @@ def provenance(study: StudyFolder, table: pd.DataFrame) -> list[tuple[str, str]]
     for name in PROVENANCE:
         if name not in table:
             continue
-        values = sorted({TREE.get(value, value) for value in text(table, name)} - {""})
+        values = sorted({TREE.get(value, value) for value in text_column(table, name)} - {""})
         if values:
             title = name.replace("git_dirty", "working tree").replace("_", " ")
             facts.append((title, " or ".join(values)))
     if len(table):
-        folder, run = run_address(study, text(table, "run").iloc[0])
+        folder, run = run_address(study, text_column(table, "run").iloc[0])
         facts.append(("to check the best run", f"ssm-study verify results/{folder}/{run}"))
     return facts
 
@@ -155,11 +158,10 @@ def run_address(study: StudyFolder, name: str) -> tuple[str, str]:
     return folder, name.rpartition("/")[2].rpartition("-")[2]
 
 
-def question(table: pd.DataFrame) -> str:
-    """Title of the page, the question of a sweep, as `What changes with the model order and the
-    controller rate?`."""
+def page_title(table: pd.DataFrame) -> str:
+    """Title of the page as a question, such as `What changes with the model order?`."""
     said = (
-        (name, words(name).partition(" (")[0].partition(",")[0].lower())
+        (name, column_words(name).partition(" (")[0].partition(",")[0].lower())
         for name in swept_settings(table)
     )
     varied = [
@@ -174,27 +176,28 @@ def question(table: pd.DataFrame) -> str:
     )
 
 
-def best_ordered(table: pd.DataFrame) -> pd.DataFrame:
-    """Sort the table with the best run first, and add the two columns that the plots need."""
+def sort_for_page(table: pd.DataFrame) -> pd.DataFrame:
+    """Table with the best run first and the columns that the plots need."""
     table = best_first(table).reset_index(drop=True)
     table = table.assign(verdict=verdicts(table))
-    ratio = column(table, "input_slope_lower") / column(table, "input_slope_upper")
+    ratio = numeric_column(table, "input_slope_lower") / numeric_column(table, "input_slope_upper")
     return table.assign(slope_ratio=ratio) if ratio.notna().any() else table
 
 
-def coded(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
-    """Compress a column whose values repeat. The plain values, or where few differ each once and
-    which of them stands where; nowhere, if all are the same."""
+def encode_repeats(values: pd.Series) -> list[Any] | dict[str, list[Any]]:
+    """Compact form of a column whose values repeat: the distinct values and an index for each row.
+    The plain values, or where few differ each once and which of them stands where; nowhere, if all
+    are the same."""
     at, distinct = pd.factorize(values, use_na_sentinel=False)
-    shown = [_plain(value) for value in distinct]
+    shown = [_plain_json(value) for value in distinct]
     if 4 * len(shown) >= len(values):  # an index takes about a quarter of what a number takes
         return [shown[k] for k in at]
     return {"values": shown, "at": at.tolist() if len(shown) > 1 else []}
 
 
-def _plain(value: Any) -> Any:
-    """Convert a value of the table to plain JSON. A number (to seven digits), a text, a truth
-    value, or None: JSON has no NaN."""
+def _plain_json(value: Any) -> Any:
+    """Value of the table as a plain JSON value. A number (to seven digits), a text, a truth value,
+    or None: JSON has no NaN."""
     value = value.item() if isinstance(value, np.generic) else value
     if pd.isna(value) or value in (np.inf, -np.inf):
         return None
@@ -204,16 +207,16 @@ def _plain(value: Any) -> Any:
 
 
 def trajectories(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
-    """Closed-loop trajectories of the best runs. `{run: {...}}` for the best runs that left
-    recordings."""
-    best = text(table, "run").head(MOST_TRAJECTORIES)
-    return {name: found for name in best if name and (found := _recordings(study.run(name)))}
+    """Closed-loop trajectories of the best runs by run name. `{run: {...}}` for the best runs that
+    left recordings."""
+    best = text_column(table, "run").head(MOST_TRAJECTORIES)
+    return {name: found for name in best if name and (found := _run_recordings(study.run(name)))}
 
 
 def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Pictures of the best runs. `{run: [picture, ...]}` for the best few runs: each takes 50 kB
     and a second or two."""
-    best = text(table, "run").head(MOST_PICTURED)
+    best = text_column(table, "run").head(MOST_PICTURED)
     drawn = {name: pictures_of_run(study.run(name)) for name in best if name}
     return {name: pictured for name, pictured in drawn.items() if pictured}
 
@@ -221,41 +224,40 @@ def pictures(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
 def comparisons(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
     """Comparisons of controllers for the runs that have one. `{run: table or chart}`:
     controllers and situations, or certified designs, that the best runs tried."""
-    best = set(text(table, "run").head(MOST_TRAJECTORIES))
+    best = set(text_column(table, "run").head(MOST_TRAJECTORIES))
     compared = study.comparison
     runs = compared.groupby("run") if len(compared) else ()
     return {str(run): comparison_json(rows) for run, rows in runs if run in best}
 
 
-def _recordings(run: RunFolder) -> dict[str, Any]:
-    """Recordings of one run as the page draws them: its closed loop and its free run on the
-    validation record."""
+def _run_recordings(run: RunFolder) -> dict[str, Any]:
+    """Closed loop and validation free run of one run, in the page's compact form."""
     found: dict[str, Any] = {}
     if (loop := run.closed_loop) is not None:
         until = int(np.searchsorted(loop.time_s("output"), loop.settled_time_s)) + 1
-        packed_loop = _packed(loop, until, y="output", u="input", alone="uncontrolled")
+        packed_loop = _encode_signals(loop, until, y="output", u="input", alone="uncontrolled")
         packed_loop["band"] = loop.settling_band
         packed_loop["goal"] = float(loop["reference"][0, -1, 0])
         found["loop"] = packed_loop
     if (record := run.validation) is not None:
-        found["validation"] = _packed(record, LONGEST, y="measured", model="simulated")
+        found["validation"] = _encode_signals(record, LONGEST, y="measured", model="simulated")
     return found
 
 
-def _packed(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """Encode the first channel of these signals and what is printed of them."""
+def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
+    """First channel of several recorded signals with their labels, in the page's compact form."""
     y = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
     if "u" in names:
         about["input"] = recording.label(names["u"])
     for short, name in names.items():
-        about[short] = packed(recording[name][:, :until, 0])
+        about[short] = encode_rows(recording[name][:, :until, 0])
     return about
 
 
-def packed(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
-    """Encode rows of numbers compactly. 16-bit steps of the largest value, base64: invisible in
-    a plot, a tenth of the size of text."""
+def encode_rows(rows: Float[np.ndarray, "N T"]) -> dict[str, Any]:
+    """Compact text form of rows of numbers for the page's script. 16-bit steps of the largest
+    value, base64: invisible in a plot, a tenth of the size of text."""
     step = float(np.abs(rows).max()) / 32767 or 1.0
     steps = np.rint(rows / step).astype("<i2")  # little endian, as the script reads it
     coded_steps = base64.b64encode(steps.tobytes()).decode()

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.first_screen import REASONS, reasons, record_of, verdict_of
+from ssm_study.report.page.first_screen import REASONS, reasons, row_as_record, record_verdict
 from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
 
 MOST_REASONS = 40
@@ -35,8 +35,8 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
     for place, verdict in enumerate(table["verdict"]):
         if verdict in GOOD:
             continue
-        record = record_of(needed.iloc[place])
-        sentence = f"{record['verdict']}: {reason_of(record)}"
+        record = row_as_record(needed.iloc[place])
+        sentence = f"{record['verdict']}: {failure_reason(record)}"
         groups.setdefault(NUMBER.sub("#", sentence), []).append((place, sentence))
     worst_first = sorted(groups, key=lambda sentence: (severity(sentence), sentence))
     return [group_of(groups[sentence]) for sentence in worst_first]
@@ -44,20 +44,20 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 def group_of(runs: list[tuple[int, str]]) -> FailureGroup:
     """Group of runs with one reason; each run has its place in the table and its sentence."""
-    reason = with_ranges([sentence for _, sentence in runs])
+    reason = merge_number_ranges([sentence for _, sentence in runs])
     places = tuple(place for place, _ in runs[:MOST_RUNS])
     return FailureGroup(reason=reason, count=len(runs), places=places)
 
 
 def severity(sentence: str) -> int:
-    """Rank of a sentence's outcome in `SEVERITY`, by which groups are ordered."""
+    """Rank of a sentence's outcome, by which groups of failures are ordered."""
     return next((k for k, word in enumerate(SEVERITY) if sentence.startswith(word)), -1)
 
 
-def reason_of(record: dict[str, Any]) -> str:
-    """Reason why a run is listed, in a sentence."""
+def failure_reason(record: dict[str, Any]) -> str:
+    """Sentence with the reason why a run counts as unsuccessful."""
     if record["verdict"] == UNTRIED.word:
-        return verdict_of(record).sentence
+        return record_verdict(record).sentence
     if record["verdict"] == LOST.word:
         settled = record.get("stable_count") or 0
         starts = record.get("initial_conditions") or 0
@@ -65,13 +65,14 @@ def reason_of(record: dict[str, Any]) -> str:
     return " ".join(reasons(record)) or "no reason was recorded"
 
 
-def with_ranges(sentences: Sequence[str]) -> str:
-    """Merge sentences that differ in their numbers alone into one. Each number that varies becomes
-    its range."""
+def merge_number_ranges(sentences: Sequence[str]) -> str:
+    """Merge sentences that differ only in numbers into one, with ranges in place of the numbers.
+    Each number that varies becomes its range."""
     texts = [NUMBER.findall(sentence) for sentence in sentences]
     columns = iter(zip(*texts, strict=True))
 
     def spanned(match: re.Match[str]) -> str:
+        """Range that replaces one number in the merged sentence."""
         column = next(columns)
         low = min(column, key=float)
         high = max(column, key=float)

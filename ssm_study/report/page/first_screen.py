@@ -10,7 +10,7 @@ import pandas as pd
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import loop_place, pi_words
-from ssm_study.report.words import SETTLED, VERDICTS, Verdict, digits_beside, words
+from ssm_study.report.words import SETTLED, VERDICTS, Verdict, digits_beside_bound, column_words
 from ssm_study.table.columns import swept_settings
 
 Record = Mapping[str, Any]
@@ -42,15 +42,14 @@ class Remark:
     is_warning: bool = False
 
 
-def record_of(row: "pd.Series[Any]") -> dict[str, Any]:
-    """Convert a row of the table to plain values, None for what is missing."""
+def row_as_record(row: "pd.Series[Any]") -> dict[str, Any]:
+    """Row of the table as a plain dictionary with None for missing values."""
     return {str(name): None if pd.isna(value) else value for name, value in row.items()}
 
 
 def introduction(table: pd.DataFrame) -> str:
-    """Words before the best run's name, on the rule by which it is the best, as far as it
-    applied."""
-    record = record_of(table.iloc[0])
+    """Text before the best run's name that states the rule by which it is the best."""
+    record = row_as_record(table.iloc[0])
     if len(table) == 1:
         return "Run: "
     if record["verdict"] != SETTLED.word:
@@ -61,14 +60,14 @@ def introduction(table: pd.DataFrame) -> str:
 
 def settings_line(table: pd.DataFrame) -> str:
     """Sentence on the settings of the best run in which runs differ. Empty if they do not."""
-    record = record_of(table.iloc[0])
+    record = row_as_record(table.iloc[0])
     parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept_settings(table)]
     return f". Its settings: {', '.join(parts)}." if parts else ""
 
 
 def short_word(name: str) -> str:
     """Printed name of a setting without symbol and unit, in lower case."""
-    return re.sub(r"[ ,]*[(,ρ].*", "", words(name)).lower()
+    return re.sub(r"[ ,]*[(,ρ].*", "", column_words(name)).lower()
 
 
 def setting_text(record: Record, name: str) -> str:
@@ -80,8 +79,8 @@ def setting_text(record: Record, name: str) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def cards(record: Record) -> list[Card]:
-    """Cards on model, proof, prediction and closed loop, as far as the run has them."""
+def outcome_cards(record: Record) -> list[Card]:
+    """Cards on model, proof, prediction and closed loop that a run has."""
     builders = (model_card, proved_card, predicted_card, seen_card)
     built = [build(record) for build in builders]
     return [card for card in built if card is not None]
@@ -155,9 +154,9 @@ def predicted_card(record: Record) -> Card | None:
     text = f"stability margin (above 1 is needed): {word}"
     radius = record.get("controller_radius")
     if radius is not None:
-        spectral = digits_beside(radius)
+        spectral = digits_beside_bound(radius)
         text += f"; spectral radius of the controller {spectral} (below 1 is needed)"
-    return Card(title=title, number=digits_beside(margin), text=text)
+    return Card(title=title, number=digits_beside_bound(margin), text=text)
 
 
 def seen_card(record: Record) -> Card | None:
@@ -188,8 +187,8 @@ def is_on_model(record: Record) -> bool:
     return seen_place(record) == "model"
 
 
-def verdict_of(record: Record) -> Verdict:
-    """Verdict on a run, by the word in the table."""
+def record_verdict(record: Record) -> Verdict:
+    """Verdict on a run from its record."""
     return next(verdict for verdict in VERDICTS if verdict.word == record["verdict"])
 
 
@@ -200,10 +199,10 @@ def reasons(record: Record) -> list[str]:
 
 def remarks(record: Record) -> Iterator[Remark]:
     """Remarks on an outcome that is no success, and on the evidence behind the prediction."""
-    verdict = verdict_of(record)
+    verdict = record_verdict(record)
     if verdict != SETTLED:
         sentences = [f"{verdict.word}: {verdict.sentence}", *reasons(record)]
-        yield Remark(title="Outcome", text=sentences_of(sentences), is_warning=True)
+        yield Remark(title="Outcome", text=join_sentences(sentences), is_warning=True)
     evidence = record.get("evidence")
     if evidence:
         findings = FINDING.split(str(record.get("evidence_reasons") or ""))
@@ -216,16 +215,16 @@ def remarks(record: Record) -> Iterator[Remark]:
         yield Remark(
             title=f"Evidence: {evidence}",
             text=support_and_doubts,
-            notes=tuple(map(capitalised, notes)),
+            notes=tuple(map(capitalise, notes)),
             is_warning=is_warning,
         )
 
 
-def sentences_of(parts: Sequence[str]) -> str:
-    """Join parts to sentences, each with a capital first and a full stop last."""
-    return " ".join(f"{capitalised(part).rstrip('.')}." for part in parts)
+def join_sentences(parts: Sequence[str]) -> str:
+    """Join text parts to sentences with a capital letter first and a full stop last."""
+    return " ".join(f"{capitalise(part).rstrip('.')}." for part in parts)
 
 
-def capitalised(text: str) -> str:
+def capitalise(text: str) -> str:
     """Text with its first letter capital and the others unchanged."""
     return text[:1].upper() + text[1:]

@@ -32,8 +32,8 @@ setInterval(async () => { try { const now = await (await fetch("/state")).json()
 
 
 class LivePage:
-    """Page of one study that is written again when a record has changed. It is safe to ask from
-    several threads."""
+    """Report page of a study that is written again when a record has changed. It is safe to ask
+    from several threads."""
 
     def __init__(self, study: Path) -> None:
         require(
@@ -49,7 +49,7 @@ class LivePage:
         self.html = WAITING
 
     def page(self) -> str:
-        """Text of the page with the script that asks for `/state` every two seconds."""
+        """HTML of the page with a script that asks for new state every two seconds."""
         with self.lock:
             mark = self.current_mark()
             if mark != self.mark and record_marks(self.study):
@@ -60,12 +60,13 @@ class LivePage:
             return allowed + SCRIPT
 
     def current_mark(self) -> str:
-        """Mark of the study's present state, which changes whenever a record does."""
+        """Text that changes whenever a record of the study does."""
         marks = sorted((name, *mark) for name, mark in record_marks(self.study).items())
         return str(hash(tuple(marks)))
 
     def state(self) -> dict[str, str]:
-        """Mark and progress in one line, as `12 runs: 9 ok, 1 failed, 2 running`."""
+        """State of the study for the page's script: a mark that changes with the records, and the
+        progress."""
         records = (read_record(path.parent) for path in self.study.glob(f"*/{RECORD}"))
         counts = Counter(str(record["status"]) for record in records if record is not None)
         told = ", ".join(f"{count} {status}" for status, count in sorted(counts.items()))
@@ -75,12 +76,12 @@ class LivePage:
         }
 
 
-def serve(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
-    """Serve a study's page on a local port. A server on the local port (0: any free one) that is
-    ready to serve; raises `BadRequest` if the port is taken."""
+def start_server(study: Path, port: int, announce: Callable[[str], object]) -> ThreadingHTTPServer:
+    """Start a web server on a local port that shows a study's page. A server on the local port (0:
+    any free one) that is ready to serve; raises `BadRequest` if the port is taken."""
     try:
         server = ThreadingHTTPServer(
-            (LOCALHOST, port), _handler(LivePage(study))
+            (LOCALHOST, port), _create_handler(LivePage(study))
         )  # a page may take seconds to write
     except OSError as error:
         remedy = "give another with --port, or 0 for any free one"
@@ -95,14 +96,18 @@ def is_loopback(host: str) -> bool:
     return re.fullmatch(r"(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?", host.lower()) is not None
 
 
-def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
+def _create_handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
+    """Class that answers the HTTP requests for one live page."""
     answers: dict[str, tuple[str, Callable[[], str]]] = {
         "/": ("text/html; charset=utf-8", live.page),
         "/state": ("application/json", lambda: json.dumps(live.state())),
     }
 
     class Handler(BaseHTTPRequestHandler):
+        """Handler of HTTP requests for the live page."""
+
         def do_GET(self) -> None:  # the name that http.server looks for
+            """Answer a request for the page or its state, and refuse every other."""
             # A page of a stranger may give its own name our address, and read what we answer.
             if not is_loopback(self.headers.get("Host", "")):
                 self.send_error(403, "ask for localhost")
@@ -123,6 +128,6 @@ def _handler(live: LivePage) -> type[BaseHTTPRequestHandler]:
             self.wfile.write(body)
 
         def log_message(self, *_: object) -> None:
-            """Print nothing for a request: a line every two seconds would bury what matters."""
+            """Write no log line for a request."""
 
     return Handler

@@ -57,8 +57,8 @@ def axes_words(panel: PicturePanel) -> str:
 def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
     """Vega-Lite specification of one pair of axes. Series with a name are in the legend above."""
     axes = {
-        "x": quantitative("x", panel.x_label, **scale(panel.log_x, panel.x_range)),
-        "y": quantitative("y", panel.y_label, **scale(panel.log_y, panel.y_range)),
+        "x": quantitative("x", panel.x_label, **axis_scale(panel.log_x, panel.x_range)),
+        "y": quantitative("y", panel.y_label, **axis_scale(panel.log_y, panel.y_range)),
     }
     coloured = [(band.name, band.colour) for band in panel.bands]
     coloured += [(rule.name, INK) for rule in panel.rules]
@@ -71,15 +71,16 @@ def panel_spec(panel: PicturePanel, description: str) -> dict[str, Any]:
     return framed({"layer": layer, **size}, description)
 
 
-def scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
-    """Vega-Lite scale of an axis. Without limits it leaves a few pixels of room."""
+def axis_scale(log: bool, limits: tuple[float, float] | None) -> dict[str, Any]:
+    """Vega-Lite scale of an axis, linear or logarithmic. Without limits it leaves a few pixels of
+    room."""
     room: dict[str, Any] = {"padding": 6} if limits is None else {"domain": list(limits)}
     kind: dict[str, Any] = {"type": "log"} if log else {"type": "linear", "zero": False}
     return kind | room | {"nice": False}
 
 
-def colour_of(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
-    """Colour of a part, and its entry in the legend if it has a name."""
+def part_colour(name: str, colour: str, legend: dict[str, str]) -> dict[str, Any]:
+    """Vega-Lite colour of a part of a picture, with its legend entry."""
     if not name:
         return {"value": colour}
     shown = {"title": None, "orient": "top", "columns": 2, "labelLimit": 260}
@@ -92,10 +93,10 @@ def series_layer(
 ) -> dict[str, Any]:
     """Vega-Lite layer of one series. It is cut to what is seen, a long line thinned, gaps shortened
     to one missing point."""
-    x, y = thinned(*cut(series.x, series.y, panel.x_range))
+    x, y = thin_line(*cut_to_range(series.x, series.y, panel.x_range))
     is_line = series.mark in ("line", "steps")
     transform: list[dict[str, Any]] = [{"flatten": ["x", "y"]}]
-    encoding = {**axes, "color": colour_of(series.name, series.colour, legend)}
+    encoding = {**axes, "color": part_colour(series.name, series.colour, legend)}
     if is_line:  # curves may turn back: the points follow one another as computed
         transform.append({"window": [{"op": "row_number", "as": "k"}]})
         encoding["order"] = {"field": "k"}
@@ -110,7 +111,7 @@ def rule_layer(rule: GuideLine, legend: dict[str, str]) -> dict[str, Any]:
     """Vega-Lite layer of a line across the panel."""
     axis = "y" if rule.x is None else "x"
     place = rule.y if rule.x is None else rule.x
-    encoding = {axis: {"datum": place}, "color": colour_of(rule.name, INK, legend)}
+    encoding = {axis: {"datum": place}, "color": part_colour(rule.name, INK, legend)}
     return {"data": {"values": [{}]}, "mark": STROKES, "encoding": encoding}
 
 
@@ -118,22 +119,21 @@ def band_layer(
     band: Band, panel: PicturePanel, axes: dict[str, Any], legend: dict[str, str]
 ) -> dict[str, Any]:
     """Vega-Lite layer of a shaded area, cut and thinned like a line."""
-    x, low = cut(band.x, band.low, panel.x_range)
-    high = cut(band.x, band.high, panel.x_range)[1]
+    x, low = cut_to_range(band.x, band.low, panel.x_range)
+    high = cut_to_range(band.x, band.high, panel.x_range)[1]
     every = _stride(len(x))
     edges = {"x": x, "y": low, "y2": high}
     values = {name: short_numbers(edge[::every]) for name, edge in edges.items()}
     layer: dict[str, Any] = {"data": {"values": [values]}}
     layer["transform"] = [{"flatten": ["x", "y", "y2"]}]
     layer["mark"] = {"type": "area", "opacity": 0.5, "clip": True}
-    colour = colour_of(band.name, band.colour, legend)
+    colour = part_colour(band.name, band.colour, legend)
     layer["encoding"] = {**axes, "y2": {"field": "y2"}, "color": colour}
     return layer
 
 
-def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
-    """Select the stretch of a signal over time that lies in a range. Other curves stay as they
-    are."""
+def cut_to_range(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch, Stretch]:
+    """Part of a signal over time that lies in a range. Other curves stay as they are."""
     rises = bool(np.all(np.diff(x) > 0))
     if seen is None or not rises:
         return x, y
@@ -142,9 +142,9 @@ def cut(x: Values, y: Values, seen: tuple[float, float] | None) -> tuple[Stretch
     return x[stretch], y[stretch]
 
 
-def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
-    """Reduce the number of points of a long line. At most about `MOST_POINTS` points; of a gap one
-    point stays, which breaks the line.
+def thin_line(x: Values, y: Values) -> tuple[Stretch, Stretch]:
+    """Reduce the number of points of a long line for the page. At most about `MOST_POINTS` points;
+    of a gap one point stays, which breaks the line.
 
     Closed curves with gaps (discs) are not thinned.
     """
@@ -157,7 +157,7 @@ def thinned(x: Values, y: Values) -> tuple[Stretch, Stretch]:
 
 
 def _stride(points: int) -> int:
-    """Number of points of which one is kept when a line is thinned."""
+    """Number of points per drawn point when a long line is thinned."""
     return max(1, -(-points // MOST_POINTS))
 
 

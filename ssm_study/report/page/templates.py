@@ -7,9 +7,9 @@ from typing import Any
 import pandas as pd
 
 from ssm_study.report.page.chart_looks import framed, quantitative
-from ssm_study.report.words import VERDICTS, words
+from ssm_study.report.words import VERDICTS, column_words
 from ssm_study.style import BLUE, CYCLE, GREY, INK, PALE
-from ssm_study.table.columns import column, swept_settings
+from ssm_study.table.columns import numeric_column, swept_settings
 
 TIME = "Time (s)"
 MOST_PARALLEL = 500  # runs: more lines are no picture
@@ -31,9 +31,14 @@ BY_OUTCOME = {
 }
 
 
-def templates(table: pd.DataFrame) -> dict[str, Any]:
-    """Chart templates by name. `parallel` is there only where it has something to show."""
-    found = {"responses": responses(), "signals": signals(), "played": played()}
+def chart_templates(table: pd.DataFrame) -> dict[str, Any]:
+    """Vega-Lite charts by name, whose data the page's script fills in. `parallel` is there only
+    where it has something to show."""
+    found = {
+        "responses": response_chart(),
+        "signals": signal_chart(),
+        "played": played_response_chart(),
+    }
     parallel = parallel_coordinates(table)
     return found | ({} if parallel is None else {"parallel": parallel})
 
@@ -48,14 +53,14 @@ def line_layer(colour: dict[str, Any], **mark: Any) -> dict[str, Any]:
     return {"data": {"name": "rows"}, "mark": line, "encoding": encoding}
 
 
-def responses() -> dict[str, Any]:
-    """Chart of responses with one line per initial state over the settling band. Colours follow the
-    order of their first values."""
+def response_chart() -> dict[str, Any]:
+    """Chart of closed-loop responses, one line per initial state. Colours follow the order of their
+    first values."""
     by_rank = {"field": "rank", "type": "ordinal", "legend": None, "scale": {"scheme": "viridis"}}
     return framed({"layer": [BAND, line_layer(by_rank)]}, "")
 
 
-def signals() -> dict[str, Any]:
+def signal_chart() -> dict[str, Any]:
     """Chart of several named signals in one axis."""
     by_name: dict[str, Any] = {"field": "kind", "type": "nominal", "sort": None}
     by_name["scale"] = {"range": [GREY, *CYCLE]}  # what was measured first
@@ -63,9 +68,9 @@ def signals() -> dict[str, Any]:
     return framed({"layer": [BAND, line_layer(by_name)]}, "")
 
 
-def played() -> dict[str, Any]:
-    """Chart of a single response that can be played. One start under control up to a moment that
-    a slider or the button moves."""
+def played_response_chart() -> dict[str, Any]:
+    """Chart of a single response that the page can animate. One start under control up to a moment
+    that a slider or the button moves."""
     one = {"filter": "datum.case === start"}
     until = {"filter": "datum.t <= moment"}
     at_moment = [one, until, {"joinaggregate": [{"op": "max", "field": "t", "as": "last"}]}]
@@ -93,7 +98,7 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
     """Chart with a line per run over the swept settings and four results. Each axis runs from its
     smallest to its largest value; None where there is too little or too much to see."""
     candidates = [name for name in (*swept_settings(table), *PARALLEL) if name in table]
-    names = [name for name in candidates if column(table, name).nunique() > 1]
+    names = [name for name in candidates if numeric_column(table, name).nunique() > 1]
     if len(names) < 3 or len(table) > MOST_PARALLEL:
         return None
     x = parallel_axis(names)
@@ -108,14 +113,14 @@ def parallel_coordinates(table: pd.DataFrame) -> dict[str, Any] | None:
     encoding = {"x": x, "y": y, "detail": {"field": "i"}, "color": BY_OUTCOME}
     lines = {"transform": [*fold, *scaled], "mark": mark, "encoding": encoding}
     labels = [end_label(op, fold, x) for op in ("min", "max")]
-    description = f"All runs over {', '.join(map(words, names))}: one line per run"
+    description = f"All runs over {', '.join(map(column_words, names))}: one line per run"
     spec = {"data": {"name": "rows"}, "layer": [lines, *labels], "usermeta": {"fields": names}}
     return framed(spec, description, 230)
 
 
 def parallel_axis(names: list[str]) -> dict[str, Any]:
     """Axis with one place for each column, named as printed, without units."""
-    titles = {name: words(name).partition(" (")[0] for name in names}
+    titles = {name: column_words(name).partition(" (")[0] for name in names}
     axis = {
         "labelExpr": f"({json.dumps(titles)})[datum.value]",
         "labelAngle": -20,

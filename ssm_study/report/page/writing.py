@@ -5,8 +5,8 @@ from pathlib import Path
 
 from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.data import best_ordered, page_data, written_parts
-from ssm_study.report.page.templates import templates
+from ssm_study.report.page.data import sort_for_page, page_data, written_parts
+from ssm_study.report.page.templates import chart_templates
 from ssm_study.report.study_folder import StudyFolder
 
 ASSETS = Path(__file__).parent / "assets"
@@ -37,12 +37,12 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
         remedy = "pip install 'ssm-study[report]'"
         raise BadRequest("report", "page", f"{error.name} is not installed", remedy) from error
     study = StudyFolder(folder=study_folder, others=others)
-    table = best_ordered(study.table)
+    table = sort_for_page(study.table)
     data = page_data(study) | {
         "panels": panels(table),
         "explorer": specification(EXPLORER, table),
         "groups": groups_specification(),
-        "templates": templates(table),
+        "templates": chart_templates(table),
     }
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     for letter in "<>&":  # whatever the texts of a run contain, they end no <script> element
@@ -53,7 +53,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
         **written_parts(study, table),
         style=files["page.css"],
         data=text,
-        library=_library(),
+        library=_charting_library(),
         script="\n".join(files[name] for name in SCRIPTS),
     )
     path = study_folder / (
@@ -68,8 +68,8 @@ def read_asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
-def _library() -> str:
-    """Vega, Vega-Lite and vega-embed as one script, read from the installed wheel."""
+def _charting_library() -> str:
+    """Script with Vega, Vega-Lite and vega-embed, read from the installed wheel."""
     import altair
     import vl_convert
 

@@ -11,8 +11,8 @@ from ssm_study.study.stages.free_run import ModelRun
 
 
 def compute_evidence(folder: Path, data: DataSet, bounded: ModelRun, shown: Mismatch) -> None:
-    """Judge which statements about the plant the data and the model support, and write
-    `evidence.json`."""
+    """Judge which statements about the plant the data and the model support, and store the
+    judgement."""
     judged = collect_findings(data, bounded.model, bounded.validation, bounded.test, shown)
     write_json(folder / "evidence.json", judged.to_json())
 

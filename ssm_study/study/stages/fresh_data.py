@@ -36,14 +36,14 @@ def compute_fresh_data(
     write_json(folder / FILE, {"needs": [repr(need) for need in needs]})
 
 
-def read_fresh_data(folder: Path) -> list[float]:
-    """Need of each fresh data set, relative to that of the run's own records."""
+def read_fresh_data_needs(folder: Path) -> list[float]:
+    """Disc radius that each fresh data set needs, relative to that of the run's own records."""
     return [float(need) for need in read_json(folder / FILE)["needs"]]
 
 
 def measure_fresh_data(needs: list[float], *_: Any) -> Facts:
-    """Column with the largest need of a fresh data set."""
+    """Column with the largest disc radius that a fresh data set needs."""
     return fresh_data_column(needs)
 
 
-FRESH_DATA = Stage("fresh_data", compute_fresh_data, read_fresh_data, measure_fresh_data)
+FRESH_DATA = Stage("fresh_data", compute_fresh_data, read_fresh_data_needs, measure_fresh_data)

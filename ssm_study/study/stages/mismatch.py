@@ -25,14 +25,13 @@ def compute_mismatch(folder: Path, data: DataSet, bounded: ModelRun) -> Mismatch
 
 
 def write_mismatch(folder: Path, mismatch: Mismatch) -> None:
-    """Write the mismatch as JSON, every number as the text that reads back to the same float, a
-    complex one as two."""
+    """Write the mismatch as JSON without loss of digits."""
     text = json.dumps(asdict(mismatch), default=_as_floats)
     (folder / FILE).write_text(text, encoding="utf-8")
 
 
 def _as_floats(array: Any) -> list[float]:
-    """Real or complex numbers of an array as a list of floats."""
+    """Entries of a real or complex array as a list of floats."""
     return list(np.ascontiguousarray(array).view(float).tolist())
 
 

@@ -57,7 +57,7 @@ def compute_model(
 
         facts["baseline"] = baseline_columns(data)
     write_json(folder / "training.json", facts)
-    write_json(folder / "training_curve.json", with_null_gaps(identified.curve))
+    write_json(folder / "training_curve.json", null_where_not_finite(identified.curve))
     if identified.members:
         write_json(folder / MEMBERS, [model.to_json() for model in identified.members])
     if identified.choice:
@@ -90,8 +90,8 @@ def read_members(folder: Path) -> tuple[Any, ...]:
     return tuple(read_model_json(each) for each in read_json(path)) if path.exists() else ()
 
 
-def with_null_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
-    """Training curve with null for values that are not finite."""
+def null_where_not_finite(curve: list[dict[str, float]]) -> list[dict[str, float | None]]:
+    """Training curve with None in place of infinite and undefined values."""
     rows: list[dict[str, float | None]] = []
     for row in curve:
         rows.append({name: finite_or_none(value) for name, value in row.items()})
@@ -99,7 +99,7 @@ def with_null_gaps(curve: list[dict[str, float]]) -> list[dict[str, float | None
 
 
 def finite_or_none(value: float) -> float | None:
-    """The number, or None for infinity and NaN."""
+    """Number, or None where it is infinite or undefined."""
     return value if math.isfinite(value) else None
 
 

@@ -9,7 +9,7 @@ from ssm_study.report.study_folder import StudyFolder
 
 
 def draw(study: StudyFolder) -> Figure:
-    (loop,) = study.of_best("closed_loop", otherwise="No run reached the closed loop.")
+    (loop,) = study.read_from_best("closed_loop", otherwise="No run reached the closed loop.")
     fig = style.new_figure(style.COLUMN_IN, 2.1)
     axes = fig.add_subplot()
     axes.hist(loop["input"].ravel(), bins=40, color=style.BLUE)
