@@ -94,7 +94,7 @@ def test_limits_hold_and_the_observer_knows_them():
         input_lower=-1.0,
         input_upper=0.5,
     )
-    result = limited.run(motor(), motor_model(), motor_design(), seed=1)
+    result = limited.run_design(motor(), motor_model(), motor_design(), seed=1)
     smallest = result.controlled.u.min()
     assert smallest == -1.0
     largest = result.controlled.u.max()

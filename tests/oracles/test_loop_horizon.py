@@ -25,7 +25,7 @@ def test_four_times_what_the_model_takes_to_spend_99_percent_of_its_response(pol
     assert loop.horizon_samples(model.step_s) == samples
     horizon_s = Loop(horizon_s=2.0).with_fixed_horizon(model).horizon_s
     assert horizon_s == 2.0
-    assert Loop(horizon_s=1e-9).samples(model.step_s) == 2  # a motion
+    assert Loop(horizon_s=1e-9).horizon_samples(model.step_s) == 2  # a motion
 
 
 def test_noise_that_alone_crosses_the_band_is_left_out_of_the_judgement():

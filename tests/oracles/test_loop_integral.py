@@ -187,7 +187,7 @@ def test_a_step_that_needs_the_limit_for_a_while_is_followed(design):
     assert largest < 1.1 * 8.0
     changed_limited = replace(limited, input_upper=0.9 * held)
     with pytest.raises(BadRequest, match=r"is held by inputs from .* widen the limits by"):
-        changed_limited.run(motor(), motor_model(), design, seed=0)
+        changed_limited.run_design(motor(), motor_model(), design, seed=0)
 
 
 def test_the_margin_with_integrators_by_two_routes(design):

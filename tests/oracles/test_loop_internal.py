@@ -181,7 +181,7 @@ def test_a_ramp_that_meets_a_limit_does_not_wind_up():
 def test_the_certified_bound_holds_with_a_sine():
     run = Loop(initial_conditions=3, horizon_s=2.0)
     design = made("step", "sine(0.5Hz)")
-    loop = run.run(motor(), motor_model(), design, seed=1)
+    loop = run.run_design(motor(), motor_model(), design, seed=1)
     columns = certificate_columns(loop, design)
     certified_bound_violations = columns["certified_bound_violations"]
     assert certified_bound_violations == 0
