@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from synthesis_certified import FOLDER
 
 from ssm_study import style
-from ssm_study.table.columns import numeric_column, boolean_column, text_column
+from ssm_study.table.columns import boolean_column, numeric_column, text_column
 
 METHODS = {  # method: label, colour, marker
     "riccati": ("Riccati", style.BLUE, "o"),

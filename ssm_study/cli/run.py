@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from ssm_study import THREADS, limit_threads
 from ssm_study.cli.browser import open_page
 from ssm_study.cli.exit_status import DONE, SOME_FAILED, storage_error
-from ssm_study.cli.hydra_errors import refuse_dashes, explain_hydra_error
+from ssm_study.cli.hydra_errors import explain_hydra_error, refuse_dashes
 from ssm_study.cli.request import (
     JUST_ASKING,
     OPEN,

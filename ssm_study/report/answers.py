@@ -13,8 +13,8 @@ import scipy
 
 from ssm_study.report.words import choice_label, column_words
 from ssm_study.table.columns import (
-    numeric_column,
     boolean_column,
+    numeric_column,
     requested_values,
     swept_settings,
     text_column,

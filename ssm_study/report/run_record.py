@@ -11,7 +11,7 @@ from rich.text import Text
 
 from ssm_study.engine.records import read_record
 from ssm_study.report.outcome import WIDTH, print_outcome
-from ssm_study.report.words import digits_beside_bound, column_words
+from ssm_study.report.words import column_words, digits_beside_bound
 from ssm_study.table.columns import group_by_part
 
 

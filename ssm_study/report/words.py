@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from ssm_study import style
-from ssm_study.table.columns import numeric_column, column_label
+from ssm_study.table.columns import column_label, numeric_column
 from ssm_study.table.rank import outcome_class
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Checks of the claims in `check_certificate.json`, decided again in exact arithmetic, and of the columns
+"""Checks of the claims in `certificate.json`, decided again in exact arithmetic, and of the columns
 that follow from them."""
 
 import re

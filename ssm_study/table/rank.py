@@ -10,8 +10,8 @@ import pandas as pd
 from ssm_study.refusal import BadRequest
 from ssm_study.table.columns import (
     BY_NAME,
-    numeric_column,
     boolean_column,
+    numeric_column,
     suggest_column,
     text_column,
 )

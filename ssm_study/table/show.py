@@ -17,8 +17,8 @@ from ssm_study.table.columns import (
     RESULTS,
     describe_columns,
     requested_values,
-    setting_path,
     setting_columns,
+    setting_path,
     text_column,
 )
 from ssm_study.table.filters import filter_rows as filtered

@@ -153,7 +153,8 @@ def compute(folder):
         stream.write(f"{os.getpid()}\\n")
     time.sleep(0.3)
     (folder / "model.json").write_text("{}")
-assert (Store(root).stage_with_key("model", KEY, {}, compute).path / "model.json").read_text() == "{}"
+stage = Store(root).stage_with_key("model", KEY, {}, compute)
+assert (stage.path / "model.json").read_text() == "{}"
 """
 
 

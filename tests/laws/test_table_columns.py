@@ -11,7 +11,7 @@ import pytest
 
 from ssm_study.report.page.data import sort_for_page
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.table.columns import DECLARED, find_declaration, column_label
+from ssm_study.table.columns import DECLARED, column_label, find_declaration
 from ssm_study.table.gather import table_from_records
 from ssm_study.table.rank import rank_runs
 from ssm_study.table.show import plain_table, short_names

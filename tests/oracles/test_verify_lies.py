@@ -44,8 +44,8 @@ from ssm_study.durable import add_digest, read_sealed_json, sha256_of_file, writ
 from ssm_study.engine.records import read_record
 from ssm_study.plants.wrapper import Wrapper
 from ssm_study.refusal import BadRequest
-from ssm_study.study.claims import check_records as section_data
 from ssm_study.study.claims import check_loops as section_loop
+from ssm_study.study.claims import check_records as section_data
 from ssm_study.study.findings import Checked, NotChecked
 from ssm_study.study.run_files import RunFiles
 from ssm_study.study.verify import compare_column, judge_column, verify

@@ -18,7 +18,7 @@ from ssm_study.data.metrics import SlopesNotIdentifiable
 from ssm_study.engine.records import write_record
 from ssm_study.refusal import BadRequest
 from ssm_study.study.line import STUDY
-from ssm_study.table.folders import find_run_folder, check_study_folder
+from ssm_study.table.folders import check_study_folder, find_run_folder
 
 
 @pytest.mark.skipif(

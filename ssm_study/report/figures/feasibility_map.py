@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import verdict_counts, column_words
-from ssm_study.table.columns import numeric_column, boolean_column
+from ssm_study.report.words import column_words, verdict_counts
+from ssm_study.table.columns import boolean_column, numeric_column
 
 RATE = "rate_controller"
 LIMIT = "controller_rate_limit"

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from ssm_study import style
 from ssm_study.report.study_folder import NothingToDraw, StudyFolder
-from ssm_study.report.words import choice_label, verdict_counts, column_words
+from ssm_study.report.words import choice_label, column_words, verdict_counts
 from ssm_study.table.columns import numeric_column, text_column
 
 

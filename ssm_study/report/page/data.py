@@ -13,15 +13,15 @@ from ssm_study.report.answers import answers, parameters_line
 from ssm_study.report.page.compared import comparison_json
 from ssm_study.report.page.failures import MOST_REASONS, MOST_RUNS, failure_groups
 from ssm_study.report.page.first_screen import (
-    outcome_cards,
     introduction,
-    row_as_record,
+    outcome_cards,
     remarks,
+    row_as_record,
     settings_line,
 )
 from ssm_study.report.page.pictures import pictures_of_run
 from ssm_study.report.study_folder import RecordedCases, RunFolder, StudyFolder
-from ssm_study.report.words import VERDICTS, choice_label, verdict_counts, verdicts, column_words
+from ssm_study.report.words import VERDICTS, choice_label, column_words, verdict_counts, verdicts
 from ssm_study.table.columns import (
     DECLARED,
     FURTHER,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from ssm_study.report.page.first_screen import REASONS, reasons, row_as_record, record_verdict
+from ssm_study.report.page.first_screen import REASONS, reasons, record_verdict, row_as_record
 from ssm_study.report.words import IDENTIFIED, LOST, NO_FASTER, SETTLED, UNTRIED
 
 MOST_REASONS = 40

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
 from ssm_study.report.outcome import loop_place, pi_words
-from ssm_study.report.words import SETTLED, VERDICTS, Verdict, digits_beside_bound, column_words
+from ssm_study.report.words import SETTLED, VERDICTS, Verdict, column_words, digits_beside_bound
 from ssm_study.table.columns import swept_settings
 
 Record = Mapping[str, Any]

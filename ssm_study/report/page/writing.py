@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ssm_study.durable import write_atomically
 from ssm_study.refusal import BadRequest
-from ssm_study.report.page.data import sort_for_page, page_data, written_parts
+from ssm_study.report.page.data import page_data, sort_for_page, written_parts
 from ssm_study.report.page.templates import chart_templates
 from ssm_study.report.study_folder import StudyFolder
 
