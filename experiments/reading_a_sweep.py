@@ -24,7 +24,7 @@ from ssm_study.report import figures
 from ssm_study.report.answers import answers
 from ssm_study.report.page.writing import write_page
 from ssm_study.report.study_folder import StudyFolder
-from ssm_study.report.words import INFEASIBLE, verdicts, column_words
+from ssm_study.report.words import INFEASIBLE, column_words, verdicts
 from ssm_study.table.rank import best_first
 
 EXPERIMENT = os.environ.get(

@@ -160,8 +160,8 @@ def proved_rows(record: Mapping[str, Any]) -> Iterator[Row]:
         name = f"{side}_certified_rate"
         limit = f"at most {format_column(record, f'{side}_rate_limit')}"
         chosen = "chosen by auto" if side in str(record.get("rates_chosen")) else "requested"
-        rate = format_column(record, f"rate_{side}")
-        asked = f"{rate} {chosen}, {limit}: {certified_word(record, side)}"
+        requested = f"{format_column(record, f'rate_{side}')} {chosen}"
+        asked = f"{requested}, {limit}: {certified_word(record, side)}"
         label = f"{side.capitalize()} rate"
         if record.get(name) is None:
             yield f"rate_{side}", label, asked

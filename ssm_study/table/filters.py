@@ -1,4 +1,4 @@
-"""Selection of rows by an expression, as in `--filter_rows "order == 8 and fit_test_percent > 85"`.
+"""Selection of rows by an expression, as in `--where "order == 8 and fit_test_percent > 85"`.
 
 `pandas.DataFrame.eval` evaluates the expression, as `DataFrame.query` does. It evaluates Python, so
 calls, attributes, subscripts and names that are no columns are refused before it sees them.

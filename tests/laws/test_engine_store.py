@@ -153,7 +153,8 @@ def compute(folder):
         stream.write(f"{os.getpid()}\\n")
     time.sleep(0.3)
     (folder / "model.json").write_text("{}")
-assert (Store(root).keyed("model", KEY, {}, compute).path / "model.json").read_text() == "{}"
+stage = Store(root).stage_with_key("model", KEY, {}, compute)
+assert (stage.path / "model.json").read_text() == "{}"
 """
 
 
@@ -185,7 +186,7 @@ def compute(folder):
     time.sleep(0.2)
     (folder / "model.json").write_text(folder.name.split("-")[1])
 for key in keys:
-    stage = Store(root).keyed("model", 64 * key, {}, compute)
+    stage = Store(root).stage_with_key("model", 64 * key, {}, compute)
     assert (stage.path / "model.json").read_text() == 32 * key, key
 """
 

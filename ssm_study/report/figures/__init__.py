@@ -1,5 +1,5 @@
-"""One file per figure, named as printed. Each has `draw_figures(study) -> Figure` and a
-docstring that is its caption.
+"""One file per figure, named as printed. Each has `draw(study) -> Figure` and a docstring that is
+its caption.
 
 A new figure is a new file here: `figure_names()` finds it, and every command and test with it.
 """
