@@ -1,5 +1,5 @@
-"""Certify the gains of an existing controller or observer. Certify gains that somebody else
-designed: the largest provable rate, decided exactly."""
+"""Certification of the gains of an existing controller or observer. Certify gains that somebody
+else designed: the largest provable rate, decided exactly."""
 
 import time
 from dataclasses import dataclass

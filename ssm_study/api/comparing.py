@@ -1,4 +1,4 @@
-"""Compare models on one record."""
+"""Comparison of several models on one record."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Design a certified controller for a model, or certify gains that somebody else designed."""
+"""Design of a certified controller from Python."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any

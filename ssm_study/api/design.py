@@ -1,4 +1,4 @@
-"""A designed controller as Python users hold it: certificates, prediction, loop, export."""
+"""Designed controllers in Python: certificates, predictions, closed loops and export."""
 
 import json
 import shutil

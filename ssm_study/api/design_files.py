@@ -1,4 +1,4 @@
-"""Records beside a saved design: ranges and names for its export."""
+"""Files of recorded signals in the folder of a saved design, for its export."""
 
 from collections.abc import Iterator
 from pathlib import Path

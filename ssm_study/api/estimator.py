@@ -1,4 +1,4 @@
-"""`fit` as an estimator in scikit-learn's conventions, so that its searches choose the settings."""
+"""Model identification as an estimator in scikit-learn's conventions."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields

@@ -1,4 +1,4 @@
-"""Loops of a design, on a plant or on the identified model in its place."""
+"""Simulation of a design's closed loop, on a plant or on the identified model in its place."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""An identified model as Python users hold it: predictions, scores, poles, and a summary."""
+"""Identified models in Python: predictions, scores, poles and a summary."""
 
 import json
 from collections.abc import Callable

@@ -1,5 +1,5 @@
-"""The steps from records to a certified controller, as functions of values. They use no folders and
-no cache."""
+"""Functions for each step from records to a certified controller. They use no folders and no
+cache."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

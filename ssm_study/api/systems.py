@@ -1,4 +1,4 @@
-"""Linear systems as users have them: python-control's, SciPy's, or a tuple of matrices."""
+"""Reading of linear systems given as python-control's, SciPy's, or a tuple of matrices."""
 
 from typing import Any
 

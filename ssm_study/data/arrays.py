@@ -1,5 +1,4 @@
-"""Arrays, series and frames given in Python, written as logs so that they are read, checked and
-named as any recording."""
+"""Log files written from arrays, series and data frames given in Python."""
 
 import hashlib
 from collections.abc import Sequence

@@ -1,5 +1,5 @@
-"""Clocks that stand in a log as plain numbers of a calendar: digits of a date, days of a
-spreadsheet or of MATLAB, time since 1970.
+"""Conversion of calendar dates that a log holds as plain numbers, such as days of a spreadsheet, to
+seconds.
 
 `20260305100000` is a date, `46086.4167` a day of a spreadsheet, `738586.4167` one of MATLAB,
 `1772700000000` milliseconds since 1970. Read as seconds each of them is wrong without a word.

@@ -1,4 +1,4 @@
-"""Rows of a log on an even clock.
+"""Assignment of evenly spaced times to the rows of a log.
 
 A clock that is even to within a jitter gives the mean period. One with holes gives the period
 between them, and the log is cut there: nothing is invented. One that wanders is interpolated onto

@@ -1,4 +1,4 @@
-"""Clocks that go on behind a step back: a counter that is full, and the end of summer time.
+"""Correction of clocks that step back because a counter overflows or summer time ends.
 
 A counter of 16 or 32 bits begins again at zero; local time repeats an hour in autumn. Both are
 undone only where the clock then runs on at its own period; nothing else that runs backwards is.

@@ -1,5 +1,4 @@
-"""Input of a closed-loop log as the known set point alone would make it, in place of the recorded
-input.
+"""Replacement of a closed-loop log's input by the part that the known set point explains.
 
 A fit from the one to the other takes the controller for part of the plant where noise is slow. What
 the set point r explains of the input, `u_r = F r`, knows nothing of the noise: `y = G u_r + S v`;

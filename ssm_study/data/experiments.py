@@ -1,5 +1,5 @@
-"""Experiments assigned to training, validation and test one by one: the benchmark records, and
-where they lie."""
+"""Data sets from separate recordings for training, validation and test, such as public
+benchmarks."""
 
 import importlib
 import os

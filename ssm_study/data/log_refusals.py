@@ -1,4 +1,4 @@
-"""Refusals of a log, with the command that shows what is in it."""
+"""Errors about a log, extended by the command that shows what is in it."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Numbers that stand for a missing value, as -9999 does: named where they lie far from all others.
+"""Detection of numbers that stand for missing values, such as -9999.
 
 They are read as numbers, since a log may mean them; the outcome and `look` say so.
 """

@@ -1,4 +1,4 @@
-"""One recorded experiment: which file, which columns, which clock, which samples."""
+"""Reading of one recorded experiment: its file, columns, clock and range of samples."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Clocks written with few digits, and the even clock that explains every written time, if one does.
+"""Estimation of the sampling time of a clock whose times were rounded to few digits.
 
 A time `t_k` that was rounded to a multiple of `q_k` lies within `q_k / 2` of the instant it stands
 for, one that was cut off within `q_k`. An even clock `t_0 + k h` explains the column where it keeps

@@ -1,5 +1,4 @@
-"""Data from a plant of this project: it is excited, simulated and measured with noise, and the
-three parts are kept apart.
+"""Data sets simulated with a plant of this project, with measurement noise.
 
 A few more records are for one purpose only: how far the plant is from its model where the loop will
 take it. No fit uses them. An excitation at full amplitude, held for some samples at a time, says

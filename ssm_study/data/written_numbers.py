@@ -1,5 +1,5 @@
-"""Numbers as people and programs write them: digits in groups, percent signs, words for on and off,
-a typographic minus, exponents of Fortran.
+"""Normalisation of numbers in text files: digit groups, percent signs, words for on and off, and
+the like.
 
 A point or comma between groups of three digits is read where the column shows that it groups them
 (`1,234.5`, `1.234.567`). A column of `20,007` alone could be thousands or decimals, and is refused.

@@ -1,5 +1,5 @@
-"""Findings that speak against a judgement of the plant. Each is one sentence with its number and
-what to do, at one of three levels."""
+"""Findings about the records and the model, each a sentence with a severity. Each is one sentence
+with its number and what to do, at one of three levels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,5 +1,5 @@
-"""Findings on the conditions that the records have visited: ranges, levels, spectra, length, drift,
-and records that repeat another."""
+"""Findings on the contents of the records: ranges, levels, spectra, length, drift and
+repetition."""
 
 from collections.abc import Iterator
 

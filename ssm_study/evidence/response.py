@@ -1,5 +1,4 @@
-"""Response of the output to the input in the records: how long it lasts, how late it comes, at
-which frequencies it shows.
+"""Findings on the output's response to the input: its duration, dead time and coherence.
 
 Coherence `gamma^2(w) = S_yu S_uu^-1 S_uy / S_yy`: the share of the output's power that a linear
 filter of the inputs explains. Dead time: the first lag of the impulse response that is clearly not

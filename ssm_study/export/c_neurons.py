@@ -1,4 +1,4 @@
-"""C code for the neurons of a controller."""
+"""C code for the neurons of a controller's model."""
 
 import re
 from collections.abc import Sequence

@@ -1,5 +1,4 @@
-"""Model of the controller on a device, with rounded numbers, limited inputs and operations in the
-order of the C code.
+"""Python model of a controller on a device, which computes as the exported C code does.
 
 For a set point r the law aims at the equilibrium of the model nearest to it: `v* = S_u^{-1}(G^+
 S_y^{-1}(w_r))`, clamped to the limits, `x* = (I - A)^{-1} B S_u(v*)`, `G = C (I - A)^{-1} B + D`,

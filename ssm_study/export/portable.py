@@ -1,4 +1,4 @@
-"""Model and controller as plain arrays, with maps made of leaky-relu layers.
+"""Controller and model as plain arrays, from which all exports are made.
 
 Every target of the export starts from these.
 """

@@ -1,5 +1,5 @@
-"""Equilibria of the controller's model. They are found by matrices, or with neurons by
-interpolation between stored points.
+"""Equilibria of the controller's model over the range of its input. They are found by matrices, or
+with neurons by interpolation between stored points.
 
 With neurons `x = A x + B v + E w(x, v)` has no closed form. It has one solution for each v, since
 the model contracts; of one input and one output they are a curve, of which the device stores some

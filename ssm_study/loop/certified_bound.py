@@ -1,4 +1,5 @@
-"""Certified bound on the state of the loop with output feedback, for every sample.
+"""Certified bound on the state of a closed loop with observer, and its comparison with simulated
+runs.
 
 The experiment is that of docs/closed_loop.md. With `M = P^{-1}`, `d[k] = ||x[k]||_M` and `e[k] =
 ||xh[k] - x[k]||_Q`, Theorem 1 gives `d[k+1] <=

@@ -1,4 +1,4 @@
-"""Controllers that close the loop: laws from measured outputs to held inputs, batched over cases.
+"""Controllers that compute inputs from measured outputs, for many simulated cases at once.
 
 A controller is a discrete-time system of its own. Its memory is one array `(N, s)`, so a thousand
 cases step together and nothing is hidden in an object.

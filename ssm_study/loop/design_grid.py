@@ -1,5 +1,5 @@
-"""Test of how well the stability margin predicts: hundreds of certified designs for one model, each
-run on the true plant."""
+"""Table of hundreds of certified designs, each run on the true plant, which tests how well the
+stability margin predicts."""
 
 from dataclasses import dataclass, field
 from functools import partial

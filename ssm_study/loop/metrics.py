@@ -1,4 +1,4 @@
-"""Columns that judge one closed-loop experiment, each with its unit."""
+"""Columns that describe a closed-loop experiment."""
 
 from collections import Counter
 from collections.abc import Iterable

@@ -1,5 +1,4 @@
-"""Closed-loop experiment: initial conditions, noise, reference and disturbance, on the plant, on
-the uncontrolled plant and on the model."""
+"""Closed-loop experiments on the plant, on the uncontrolled plant and on the model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Simulation of closed loops, a thousand cases in one array, and measures of how each case moves.
+"""Simulation of closed loops for many cases at once, and measures of their behaviour.
 
 Judged on the true output alone, never on the noisy measurement.
 """

@@ -1,5 +1,5 @@
-"""Baseline for a certified design, a PI controller that a textbook rule tunes from the same model.
-It runs on the same plant from the same initial states."""
+"""Columns on a PI controller that a textbook rule tunes from the same model, for comparison with a
+certified design. It runs on the same plant from the same initial states."""
 
 import numpy as np
 

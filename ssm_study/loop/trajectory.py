@@ -1,5 +1,4 @@
-"""Trajectories that a model can follow, as states and inputs whose output equals a reference or
-comes nearest to it.
+"""Trajectories of states and inputs whose output follows a reference as closely as the model can.
 
 A contracting loop converges to any trajectory of its own model: `v = S_u(u*)` by linear-quadratic
 tracking, then `u* = S_u^{-1}(v)`, dead zone included (docs/closed_loop.md). Source: [Z26] Theorem 3

@@ -1,5 +1,4 @@
-"""Structured recurrences that contract by construction, their free parameters in both directions,
-and the derivative.
+"""Parametrisation of recurrences with neurons that contract by construction.
 
 All `(A, E, F)` whose open-loop inequality (docs/theory.md, "With neurons") holds at r with `M = I,
 Lambda = I` are

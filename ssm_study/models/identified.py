@@ -1,4 +1,4 @@
-"""The identified model as explicit numbers: what is stored, replayed, certified and deployed. No
+"""Identified models as explicit numbers, which are stored, simulated, certified and deployed. No
 torch here."""
 
 from abc import abstractmethod

@@ -1,5 +1,4 @@
-"""Mean of several models of one log, which predicts where a single training often ends in a local
-minimum.
+"""Mean output of several models that were trained on one log.
 
 The mean of contracting models contracts, in their metrics side by side, at the largest factor of
 its members. Nothing is designed on it: its states are those of all members, so that control stays

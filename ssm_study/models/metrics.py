@@ -1,5 +1,4 @@
-"""Fit of a simulated output: the one definition, over all records taken together, each simulated
-once."""
+"""Simulation of records by an identified model, and the fit of the simulated outputs."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,5 +1,5 @@
-"""Settings of `conf/model/ssm.yaml`, the initial linear system of a training (on a ring, or fitted
-to data), and the trainable model."""
+"""Settings of the linear recurrence between static maps, and the linear system from which its
+training starts."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Reading of any model that was written as explicit numbers."""
+"""Reading of identified models from their JSON form."""
 
 from collections.abc import Mapping
 from typing import Any

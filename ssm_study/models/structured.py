@@ -1,5 +1,5 @@
-"""The structured model, with neurons inside the recurrence and every certificate still within
-reach. No torch here."""
+"""Structured model: a recurrence with neurons inside, between static input and output maps. No
+torch here."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace

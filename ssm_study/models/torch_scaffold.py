@@ -1,4 +1,4 @@
-"""Static map in torch while it is trained."""
+"""Torch module of a static map that is trained."""
 
 from typing import Any
 

@@ -1,5 +1,4 @@
-"""Trainable model in torch: static map S_u, linear recurrent unit, static map S_y, in scaled
-units."""
+"""Trainable model in torch: a linear recurrence between two static maps."""
 
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar

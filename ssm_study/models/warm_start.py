@@ -1,5 +1,5 @@
-"""Initial state of a free run on a piece of a log, estimated from the piece's first samples or
-simulated from the log before it.
+"""Choice of a record's initial state: estimated from its first samples, or simulated from the log
+before it.
 
 A piece that is cut out of a log has a past: the model, run from the beginning of the log to the
 piece, arrives there in a state that owes nothing to the piece's outputs. The first samples of the

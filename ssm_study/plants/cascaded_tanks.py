@@ -1,5 +1,4 @@
-"""Cascaded tanks: two water tanks above each other, both of which can overflow; a benchmark of the
-field."""
+"""Two cascaded water tanks that can overflow, a public benchmark."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The nonlinear DC motor with a two-mass drive: the plant of the study."""
+"""Nonlinear DC motor with a two-mass drive, the main plant of the study."""
 
 from collections import namedtuple
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-"""Compiled simulation of the two-mass motor for a batch of cases: Taylor series of the affine flow,
-with mode switches located on it.
+"""Compiled simulation of the two-mass motor with exact switches of its friction modes.
 
 Between switches the motor is affine, `dx/dt = A x + b`, so its Taylor coefficients follow from
 `c[q+1] = A c[q]/(q+1)` and the truncated series is a one-step method of order `ORDER`. A sign

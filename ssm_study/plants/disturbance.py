@@ -1,4 +1,4 @@
-"""Disturbances that act on a plant over time, the same for every case."""
+"""Disturbances that act on a plant, as functions of time."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Interface of every plant: its signals, its equilibrium, and one sampling period under held
+"""Interface of simulated plants: signals, equilibrium, and one sampling period under constant
 input."""
 
 from abc import ABC, abstractmethod

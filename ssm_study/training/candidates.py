@@ -1,5 +1,4 @@
-"""Candidates among which the settings of a model are chosen, the errors of their free runs on
-held-out folds, and how two are compared."""
+"""Candidate settings of a model, scored by their free-run error on held-out folds."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,6 +1,6 @@
-"""Choose dead time, integrator and input paths of a model. Questions about the paths of a model,
-in their order: how late the output answers, whether it is a running sum, whether the input
-reaches the neurons."""
+"""Choice of a model's dead time, integrator and input paths. Questions about the paths of a model,
+in their order: how late the output answers, whether it is a running sum, whether the input reaches
+the neurons."""
 
 from collections.abc import Sequence
 from itertools import product

@@ -1,5 +1,5 @@
-"""Choose order, neurons and break points of a model. The question of size: linear models of
-growing order, one layer, few neurons, many."""
+"""Choice of a model's order, number of neurons and number of break points. The question of size:
+linear models of growing order, one layer, few neurons, many."""
 
 from collections.abc import Sequence
 

@@ -1,5 +1,4 @@
-"""Lightning module of a torch model, with one loss over all windows per step and one free run over
-whole records per epoch."""
+"""Lightning module that trains a torch model on windows of the records."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any

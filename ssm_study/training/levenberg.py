@@ -1,5 +1,4 @@
-"""Levenberg-Marquardt for the simulation error, its Jacobian by forward differentiation or written
-out.
+"""Levenberg-Marquardt method for least-squares problems, also as a torch optimiser.
 
     (J'J + R + damping diag(J'J + R)) step = -(J'r + R theta),    R the weights of a quadratic
     penalty, if any

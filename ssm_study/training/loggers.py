@@ -1,5 +1,5 @@
-"""Loggers of the training curve beside our own record. Each yaml of the group `training/logger` is
-one of these."""
+"""Optional loggers of the training curve. Each yaml of the group `training/logger` is one of
+these."""
 
 from dataclasses import dataclass
 from pathlib import Path

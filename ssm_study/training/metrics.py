@@ -1,5 +1,4 @@
-"""Results of identifying a model: the model, the evidence that it fits, and the facts of the
-training."""
+"""Result of identifying a model: the model, its validation fit and columns on the training."""
 
 from dataclasses import dataclass
 from typing import Any

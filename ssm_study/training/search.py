@@ -1,4 +1,4 @@
-"""Candidates tried so far for the model of a log, the settings decided so far, and the resulting
+"""Search over model settings: candidates tried so far, settings decided so far, and the resulting
 choice."""
 
 from collections.abc import Callable, Sequence

@@ -1,5 +1,4 @@
-"""Simulation error of a structured model as a function of its parameters, with its Jacobian and a
-descent step."""
+"""Least-squares problem of the simulation error of a structured model, and its minimisation."""
 
 from dataclasses import dataclass, replace
 from itertools import product

@@ -1,5 +1,4 @@
-"""Initial parameters of a structured model's training, with linear poles, random neurons, and the
-nearest model that contracts."""
+"""Initial parameters for the training of a structured model."""
 
 import numpy as np
 from jaxtyping import Float

@@ -1,5 +1,4 @@
-"""Windows of the training records, trained on as one batch, and what ties one window to the
-next."""
+"""Windows that are cut from the training records."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

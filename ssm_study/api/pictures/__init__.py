@@ -1,4 +1,4 @@
-"""Pictures of a model and of a loop: what each shows, apart from what draws it.
+"""Pictures of models and of closed loops, as values that any renderer can draw.
 
 One file per picture, a function of values; `drawing` makes a Matplotlib figure of it, the report
 page a chart.

@@ -1,4 +1,4 @@
-"""Frequency response at rest beside the estimate that a record gives without any model."""
+"""Bode plot of a model at its equilibrium, beside an estimate from a record."""
 
 import numpy as np
 from jaxtyping import Complex, Float

@@ -1,4 +1,5 @@
-"""Coverage by band: how many times the measured model error the proof tolerates."""
+"""Picture of the coverage: how many times the measured model error the proof tolerates in each
+frequency band."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Matplotlib figures of pictures."""
+"""Drawing of pictures with Matplotlib."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,4 +1,4 @@
-"""Free runs on one record: measured as dots, models on top, errors below."""
+"""Picture of models' free runs on a record, with their errors."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""Learned input map: its values in scaled units and its local slope within the certified ones."""
+"""Picture of a learned input map and its slope."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Responses of the closed loop: from initial outputs, and to a step of the set point."""
+"""Pictures of the closed loop's response to initial outputs and to a step of the set point."""
 
 from collections.abc import Sequence
 from dataclasses import replace

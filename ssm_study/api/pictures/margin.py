@@ -1,4 +1,4 @@
-"""Stability margin by frequency: how much larger the measured model error may be."""
+"""Picture of the stability margin over frequency."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""A picture as values: panels with series, rules and bands, ready to be drawn by anything."""
+"""Pictures as plain values: panels with curves, guide lines and shaded areas."""
 
 from dataclasses import dataclass
 from typing import Literal

@@ -1,4 +1,4 @@
-"""Poles in the unit circle, and the circle of the rate that is proved."""
+"""Picture of eigenvalues in the unit circle, with the circle of the certified rate."""
 
 from collections.abc import Mapping
 

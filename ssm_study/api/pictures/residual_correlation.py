@@ -1,4 +1,4 @@
-"""Correlation of the error of a free run with itself and with the inputs."""
+"""Picture of the correlation of a free run's error with itself and with the inputs."""
 
 from collections.abc import Sequence
 

@@ -1,5 +1,5 @@
-"""Base class and random-level excitation signals. Signals that make a system show itself: the
-interface, and the two the study trains on."""
+"""Base class of excitation signals, and signals with random levels. Signals that make a system show
+itself: the interface, and the two the study trains on."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace

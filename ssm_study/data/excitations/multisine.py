@@ -1,5 +1,4 @@
-"""A sum of sines with a low crest factor: power where it is wanted, as much as the amplitude
-allows."""
+"""Multisine excitation with a low crest factor."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Excitation for the user's own plant, chosen so that its log shows what a controller must know."""
+"""Excitation signal that a user applies to a plant of their own to record a log."""
 
 from dataclasses import dataclass
 from pathlib import Path

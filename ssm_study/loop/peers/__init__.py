@@ -1,1 +1,1 @@
-"""Controllers with which ours is compared."""
+"""Standard control methods with which the project's own is compared."""

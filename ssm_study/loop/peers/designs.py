@@ -1,4 +1,4 @@
-"""Peers of the comparison that need no tuning or use a certified design. They are no control, the
+"""Comparison methods that need no tuning, or use a certified design. They are no control, the
 paper's inequalities, guaranteed cost, and ours."""
 
 # ruff: noqa: ARG002 - every peer gets all arguments; these need less

@@ -1,5 +1,4 @@
-"""LQG controller as in textbooks, from the linear part and the mean slope of the nonlinearity,
-without a certificate."""
+"""Textbook LQG controller for comparison, without a certificate."""
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
-"""Interface of the controllers that are compared on one plant, and the data that each may use."""
+"""Interface of the control methods that are compared on one plant, and the data that each may
+use."""
 
 from abc import abstractmethod
 from dataclasses import dataclass

@@ -1,5 +1,4 @@
-"""A PI controller tuned by a textbook rule from the identified model, the usual choice in
-industry."""
+"""PI controller that a textbook rule tunes from the identified model."""
 
 # ruff: noqa: ARG002 - every law gets all arguments; some need less
 from dataclasses import dataclass

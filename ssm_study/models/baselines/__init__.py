@@ -1,1 +1,1 @@
-"""Models that ours is compared with."""
+"""Standard models with which the project's own model is compared."""

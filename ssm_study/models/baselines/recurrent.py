@@ -1,4 +1,4 @@
-"""GRU and LSTM baselines, trained as torch's own cells and stored as their published equations."""
+"""GRU and LSTM models for comparison, trained in torch and stored as explicit numbers."""
 
 from dataclasses import dataclass
 

@@ -1,5 +1,5 @@
-"""Baselines solved without gradient steps of torch, such as N4SID (nfoursid), ARX, NARX and output
-error."""
+"""Settings of models that are solved without iterative training in torch: N4SID, ARX, NARX and
+output error."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The paper's static map, a multilayer perceptron with leaky ReLU, minus its value at zero."""
+"""Static map of the paper: a multilayer perceptron with leaky ReLU, minus its value at zero."""
 
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,5 +1,5 @@
-"""Static map given by its slopes. It is piecewise linear in each channel, so the slope interval can
-be read off."""
+"""Static map that is piecewise linear and monotone, given by its slopes. It is piecewise linear in
+each channel, so the slope interval can be read off."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction

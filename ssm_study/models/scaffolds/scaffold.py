@@ -1,4 +1,4 @@
-"""Interface of static maps: what is stored of them, and how they are trained.
+"""Interface of the static maps before and after the recurrence, and how they are stored.
 
 `Scaffold` is what is stored, replayed, certified and deployed; `Trainable` is what a yaml of the
 group `scaffold` says. Members are found by `names`, the kind that JSON says.

@@ -1,4 +1,4 @@
-"""Interface of static maps that are trained: free parameters, explicit parameters, the map."""
+"""Interface of static maps that are trained."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
