@@ -6,9 +6,10 @@
 Every log is read and fitted as the plain command does (`data=recorded`, all else at its default).
 One row a log and seed goes into `results/reference/training/log_choice_kinds.csv` or
 `log_choice_real.csv`: the fit to the test part of the model and of the best of ARX, output error
-and polynomial NARX (`ssm_study.models.baselines.regression.fit_best_baseline`), the largest rate of
-a certified state feedback, the processor seconds, and what was chosen. Rows that are there are not
-made again. One to three minutes a log on a busy core.
+and polynomial NARX (`models.baselines.regression.fit_best_baseline`), the largest rate of a
+certified state feedback, the processor seconds, and what was chosen. With `--plain` also those of
+`model=structured` with its own defaults, which chooses nothing. Rows that are there are not made
+again. One to three minutes a log on a busy core.
 """
 
 import argparse
@@ -25,8 +26,9 @@ from log_kinds import KINDS
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.baselines.regression import fit_best_baseline
 from ssm_study.models.warm_start import simulate_validation_and_test
+from ssm_study.signals import DataSet
 from ssm_study.synthesis.model_selection import largest_certifiable_rate
-from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.metrics import Identification, records_fit_percent
 
 TARGET = REFERENCE / "training"
 REAL_LOGS = ROOT.parent / "shared" / "data" / "logs_real"
@@ -93,15 +95,21 @@ def real_logs(names: Sequence[str], seeds: Sequence[int]) -> Iterator[Log]:
             yield Log(name=name, seed=seed, settings=settings, training_seed=seed)
 
 
-def compare(log: Log) -> dict[str, object]:
-    """Fit a log by default and by the best baseline; return the row of the table."""
+def fit_log(log: Log, *settings: str) -> tuple[DataSet, Identification, float]:
+    """Read a log and identify its model; return both and the processor seconds."""
     quoted = [quote(setting) for setting in log.settings]
-    parts = study_of("data=recorded", *quoted)
+    parts = study_of("data=recorded", *settings, *quoted)
     data = parts.data.build(log.training_seed)
     began = time.process_time()
     with TemporaryDirectory() as folder:
         found = parts.training.identify(parts.model, data, log.training_seed, Path(folder))
-    seconds = time.process_time() - began
+    return data, found, time.process_time() - began
+
+
+def compare(log: Log, plain: bool = False) -> dict[str, object]:
+    """Fit a log by default and by the best baseline; return the row of the table."""
+    data, found, seconds = fit_log(log)
+    seconds_plain = round(fit_log(log, "model=structured")[2], 1) if plain else ""
     baseline = fit_best_baseline(data)
     _, test = simulate_validation_and_test(
         found.model, data
@@ -119,6 +127,7 @@ def compare(log: Log) -> dict[str, object]:
         "fit_validation_percent": round(found.fit_validation_percent, 2),
         "controller_rate_limit": round(largest_rate(found.model), 4),
         "processor_seconds": round(seconds, 1),
+        "processor_seconds_plain": seconds_plain,
         "baseline": baseline.words if baseline else "",
         "chosen": found.chosen,
         "refitted": found.refitted,
@@ -150,6 +159,7 @@ def main() -> None:
     parser.add_argument("logs", choices=("kinds", "real"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0], metavar="N")
     parser.add_argument("--only", nargs="+", default=[], metavar="NAME")
+    parser.add_argument("--plain", action="store_true")
     parser.add_argument("--to", type=Path, metavar="FILE")
     options = parser.parse_args()
     target = options.to or TARGET / f"log_choice_{options.logs}.csv"
@@ -162,7 +172,7 @@ def main() -> None:
         for log in logs:
             if (log.name, str(log.seed)) in done:
                 continue
-            row = compare(log)
+            row = compare(log, options.plain)
             print(row, flush=True)
             keep(target, [row], ("log", "seed"), lambda each: (each["log"], int(each["seed"])))
 

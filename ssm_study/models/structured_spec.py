@@ -25,6 +25,7 @@ AUTOMATIC: dict[str, Any] = {
     "dead_time": 0,
     "integrating_output": False,
     "knots": 16,
+    "rate": 0.999,
 }
 # Settings that are whole numbers, and the least that each may be.
 LEAST = {
@@ -161,7 +162,7 @@ class StructuredSpec(ModelSpec):
     output_knots: int = 0
     slope_lower: float = 0.01
     slope_upper: float = 1.0
-    rate: float | None = 0.999
+    rate: float | str | None = 0.999
     ridge: float = 1e-6
     starts: int = 4
     members: int = 1
@@ -169,6 +170,7 @@ class StructuredSpec(ModelSpec):
     draws: int = 8
     start_steps: list[int] | tuple[int, int, int] = (15, 20, 10)
     integrating_output: bool | str = False
+    gain_share: float = 0.0
     refit: bool = True
 
     def __post_init__(self) -> None:
@@ -184,7 +186,7 @@ class StructuredSpec(ModelSpec):
         require_one_of(("none", "staged", "free", AUTO), "model.input_path", self.input_path)
         require_one_of(("none", "free"), "model.output_path", self.output_path)
         check_slope_bounds(self.slope_lower, self.slope_upper)
-        inside = self.rate is None or 0 < self.rate <= 1
+        inside = self.rate is None or self.rate == AUTO or 0 < float(self.rate) <= 1
         require(
             inside,
             "model.rate",
@@ -193,6 +195,13 @@ class StructuredSpec(ModelSpec):
             "use 0.999, or null for a free model",
         )
         require_at_least(0, "model.ridge", self.ridge, "use 1e-6")
+        require(
+            0 <= self.gain_share < 1,
+            "model.gain_share",
+            self.gain_share,
+            "is a share of the largest gain",
+            "use 0.05, or 0 for none",
+        )
         three = len(self.start_steps) == 3 and min(self.start_steps) >= 1
         require(
             three,

@@ -13,16 +13,17 @@ from ssm_study.models.metrics import Simulation
 from ssm_study.models.scaffolds.linear import LinearScaffold
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.models.warm_start import PAST, SAMPLES, states_from_past
-from ssm_study.signals import DataSet
+from ssm_study.signals import DataSet, Trajectory
 from ssm_study.systems import StateSpace
+from ssm_study.training.metrics import records_fit_percent
+from ssm_study.training.short_starts import STEPS, short_spec
 from ssm_study.training.structured_fit import StructuredFit
 
 LARGEST_ERROR = 100.0  # percent: of a free run no better than the mean; one piece decides nothing
 NEARLY = 0.05  # of the best error: candidates nearer than this are about as good
-STEPS = 20  # of a training on a fold, inside the contracting set
-DRAWS = 3  # of random neurons for such a training
 HOPELESS = 1.5  # times the best error after two folds: not tried on the others
 FEWEST_FOLDS = 2
+EXPLAINS_LESS = 1.25  # times the error on the training records of the folds
 Settings = dict[str, Any]
 Row = dict[str, Any]
 
@@ -42,6 +43,7 @@ class Candidate:
     errors: Float[np.ndarray, "folds"]
     start: str = SAMPLES
     example: Any = field(default=None, repr=False, compare=False)
+    training_error: float = 0.0  # median over the folds, percent
 
     @property
     def mean_error(self) -> float:
@@ -61,20 +63,21 @@ class Candidate:
         is_large = bool(excess.mean() > by * other.mean_error)
         return is_large and (is_consistent or bool(excess.mean() > standard_error))
 
+    def explains_less(self, other: "Candidate") -> bool:
+        """Whether another candidate explains the records that it was trained on far better."""
+        return self.training_error > EXPLAINS_LESS * other.training_error
+
     def table_row(self, *, chosen: bool, certified: bool | None) -> Row:
         """Row of the table of candidates. `certified` is None where nobody looked."""
         fits = 100.0 - self.errors
-        return {
-            "question": self.question,
-            "model": self.model,
-            **self.settings,
-            "fit_held_out_percent": float(fits.mean()),
-            "fit_worst_fold_percent": float(fits.min()),
-            "folds": len(fits),
-            "piece_start": self.start,
-            "certified": certified,
-            "chosen": chosen,
-        }
+        row: Row = {"question": self.question, "model": self.model, **self.settings}
+        row["fit_held_out_percent"] = float(fits.mean())
+        row["fit_worst_fold_percent"] = float(fits.min())
+        row["folds"] = len(fits)
+        row["piece_start"] = self.start
+        row["certified"] = certified
+        row["chosen"] = chosen
+        return row
 
     @property
     def describe(self) -> str:
@@ -89,9 +92,15 @@ def best_candidate(candidates: Iterable[Candidate]) -> Candidate:
 
 
 def simplest_good_candidate(candidates: Sequence[Candidate], by: float = NEARLY) -> Candidate:
-    """First of the ordered candidates that is not clearly worse than the best one."""
+    """The first candidate, in the order given, that is not clearly worse than the best of all, on
+    held-out pieces or on the records that it was trained on."""
     best = best_candidate(candidates)
-    return next(candidate for candidate in candidates if not candidate.is_clearly_worse(best, by))
+    return next(
+        candidate
+        for candidate in candidates
+        if candidate is best
+        or not (candidate.is_clearly_worse(best, by) or candidate.explains_less(best))
+    )
 
 
 @dataclass
@@ -101,11 +110,13 @@ class Trial:
 
     by_start: dict[str, list[float]] = field(default_factory=lambda: {SAMPLES: [], PAST: []})
     example: Any = None
+    training_errors: list[float] = field(default_factory=list)
 
-    def add_fold(self, model: Any, fold: DataSet) -> None:
-        """Score a model on one more fold. Simulate the held-out part of one more fold; None of a
-        model counts as a failed one."""
+    def add_fold(self, model: Any, fold: DataSet, training_error: float = 0.0) -> None:
+        """Evaluate a model on one more fold. Simulate the held-out part of one more fold; None
+        of a model counts as a failed one."""
         self.example = model
+        self.training_errors.append(training_error)
         states = () if model is None else states_from_past(model, fold, fold.test)
         starts = {SAMPLES: (None,) * len(states), PAST: states}
         for name, errors in self.by_start.items():
@@ -134,7 +145,9 @@ def try_linear_model(folds: Sequence[DataSet], order: int, delay: int) -> Trial:
     for fold in folds:
         part = fold.shift_out_dead_time(delay - 1) if delay > 1 else fold
         with np.errstate(all="ignore"):
-            trial.add_fold(fit_linear_model(part, order, direct=delay == 0), part)
+            model = fit_linear_model(part, order, direct=delay == 0)
+            fit_training = records_fit_percent(model, part.training, part)
+            trial.add_fold(model, part, 100.0 - fit_training)
     return trial
 
 
@@ -156,13 +169,16 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
     a[:, 0] = f
     offset = data.scale.output_scale * model.theta[0] / (1.0 - f.sum())
     scale = replace(data.scale, output_equilibrium=data.scale.output_equilibrium + offset)
-    system = StateSpace(a=a, b=by_lag + f[:, None] * d, c=np.eye(1, order), d=d)
+    b = by_lag + f[:, None] * d
+    system = StateSpace(a=a, b=b, c=np.eye(1, order), d=d)
     if not data.disturbances:
         return SSM.from_linear(system, data.step_s, scale)
+    identity_in = LinearScaffold.identity(gains.shape[1])
+    identity_out = LinearScaffold.identity(1)
     return SSM(
         linear=system,
-        scaffold_in=LinearScaffold.identity(gains.shape[1]),
-        scaffold_out=LinearScaffold.identity(1),
+        scaffold_in=identity_in,
+        scaffold_out=identity_out,
         scale=scale,
         step_s=data.step_s,
         b_d=both[:, gains.shape[1] :],
@@ -170,13 +186,18 @@ def fit_linear_model(data: DataSet, order: int, *, direct: bool) -> SSM:
 
 
 def delay_disturbances(data: DataSet) -> DataSet:
-    """Data set whose measured disturbances are one sample later. What is within the sample for the
-    input is one sample before for them."""
-    late = [
-        record if record.d is None else replace(record, d=np.vstack([record.d[:1], record.d[:-1]]))
-        for record in data.training
-    ]
-    return replace(data, training=tuple(late))
+    """Training records with measured disturbances one sample later. What is within the sample for
+    the input is one sample before for them."""
+    late = tuple(delay_disturbance(record) for record in data.training)
+    return replace(data, training=late)
+
+
+def delay_disturbance(record: Trajectory) -> Trajectory:
+    """Record whose measured disturbances come one sample later, the first one twice."""
+    if record.d is None:
+        return record
+    late = np.vstack([record.d[:1], record.d[:-1]])
+    return replace(record, d=late)
 
 
 def try_structured_model(
@@ -184,7 +205,7 @@ def try_structured_model(
 ) -> Trial:
     """Train and score a structured model briefly on every fold. A structured model trained for a
     few steps without each fold; the last folds are left out where it is far behind `best`."""
-    brief = replace(spec, draws=min(DRAWS, spec.draws))
+    brief = short_spec(spec)
     trial = Trial()
     for fold in folds:
         if best is not None and is_hopeless(trial.errors, best):
@@ -192,7 +213,9 @@ def try_structured_model(
         part = fold.shift_out_dead_time(int(spec.dead_time)) if spec.dead_time else fold
         fit = StructuredFit(brief, part, seed)
         fit.take_steps(STEPS)
-        trial.add_fold(fit.as_model() if np.isfinite(float(fit.loss)) else None, part)
+        loss = float(fit.loss)
+        model = fit.as_model() if np.isfinite(loss) else None
+        trial.add_fold(model, part, 100.0 * np.sqrt(loss))
     return trial
 
 

@@ -16,6 +16,7 @@ from ssm_study.training.choice_of_size import simplest_certifiable_candidate, tr
 from ssm_study.training.folds import make_folds
 from ssm_study.training.search import Choice, Search, fill_in_defaults
 
+REFIT_WORDS = "; trained on the training and validation records"
 MOST_TRAINED = 3  # choices, one after the other, until a model of one is certified
 
 
@@ -62,11 +63,3 @@ def make_announcer(progress: bool) -> Callable[[str], None]:
     if not (progress and console.is_terminal):
         return lambda _: None
     return lambda words: console.print(f"choice by folds: {words}", highlight=False)
-
-
-def refit_sentence(fit_validation_percent: float) -> str:
-    """Sentence on why the model is also trained on the validation records."""
-    return (
-        f"; trained again with the validation records, which the training records alone predict "
-        f"at {fit_validation_percent:.1f} % only"
-    )

@@ -60,11 +60,11 @@ def choose_between_two(
 def response_lag(data: DataSet) -> int | None:
     """Number of samples until the output first responds to any input. None where noise hides it."""
     record = max(join_training_and_validation(data).training, key=len)
-    lags = [
-        first_response_lag(u, y)
-        for u, y in product(record.u.T, record.y.T)
-        if np.ptp(u) > 0 and np.ptp(y) > 0 and len(record) > SHORTEST
-    ]
+    if len(record) <= SHORTEST:
+        return None
+    inputs = [u for u in record.u.T if np.ptp(u) > 0]
+    outputs = [y for y in record.y.T if np.ptp(y) > 0]
+    lags = [first_response_lag(u, y) for u, y in product(inputs, outputs)]
     answered = [lag for lag in lags if lag is not None]
     return min(answered, default=None)
 
@@ -91,7 +91,9 @@ def nearly_integrates(data: DataSet) -> bool:
             join_training_and_validation(data), SLOW_ORDER, direct=False
         ).driven_system
         modes, vectors = np.linalg.eig(system.a)
-        residues = np.abs(system.c @ vectors).T * np.abs(np.linalg.solve(vectors, system.b + 0j))
+        by_output = np.abs(system.c @ vectors).T
+        by_input = np.abs(np.linalg.solve(vectors, system.b + 0j))
+        residues = by_output * by_input
         radii = np.minimum(np.abs(modes), 1.0 - 1e-9)
         gains = residues.sum(axis=1) / (1.0 - radii)
     share = gains[radii > INTEGRATES].sum() / gains.sum()

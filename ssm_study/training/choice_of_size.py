@@ -14,12 +14,18 @@ SIZES: tuple[Settings, ...] = (  # the smallest first; with one layer before the
     {"order": 3, "neurons": 1, "knots": 0},
     TRIED_SIZE,
 )
-INTEGRATING_SIZES: tuple[Settings, ...] = (  # one friction neuron on a velocity can be certified
+INTEGRATING_SIZES: tuple[Settings, ...] = (
     {"order": 1, "neurons": 1, "knots": 0},
     {"order": 1, "neurons": 2, "knots": 0},
     {"order": 2, "neurons": 1, "knots": 0},
+    {"order": 2, "neurons": 1, "knots": 16},
     *SIZES,
 )
+FREE_SIZES: tuple[Settings, ...] = (  # not contracting by construction
+    {"order": 2, "neurons": 5, "knots": 0, "rate": None},
+    {"order": 3, "neurons": 5, "knots": 0, "rate": None},
+)
+FREE_GAIN = 0.25  # of the error that a model must remove that need not contract in open loop
 LARGER: tuple[Settings, ...] = (  # one by one, while all that are smaller are behind
     {"order": 5, "neurons": 5, "knots": 16},
     {"order": 8, "neurons": 5, "knots": 16},
@@ -44,7 +50,23 @@ def try_model_sizes(search: Search) -> list[Candidate]:
             break
         needs_order = False
         candidates.append(search.score_structured_model("size", larger))
-    return candidates
+    return [*candidates, *free_candidates(search, candidates)]
+
+
+def free_candidates(search: Search, contracting: Sequence[Candidate]) -> list[Candidate]:
+    """Candidates that need not contract in open loop, where all that do are far behind them.
+
+    No metric common to all slopes of a spring that hardens exists where it is lightly damped.
+    Feedback adds the damping, so that the closed loop can be certified all the same.
+    """
+    if not search.is_open("rate") or search.integrates:
+        return []
+    free = [search.score_structured_model("no contraction", size) for size in FREE_SIZES]
+    return [
+        candidate
+        for candidate in free
+        if all(other.is_clearly_worse(candidate, FREE_GAIN) for other in contracting)
+    ]
 
 
 def try_sizes_without_neurons(search: Search) -> list[Candidate]:

@@ -50,13 +50,20 @@ def levenberg_marquardt_step(
         value = np.inf if step is None else loss_at(step)
         gained = loss - value  # not above zero where the trial is not finite
         if gained > 0:
-            expected = -float(
-                2 * gradient @ step + step @ normal @ step
-            )  # what the quadratic model promises
-            damping *= 0.3 if gained > 0.75 * expected else 1.0 if gained > 0.25 * expected else 2.0
-            return step, value, min(max(damping, DAMPING_RANGE[0]), DAMPING_RANGE[1])
+            # What the quadratic model promises.
+            expected = -float(2 * gradient @ step + step @ normal @ step)
+            damping *= damping_factor(gained, expected)
+            least, most = DAMPING_RANGE
+            return step, value, min(max(damping, least), most)
         damping = min(damping * rule.grow, DAMPING_RANGE[1])
     return None, loss, damping
+
+
+def damping_factor(gained: float, expected: float) -> float:
+    """Factor on the damping after a step that gained so much of what was expected."""
+    if gained > 0.75 * expected:
+        return 0.3
+    return 1.0 if gained > 0.25 * expected else 2.0
 
 
 class LevenbergMarquardt(torch.optim.Optimizer):

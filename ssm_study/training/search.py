@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from ssm_study.models.structured_spec import AUTO, AUTOMATIC, StructuredSpec
 from ssm_study.signals import DataSet
 from ssm_study.training.candidates import (
@@ -20,7 +22,6 @@ from ssm_study.training.folds import FOLDS
 
 LINEAR = "linear output error"
 STRUCTURED = "structured"
-REFIT_BEYOND = 1.25  # times the error on held-out folds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,17 +47,12 @@ class Choice:
         )
         return f"{settings}: of {len(self.rows)} models compared on {FOLDS} folds"
 
-    def needs_refit(self, error_validation: float) -> bool:
-        """Whether the model should also be trained on the validation records, as it predicts them
-        much worse than the folds. The training records then do not show what the others do."""
-        if self.error is None or not self.spec.refit:
-            return False
-        return error_validation > REFIT_BEYOND * self.error
-
 
 def setting_words(value: object) -> str:
-    """Name or value of a setting in words."""
-    return {"True": "yes", "False": "no"}.get(str(value), str(value).replace("_", " "))
+    """A name or value of a setting in words: `dead_time`, true, 5."""
+    return {"True": "yes", "False": "no", "None": "none"}.get(
+        str(value), str(value).replace("_", " ")
+    )
 
 
 @dataclass(kw_only=True)
@@ -145,6 +141,7 @@ class Search:
             errors=trial.errors,
             start=trial.best_start_kind,
             example=trial.example,
+            training_error=float(np.median(trial.training_errors)),
         )
         self.tried.append(candidate)
         self.announce(candidate.describe)

@@ -35,6 +35,7 @@ from ssm_study.training.structured_start import (
 
 IDLE = 1e-3  # relative change of the output below which a neuron does nothing
 START_SAMPLES = 2000  # of which a start is made: the training goes on with all
+UNPENALISED = 25  # steps before the penalty on the gain's sign
 RACE = 5  # steps of each draw inside the contracting set
 TRUSTED = 0.5  # of its loss: a least-squares start is replaced where random poles come below
 
@@ -65,9 +66,10 @@ class StructuredFit(pl.LightningModule):
             neurons=spec.neuron_kinds,
             lift=lift,
             read=read,
-            rate=spec.rate,
+            rate=None if spec.rate is None else float(spec.rate),
             integrating_output=self.integrates,
             ridge=spec.ridge,
+            gain_share=spec.gain_share if self.integrates else 0.0,
         )
         self.estimates = data.start_up_samples > 0
         self.register_buffer("damping", torch.zeros((), dtype=torch.float64))
@@ -103,11 +105,20 @@ class StructuredFit(pl.LightningModule):
         }
 
     def take_steps(self, steps: int) -> None:
-        """Take several training steps outside Lightning."""
+        """Make the initial parameters and take at most so many steps, without what Lightning does
+        around each."""
         start = self._initial_parameters()
+        if self.problem.gain_share:
+            start = self._without_gain_penalty(start)
         self._store_descent(
             minimise_simulation_error(self.problem, start, self._trained_blocks, steps)
         )
+
+    def _without_gain_penalty(self, start: Theta) -> Theta:
+        """Parameters after steps without the penalty on the gain's sign. From the start on it would
+        lead into far worse local minima."""
+        free = replace(self.problem, gain_share=0.0)
+        return minimise_simulation_error(free, start, self._trained_blocks, UNPENALISED).theta
 
     def training_step(self, batch: Any, batch_idx: int) -> None:  # noqa: ARG002 - the records are in the problem
         """Take the training steps of one epoch. In each further epoch take one accepted step, or
@@ -139,7 +150,7 @@ class StructuredFit(pl.LightningModule):
         spec = self.spec
         rng = np.random.default_rng(self.seed)
         stretch = self.problem.records.find_moving_stretch(START_SAMPLES)
-        short = replace(self.problem, records=stretch)
+        short = replace(self.problem, records=stretch, gain_share=0.0)
         linear = replace(short, neurons=(), rate=None)
         moving = self._linear_block_names()
         theta = self._fit_linear_model(linear, moving, rng)
@@ -188,7 +199,7 @@ class StructuredFit(pl.LightningModule):
         drawn = minimise_simulation_error(free, theta, unconstrained, spec.start_steps[2])
         if spec.rate is None:
             return drawn
-        theta = contracting_initial_parameters(free, drawn.theta, spec.rate)
+        theta = contracting_initial_parameters(free, drawn.theta, float(spec.rate))
         return minimise_simulation_error(
             short, theta, self._phase_blocks(FREE_CORE, has_input_path), RACE
         )
@@ -228,11 +239,13 @@ class StructuredFit(pl.LightningModule):
             parts |= append_integrator(parts)
         if self.data.scale.disturbances:
             parts |= split_disturbance_columns(parts, self.data.scale.inputs)
+        input_map = self.problem.lift.freeze(theta["scaffold_in"])
+        output_map = self.problem.read.freeze(theta["scaffold_out"])
         return StructuredSSM(
             **parts,
             neurons=self.spec.neuron_kinds,
-            scaffold_in=self.problem.lift.freeze(theta["scaffold_in"]),
-            scaffold_out=self.problem.read.freeze(theta["scaffold_out"]),
+            scaffold_in=input_map,
+            scaffold_out=output_map,
             scale=self.data.scale,
             step_s=self.data.step_s,
         )
@@ -258,15 +271,15 @@ def append_integrator(
     f = parts["f"]
     n = len(a)
     p = len(c)
-    return {
-        "a": np.block([[a, np.zeros((n, p))], [c, np.eye(p)]]),
-        "b": np.vstack([parts["b"], parts["d"]]),
-        "e": np.vstack([parts["e"], parts["h"]]),
-        "f": np.hstack([f, np.zeros((len(f), p))]),
-        "c": np.eye(p, n + p, n),
-        "d": np.zeros_like(parts["d"]),
-        "h": np.zeros_like(parts["h"]),
-    }
+    none = np.zeros((n, p))
+    integrating = {"a": np.block([[a, none], [c, np.eye(p)]])}
+    integrating["b"] = np.vstack([parts["b"], parts["d"]])
+    integrating["e"] = np.vstack([parts["e"], parts["h"]])
+    integrating["f"] = np.hstack([f, np.zeros((len(f), p))])
+    integrating["c"] = np.eye(p, n + p, n)
+    integrating["d"] = np.zeros_like(parts["d"])
+    integrating["h"] = np.zeros_like(parts["h"])
+    return integrating
 
 
 def split_disturbance_columns(
@@ -309,16 +322,14 @@ def linearise_neuron(model: StructuredSSM, i: int, records: Trajectories) -> Str
     f = model.f[[i]]
     g = model.g[[i]]
     h = model.h[:, [i]]
-    return replace(
-        model,
-        a=model.a + slope * e @ f,
-        b=model.b + slope * e @ g,
-        c=model.c + slope * h @ f,
-        d=model.d + slope * h @ g,
-        e=np.delete(model.e, i, 1),
-        f=np.delete(model.f, i, 0),
-        g=np.delete(model.g, i, 0),
-        h=np.delete(model.h, i, 1),
-        bias=np.delete(model.bias, i, 0),
-        neurons=model.neurons[:i] + model.neurons[i + 1 :],
-    )
+    parts = {"a": model.a + slope * e @ f}
+    parts["b"] = model.b + slope * e @ g
+    parts["c"] = model.c + slope * h @ f
+    parts["d"] = model.d + slope * h @ g
+    parts["e"] = np.delete(model.e, i, 1)
+    parts["f"] = np.delete(model.f, i, 0)
+    parts["g"] = np.delete(model.g, i, 0)
+    parts["h"] = np.delete(model.h, i, 1)
+    parts["bias"] = np.delete(model.bias, i, 0)
+    others = model.neurons[:i] + model.neurons[i + 1 :]
+    return replace(model, neurons=others, **parts)

@@ -5,7 +5,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ssm_study.models.contracting import (
@@ -23,6 +23,7 @@ from ssm_study.models.structured_kernel import (
 )
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.refusal import require
+from ssm_study.training.gain_sign import MOST_NEURONS, missing_gain
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 from ssm_study.training.windows import pad_records
 
@@ -33,6 +34,8 @@ FREE_CORE = ("x_e", "x_g", "log_d")
 CORE = ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 STILL = 0.1  # of the records' deviation: where they move less, no start is made
+GAIN_BLOCKS = (*CORE, *FREE_CORE, "b", "c")  # what moves the gain
+DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
@@ -110,7 +113,7 @@ class SimulationProblem:
 
     With `rate` the core (A, E, F) is that of `models.contracting`, without it free. With
     `integrating_output` the output is the running sum of the model's, started at `x0`'s last entry.
-    `ridge` weighs the squared parameters that are moved.
+    `ridge` weighs the squared parameters that are moved. `gain_share`: see `training.gain_sign`.
     """
 
     records: RecordBatch
@@ -120,6 +123,7 @@ class SimulationProblem:
     rate: float | None = None
     integrating_output: bool = False
     ridge: float = 0.0
+    gain_share: float = 0.0
 
     def ridge_weight(self, block: str) -> float:
         """Weight of a block's squared parameters in the training penalty."""
@@ -160,6 +164,32 @@ class SimulationProblem:
         with np.errstate(all="ignore"):
             error = self.simulate_output(theta) - self.records.y
             return (self.records.weight * error).ravel()
+
+    def missing_gain(self, theta: Theta) -> Float[np.ndarray, "V"]:
+        """Residuals of the penalty on a gain that changes its sign with the neurons' slopes. None
+        where it is not asked for, or there are several inputs or outputs."""
+        inputs = self.lift.channels + self.lift.passed
+        is_asked = self.gain_share > 0.0 and 0 < len(self.neurons) <= MOST_NEURONS
+        if not is_asked or (inputs, self.read.channels) != (1, 1):
+            return np.zeros(0)
+        return missing_gain(self.matrices(theta), self.gain_share)
+
+    def missing_gain_linearised(
+        self, theta: Theta, free: tuple[str, ...]
+    ) -> tuple[Float[np.ndarray, "V"], Float[np.ndarray, "V P"]]:
+        """Residuals of that penalty, and their derivatives by differences: they are few."""
+        missing = self.missing_gain(theta)
+        flat = pack_parameters(theta, free)
+        slopes = np.zeros((len(missing), len(flat)))
+        moving = np.flatnonzero(flat_mask(theta, free, GAIN_BLOCKS)) if missing.any() else ()
+        for i in moving:
+            sides = []
+            for distance in (DIFFERENCE, -DIFFERENCE):
+                moved = flat.copy()
+                moved[i] += distance
+                sides.append(self.missing_gain(theta | unpack_parameters(moved, theta, free)))
+            slopes[:, i] = (sides[0] - sides[1]) / (2.0 * DIFFERENCE)
+        return missing, slopes
 
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
@@ -272,6 +302,9 @@ def regularised_loss(problem: SimulationProblem, theta: Theta, free: tuple[str, 
     with np.errstate(all="ignore"):
         penalties = [problem.ridge_weight(name) * float(np.sum(theta[name] ** 2)) for name in free]
         value = float(residual @ residual) + sum(penalties)
+    if np.isfinite(value):
+        missing = problem.missing_gain(theta)
+        value += float(missing @ missing)
     return value if np.isfinite(value) else np.inf
 
 
@@ -285,6 +318,9 @@ def take_step(problem: SimulationProblem, at: Descent, free: tuple[str, ...]) ->
         normal = turn.T @ (j.T @ j) @ turn
         gradient = turn.T @ (j.T @ residual) + weights * flat
     normal[np.diag_indices_from(normal)] += weights  # J'J + R
+    missing, slopes = problem.missing_gain_linearised(at.theta, free)
+    normal += slopes.T @ slopes
+    gradient += slopes.T @ missing
     if not np.isfinite(normal).all():
         return replace(at, damping=np.inf)
     diagonal = np.diagonal(normal)
@@ -346,10 +382,18 @@ def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "
     return np.concatenate([theta[name].ravel() for name in names])
 
 
+def flat_mask(
+    theta: Theta, names: tuple[str, ...], chosen: tuple[str, ...]
+) -> Bool[np.ndarray, "P"]:
+    """Mask over the flattened blocks, true for the entries of the chosen ones."""
+    masks = [np.full(theta[name].size, name in chosen) for name in names]
+    return np.concatenate(masks)
+
+
 def unpack_parameters(
     flat: Float[np.ndarray, "*batch P"], like: Theta, names: tuple[str, ...]
 ) -> Theta:
-    """Split a vector into named blocks of parameters."""
+    """Split a vector into blocks of parameters with the shapes of `like`."""
     shapes_of = {name: like[name].shape for name in names}
     batch = flat.shape[:-1]
     parts = split_blocks(shapes_of, flat)

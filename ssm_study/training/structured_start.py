@@ -126,7 +126,9 @@ def draw_poles(order: int, rng: np.random.Generator) -> Float[np.ndarray, "n n"]
         turn = np.eye(1)
         if left > 1 and rng.uniform() < 0.5:
             angle = rng.uniform(0.0, 0.5 * np.pi) * rng.uniform() ** 2
-            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            cosine = np.cos(angle)
+            sine = np.sin(angle)
+            turn = np.array([[cosine, sine], [-sine, cosine]])
         blocks.append(radius * turn)
     return linalg.block_diag(*blocks)
 
@@ -229,7 +231,8 @@ def add_random_neurons(
     n, m = theta["b"].shape
     p = len(theta["c"])
     f = rng.normal(size=(count, n))
-    f *= rng.uniform(0.7, 3.0, (count, 1)) / np.linalg.norm(f, axis=1, keepdims=True)
+    sizes = rng.uniform(0.7, 3.0, (count, 1))
+    f *= sizes / np.linalg.norm(f, axis=1, keepdims=True)
     e = SMALL * rng.normal(size=(n, count))
     bias = RESTS_WITHIN * rng.uniform(-1.0, 1.0, count)
     e *= np.linalg.norm(theta["b"])

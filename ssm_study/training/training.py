@@ -1,6 +1,7 @@
 """Identification of a model from data, from the settings of `conf/training/*.yaml` to stored
 numbers."""
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -110,8 +111,7 @@ class Training:
     def _identify_chosen(
         self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Identify the model whose settings are chosen from the records. It is trained on the
-        validation records too where folds predict these far better than the training records do."""
+        """Identify the model that the records choose, on training and validation records."""
         from itertools import islice
 
         from ssm_study.training.choice import MOST_TRAINED, iterate_choices, make_announcer
@@ -133,23 +133,18 @@ class Training:
     def _identify_choice(
         self, choice: "Choice", data: DataSet, session: "TrainingSession"
     ) -> "Identification":
-        """Train the model of a choice, also on the validation records where the choice needs it."""
-        from ssm_study.models.warm_start import simulate_validation_and_test
-        from ssm_study.training.candidates import relative_rms_error
-        from ssm_study.training.choice import refit_sentence
+        """Train the chosen model. Where folds chose it, the validation records are trained on
+        too."""
+        from ssm_study.training.choice import REFIT_WORDS
         from ssm_study.training.folds import join_training_and_validation
         from ssm_study.training.metrics import records_fit_percent
 
-        best = self._train_choice(choice, data, session)
-        validation, _ = simulate_validation_and_test(best.model, data)
-        if not choice.needs_refit(relative_rms_error(validation, data)):
-            return best
-        words = refit_sentence(best.fit_validation_percent)
-        again = replace(session, folder=session.folder / "refit")
-        best = self._train_choice(choice, join_training_and_validation(data), again)
+        if not (choice.rows and choice.spec.refit):
+            return self._train_choice(choice, data, session)
+        best = self._train_choice(choice, join_training_and_validation(data), session)
         return replace(
             best,
-            ended=best.ended + words,
+            ended=best.ended + REFIT_WORDS,
             refitted=True,
             fit_validation_percent=records_fit_percent(best.model, data.validation, data),
         )
@@ -159,9 +154,7 @@ class Training:
     ) -> "Identification":
         """Train the linear or structured model that a choice of settings describes."""
         if not choice.is_linear:
-            members = choice.spec.members
-            starts = [choice.spec] * max(choice.spec.starts, members)
-            return self._train_best_of_several(starts, data, session, members, only_certified=True)
+            return self._train_from_best_starts(choice.spec, data, session)
         from ssm_study.training.candidates import fit_linear_model
         from ssm_study.training.metrics import Identification
 
@@ -176,6 +169,19 @@ class Training:
         ended = "the error of a linear free run no longer falls"
         return Identification.from_model(model, data, seconds=seconds, curve=[], ended=ended)
 
+    def _train_from_best_starts(
+        self, spec: "StructuredSpec", data: DataSet, session: "TrainingSession"
+    ) -> "Identification":
+        """Train a chosen model from the best of many short starts."""
+        from ssm_study.training.short_starts import best_seeds, short_spec
+
+        brief = short_spec(spec)
+        count = max(math.ceil(spec.starts / 2), spec.members)
+        seeds = best_seeds(brief, data, session.seed, 2 * spec.starts, count)
+        return self._train_best_of_several(
+            [brief] * len(seeds), data, session, spec.members, only_certified=True, seeds=seeds
+        )
+
     def _train_best_of_several(
         self,
         starts: Sequence["ModelSpec"],
@@ -183,6 +189,7 @@ class Training:
         session: "TrainingSession",
         members: int,
         only_certified: bool = False,
+        seeds: Sequence[int] | None = None,
     ) -> "Identification":
         """Best model of several trainings from different initial parameters.
 
@@ -191,7 +198,8 @@ class Training:
         """
         dead_time = int(getattr(starts[0], "dead_time", 0))
         records = data.shift_out_dead_time(dead_time) if dead_time else data
-        identified = self._train_several_times(starts, records, session)
+        seeds = seeds or [session.seed + 1000 * k for k in range(len(starts))]
+        identified = self._train_several_times(starts, seeds, records, session)
         averaged = select_by_training_fit(identified, records, members)
         rule = getattr(starts[0], "among_starts", None)
         if only_certified:
@@ -208,15 +216,18 @@ class Training:
         return replace(best, members=tuple(averaged), seconds=seconds)
 
     def _train_several_times(
-        self, starts: Sequence["ModelSpec"], data: DataSet, session: "TrainingSession"
+        self,
+        starts: Sequence["ModelSpec"],
+        seeds: Sequence[int],
+        data: DataSet,
+        session: "TrainingSession",
     ) -> list["Identification"]:
         """Train several times, each with its own initial parameters. After Ctrl-C those that are
         done remain."""
         from ssm_study.training import saving  # loads torch's compiler, as any optimiser does
 
         identified: list[Identification] = []
-        for k, spec in enumerate(starts):
-            seed = session.seed + 1000 * k
+        for k, (spec, seed) in enumerate(zip(starts, seeds, strict=True)):
             folder = session.folder / f"start_{k}" if k else session.folder
             try:
                 start = saving.train_with_lightning(

@@ -288,22 +288,6 @@ def test_pieces_that_follow_each_other_are_joined_and_folds_cover_them() -> None
         assert not set(trained.ravel()) & set(test_u.ravel())
 
 
-def test_validation_records_are_trained_on_where_they_are_unlike_the_others(tmp_path: Path) -> None:
-    spec = StructuredSpec(order="auto", neurons=0, knots=0, **BRIEF)  # type: ignore[arg-type]
-    data = data_set(noise=0.02, samples=500, records=4)
-    same = training(max_epochs=3).identify(spec, data, 0, tmp_path / "same")
-    assert not same.refitted
-    y = -data.validation[0].y
-    validation = (replace(data.validation[0], y=y),)
-    moved = replace(data, validation=validation)
-    refitted = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "moved")
-    assert refitted.refitted
-    assert "trained again with the validation records" in refitted.ended
-    changed_spec = replace(spec, order=2, refit=False)
-    choice = Choice(spec=changed_spec, error=1.0)
-    assert not choice.needs_refit(100.0)
-
-
 def test_a_late_answer_is_part_of_the_model(tmp_path: Path) -> None:
     data = changed(data_set(noise=0.0, samples=500, records=4), answering_late)
     spec = StructuredSpec(**FIXED | BRIEF | {"dead_time": 6})  # type: ignore[arg-type]

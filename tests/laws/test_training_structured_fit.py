@@ -136,6 +136,7 @@ def test_a_neuron_that_does_nothing_is_removed_and_the_metric_stays(
         ({"kinds": "sine"}, "unknown neuron"),
         ({"input_path": "late"}, "model.input_path"),
         ({"rate": 1.2}, "model.rate"),
+        ({"gain_share": 1.0}, "model.gain_share"),
         ({"slope_lower": 0.0}, "model.slope_lower"),
         ({"integrating_output": True, "output_knots": 4}, "model.output_knots"),
         (

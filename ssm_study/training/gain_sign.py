@@ -1,0 +1,43 @@
+"""Penalty that leaves an integrating plant a gain of one sign at every slope of its neurons.
+
+Behind an integrator the rate `y[k+1] - y[k]` has to answer the input with one sign at every slope,
+or no feedback stabilises all of them and nothing can be certified. A model of a motor that stands
+still at small inputs fits as well with a gain that is slightly turned round at rest.
+
+At slopes `s` in {0, 1}^q the gain is `g(s) = C (I - A - E diag(s) F)^{-1} B`. It is a ratio of two
+functions that are linear in each slope, and the lower one is positive wherever the model contracts.
+So `g` has one sign at all slopes if it has at these corners. Source: docs/models.md, "A gain of one
+sign".
+"""
+
+from itertools import product
+
+import numpy as np
+from jaxtyping import Float
+
+from ssm_study.models.structured_kernel import KernelMatrices
+
+WEIGHT = 2.0  # of a missing share, in units of the training error
+MOST_NEURONS = 8  # 256 corners
+
+
+def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
+    """Gain from the input to the output at each corner of the neurons' slopes, for one of each."""
+    n = len(matrices.a)
+    q = matrices.e.shape[1]
+    slopes = np.array(list(product((0.0, 1.0), repeat=q))).reshape(2**q, q)
+    recurrences = matrices.a + (matrices.e * slopes[:, None, :]) @ matrices.f
+    b = np.broadcast_to(matrices.b, (len(slopes), *matrices.b.shape))
+    states = np.linalg.solve(np.eye(n) - recurrences, b)
+    return (matrices.c @ states)[:, 0, 0]
+
+
+def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarray, "corners"]:
+    """Weighted shortfall of each corner's gain to this share of the largest one; zero where it is
+    as large."""
+    with np.errstate(all="ignore"):
+        gains = corner_gains(matrices)
+    largest = gains[np.argmax(np.abs(gains))]
+    if not np.isfinite(gains).all() or largest == 0.0:
+        return np.zeros(len(gains))
+    return WEIGHT * np.maximum(least_share - gains / largest, 0.0)

@@ -1,0 +1,108 @@
+"""What folds chose is trained on all records but the tests, from the best of many short starts.
+
+Size alone is no reason where a candidate explains less."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from models_cases import data_set
+
+from ssm_study.models.structured_spec import AUTO, StructuredSpec
+from ssm_study.training.candidates import Candidate, simplest_good_candidate
+from ssm_study.training.choice_of_size import free_candidates
+from ssm_study.training.optimisers import Lbfgs
+from ssm_study.training.search import Search
+from ssm_study.training.short_starts import STEPS, best_seeds
+from ssm_study.training.structured_fit import StructuredFit
+from ssm_study.training.training import Training
+
+BRIEF = {"starts": 1, "draws": 1, "start_steps": (5, 3, 3)}
+FIXED = {"order": 2, "neurons": 1, "knots": 0, "input_path": "none"}
+
+
+def training(max_epochs: int) -> Training:
+    """A training of a few epochs."""
+    return Training(
+        optimiser=Lbfgs(steps_per_epoch=10, history=20),
+        max_epochs=max_epochs,
+        patience=12,
+        min_gain_percent=0.0,
+        validation_tolerance_percent=0.0,
+    )
+
+
+def quiet(words: str) -> None:
+    """Print nothing."""
+    del words
+
+
+def candidate(name: str, *errors: float) -> Candidate:
+    """A candidate of these errors on folds."""
+    return Candidate(question="size", model=name, settings={}, errors=np.array(errors))
+
+
+def test_what_explains_its_own_records_far_worse_is_not_taken_for_its_size() -> None:
+    """Four folds seldom tell two models apart; the training records do, where they are many."""
+    small = candidate("small", 9.7, 26.2, 17.4, 28.9)
+    large = candidate("large", 15.0, 21.2, 17.2, 12.2)
+    assert not small.is_clearly_worse(large)
+    assert simplest_good_candidate([small, large]) is small
+    worse = replace(small, training_error=20.0)
+    better = replace(large, training_error=10.0)
+    assert simplest_good_candidate([worse, better]) is better
+    assert simplest_good_candidate([better, worse]) is better
+
+
+def test_what_folds_chose_is_trained_on_training_and_validation_records(tmp_path: Path) -> None:
+    spec = StructuredSpec(order="auto", neurons=0, knots=0, **BRIEF)  # type: ignore[arg-type]
+    data = data_set(noise=0.02, samples=500, records=4)
+    moved = replace(data, validation=(replace(data.validation[0], y=-data.validation[0].y),))
+    both = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "both")
+    assert both.refitted
+    assert "trained on the training and validation records" in both.ended
+    without = replace(spec, refit=False)
+    one_part = training(max_epochs=3).identify(without, moved, 0, tmp_path / "training")
+    assert not one_part.refitted
+    assert one_part.fit_validation_percent < both.fit_validation_percent < 0.0
+
+
+def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> None:
+    data = data_set(noise=0.02, samples=300, records=2)
+    spec = StructuredSpec(**FIXED | BRIEF)  # type: ignore[arg-type]
+    seeds = best_seeds(spec, data, 7, 3, best=3)
+    losses = []
+    for seed in seeds:
+        fit = StructuredFit(spec, data, seed)
+        fit.take_steps(STEPS)
+        losses.append(float(fit.loss))
+    assert losses == sorted(losses)
+    assert sorted(seeds) == [7, 1007, 2007]
+
+    class OnlyTheLast:
+        """A choice among starts by which the model of one start alone can be certified."""
+
+        def __call__(self, identified: object) -> None:
+            """Choose none: nobody asks."""
+
+        def largest_rate(self, model: object) -> float:
+            return float(np.array_equal(model.a, last.a))  # type: ignore[attr-defined]
+
+    fit = StructuredFit(spec, data, seeds[-1])
+    fit.take_steps(STEPS)
+    last = fit.as_model()
+    asked = replace(spec, among_starts=OnlyTheLast())
+    assert best_seeds(asked, data, 7, 3, best=2) == [seeds[-1], seeds[0]]
+
+
+def test_a_model_that_need_not_contract_has_to_gain_a_quarter() -> None:
+    contracting = [candidate("one layer", 10.0, 10.0, 11.0, 10.0), candidate("neurons", 9.0, 9.0)]
+    spec = StructuredSpec(order=AUTO, neurons=5, knots=0, rate=AUTO)
+    search = Search(spec=spec, folds=(), seed=0, announce=quiet)
+    for order, error in ((2, 7.0), (3, 9.0)):
+        free = candidate("structured", *[error] * 4)
+        search.tried.append(replace(free, settings={"order": order, "rate": None}))
+    taken = free_candidates(search, contracting)
+    assert [one.settings["order"] for one in taken] == [2]
+    search.decided["integrating_output"] = True
+    assert free_candidates(search, contracting) == []
