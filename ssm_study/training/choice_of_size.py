@@ -59,7 +59,7 @@ def free_candidates(search: Search, contracting: Sequence[Candidate]) -> list[Ca
     No metric common to all slopes of a spring that hardens exists where it is lightly damped.
     Feedback adds the damping, so that the closed loop can be certified all the same.
     """
-    if not search.is_open("rate") or search.integrates:
+    if not search.is_open("rate") or search.has_integrator:
         return []
     free = [search.score_structured_model("no contraction", size) for size in FREE_SIZES]
     return [
