@@ -55,8 +55,8 @@ def test_what_explains_its_own_records_far_worse_is_not_taken_for_its_size() -> 
 
 
 def test_what_folds_chose_is_trained_on_training_and_validation_records(tmp_path: Path) -> None:
-    spec = StructuredSpec(order="auto", neurons=0, knots=0, **BRIEF)  # type: ignore[arg-type]
-    data = data_set(noise=0.02, samples=500, records=4)
+    spec = StructuredSpec(**FIXED | BRIEF | {"feedthrough": AUTO})  # type: ignore[arg-type]
+    data = data_set(noise=0.02, samples=250, records=4)
     moved = replace(data, validation=(replace(data.validation[0], y=-data.validation[0].y),))
     both = training(max_epochs=3).identify(spec, moved, 0, tmp_path / "both")
     assert both.refitted
@@ -64,7 +64,7 @@ def test_what_folds_chose_is_trained_on_training_and_validation_records(tmp_path
     without = replace(spec, refit=False)
     one_part = training(max_epochs=3).identify(without, moved, 0, tmp_path / "training")
     assert not one_part.refitted
-    assert one_part.fit_validation_percent < both.fit_validation_percent < 0.0
+    assert one_part.fit_validation_percent < both.fit_validation_percent
 
 
 def test_the_best_of_short_starts_goes_on_and_certified_ones_come_first() -> None:
