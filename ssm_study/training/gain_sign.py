@@ -10,15 +10,17 @@ So `g` has one sign at all slopes if it has at these corners. Source: docs/model
 sign".
 """
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 
 from ssm_study.models.structured_kernel import KernelMatrices
 
 WEIGHT = 2.0  # of a missing share, in units of the training error
 MOST_NEURONS = 8  # 256 corners
+DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 
 
 def corner_gains(matrices: KernelMatrices) -> Float[np.ndarray, "corners"]:
@@ -41,3 +43,18 @@ def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarr
     if not np.isfinite(gains).all() or largest == 0.0:
         return np.zeros(len(gains))
     return WEIGHT * np.maximum(least_share - gains / largest, 0.0)
+
+
+def slopes_by_differences(
+    residuals: Callable[[np.ndarray], np.ndarray],
+    flat: Float[np.ndarray, "P"],
+    present: Float[np.ndarray, "V"],
+    moving: Shaped[np.ndarray, "M"],
+) -> Float[np.ndarray, "V P"]:
+    """Derivatives of residuals by those parameters that move them, by central differences."""
+    slopes = np.zeros((len(present), len(flat)))
+    for i in moving:
+        step = np.zeros(len(flat))
+        step[i] = DIFFERENCE
+        slopes[:, i] = (residuals(flat + step) - residuals(flat - step)) / (2.0 * DIFFERENCE)
+    return slopes

@@ -5,7 +5,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from ssm_study.models.contracting import (
@@ -23,7 +23,7 @@ from ssm_study.models.structured_kernel import (
 )
 from ssm_study.models.structured_spec import TrainablePieces
 from ssm_study.refusal import require
-from ssm_study.training.gain_sign import MOST_NEURONS, missing_gain
+from ssm_study.training.gain_sign import MOST_NEURONS, missing_gain, slopes_by_differences
 from ssm_study.training.levenberg import DAMPING_RANGE, WRITTEN_OUT, levenberg_marquardt_step
 from ssm_study.training.windows import pad_records
 
@@ -35,7 +35,6 @@ CORE = ("a", "e", "f")
 UNWEIGHTED = ("x0", "x_e", "x_g", "a")  # what the ridge leaves alone: coordinates, and starts
 STILL = 0.1  # of the records' deviation: where they move less, no start is made
 GAIN_BLOCKS = (*CORE, *FREE_CORE, "b", "c")  # what moves the gain
-DIFFERENCE = 1e-6  # of a parameter, for the derivatives of few residuals
 SETTLED = 1e-4  # relative gain of a step below which a descent has ended
 
 
@@ -180,16 +179,13 @@ class SimulationProblem:
         """Residuals of that penalty, and their derivatives by differences: they are few."""
         missing = self.missing_gain(theta)
         flat = pack_parameters(theta, free)
-        slopes = np.zeros((len(missing), len(flat)))
-        moving = np.flatnonzero(flat_mask(theta, free, GAIN_BLOCKS)) if missing.any() else ()
-        for i in moving:
-            sides = []
-            for distance in (DIFFERENCE, -DIFFERENCE):
-                moved = flat.copy()
-                moved[i] += distance
-                sides.append(self.missing_gain(theta | unpack_parameters(moved, theta, free)))
-            slopes[:, i] = (sides[0] - sides[1]) / (2.0 * DIFFERENCE)
-        return missing, slopes
+        masks = [np.full(theta[name].size, name in GAIN_BLOCKS) for name in free]
+        moving = np.flatnonzero(np.concatenate(masks)) if missing.any() else masks[0][:0]
+
+        def missing_at(moved: Float[np.ndarray, "P"]) -> Float[np.ndarray, "V"]:
+            return self.missing_gain(theta | unpack_parameters(moved, theta, free))
+
+        return missing, slopes_by_differences(missing_at, flat, missing, moving)
 
     def residual_and_jacobian(
         self, theta: Theta, free: tuple[str, ...]
@@ -380,14 +376,6 @@ def solve_damped_equations(
 def pack_parameters(theta: Theta, names: tuple[str, ...]) -> Float[np.ndarray, "P"]:
     """Flatten named blocks of parameters to one vector."""
     return np.concatenate([theta[name].ravel() for name in names])
-
-
-def flat_mask(
-    theta: Theta, names: tuple[str, ...], chosen: tuple[str, ...]
-) -> Bool[np.ndarray, "P"]:
-    """Mask over the flattened blocks, true for the entries of the chosen ones."""
-    masks = [np.full(theta[name].size, name in chosen) for name in names]
-    return np.concatenate(masks)
 
 
 def unpack_parameters(

@@ -1,4 +1,4 @@
-"""What folds chose is trained on all records but the tests, from the best of many short starts.
+"""Models that folds chose are trained on all records but the tests, from the best of many starts.
 
 Size alone is no reason where a candidate explains less."""
 
