@@ -60,7 +60,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data: dict[str, Any] = {"study": study.name, "folder": study.folder.resolve().name}
     data["verdicts"] = [vars(verdict) for verdict in VERDICTS]
     data["columns"] = {name: encode_repeats(table[name]) for name in names}
-    data["column_words"] = {name: column_words(name) for name in names}
+    data["words"] = {name: column_words(name) for name in names}
     data["menus"] = group_by_part(names)
     data["known_columns"] = [column.name for column in DECLARED if column.word]
     data["first"] = first_columns(table)
@@ -68,7 +68,7 @@ def page_data(study: StudyFolder) -> dict[str, Any]:
     data["trajectories"] = trajectories(study, table)
     data["pictures"] = pictures(study, table)
     data["comparisons"] = comparisons(study, table)
-    data["slider_settings"] = slider_settings(table)
+    data["slider"] = slider_settings(table)
     return data
 
 
@@ -129,7 +129,7 @@ def written_parts(study: StudyFolder, table: pd.DataFrame) -> dict[str, Any]:
         first = row_as_record(table.iloc[0])
         parts["introduction"] = introduction(table)
         parts["settings"] = settings_line(table)
-        parts["outcome_cards"] = outcome_cards(first)
+        parts["cards"] = outcome_cards(first)
         parts["remarks"] = list(remarks(first))
     return parts
 
