@@ -80,7 +80,7 @@ def check_files(run: RunFiles) -> Claims:
     if not (run.path / CONFIGURATION).is_file():
         yield Checked(claim=CONFIGURATION, holds=False, found="is absent")
         return
-    sealed_names = set(manifest["check_files"]) if manifest else set()
+    sealed_names = set(manifest["files"]) if manifest else set()
     yield from find_foreign_or_absent_files(run, sealed_names)
     yield from list_files_not_checked(run)
 
