@@ -20,7 +20,7 @@ from ssm_study.robustness.sine_trials import (
 from ssm_study.systems import Balls
 
 
-def test_lines(
+def frequencies_to_test(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
     """Frequencies, as lines of a period, at which a design is to be tested with single sines. None
@@ -37,7 +37,7 @@ def simulated_sines(
     plant."""
     from ssm_study.data.simulated import PERIOD
 
-    lines = test_lines(design, model, balls, mismatch, PERIOD)
+    lines = frequencies_to_test(design, model, balls, mismatch, PERIOD)
     records = data.simulate_sines(plant, seed, lines)
     return measure_sine_mismatch(model, records, mismatch, PERIOD)
 

@@ -25,7 +25,7 @@ from ssm_study.robustness.sine_trials import (
     peak_lines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import sine_columns, test_lines
+from ssm_study.synthesis.sine_judgement import sine_columns, frequencies_to_test
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
@@ -118,8 +118,8 @@ def test_the_trials_lie_at_the_peaks_of_the_sensitivity() -> None:
 
 def test_where_no_noise_is_known_nothing_is_tried() -> None:
     unknown = replace(MISMATCH, noise=())
-    assert test_lines(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
-    assert len(test_lines(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
+    assert frequencies_to_test(FAST, SSM_MODEL, BALLS, unknown, PERIOD) == []
+    assert len(frequencies_to_test(FAST, SSM_MODEL, BALLS, MISMATCH, PERIOD)) > 0
 
 
 def test_the_simulated_sines_repeat_and_reach_down_to_a_hundredth() -> None:

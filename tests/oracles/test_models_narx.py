@@ -92,7 +92,7 @@ def test_the_best_baseline_of_a_product_is_a_polynomial() -> None:
     data = records(start_up=20, product=0.15, noise=0.02)
     best = fit_best_baseline(data)
     assert best is not None
-    assert "NARX" in best.describe
+    assert "NARX" in best.words
     assert records_fit_percent(best.model, data.test, data) > 90.0
     model = OutputError(order=2).solve(data)
     linear = records_fit_percent(model, data.test, data)
