@@ -183,7 +183,7 @@ def test_in_a_column_panels_stand_one_below_the_other(tmp_path: Path) -> None:
     folder = tmp_path / "study" / "a"
     run = write_recordings(random_run(folder, kind="mlp", channels=1, seed=1))
     loop = RunFolder(path=run).closed_loop
-    study = SimpleNamespace(of_best=lambda *_, **__: (loop,))
+    study = SimpleNamespace(read_from_best=lambda *_, **__: (loop,))
     widths = {}
     for width in ("page", "column"):
         with style.paper_style(width):

@@ -83,7 +83,7 @@ def test_killing_a_job_that_was_never_born_kills_nobody(monkeypatch: pytest.Monk
     monkeypatch.setattr(os, "kill", lambda pid, _: killed.append(pid))
     for pid in (UNBORN, 12345):
         job = Job(overrides=[], settings=Settings(), folder=Path("x"))
-        job.process = Child(pid=pid, listen=lambda _: None, exitcode=SERVER_DIED)
+        job.process = Child(pid=pid, wait_for_job_end=lambda _: None, exitcode=SERVER_DIED)
         kill_job(job)
     assert killed == [12345]
 

@@ -282,8 +282,8 @@ def test_what_the_killed_had_saved_goes_to_their_successor(tmp_path: Path) -> No
 HOLDING = """
 import sys, time
 from pathlib import Path
-from ssm_study.durable import locked
-with locked(Path(sys.argv[1])):
+from ssm_study.durable import file_lock
+with file_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(600)
 """

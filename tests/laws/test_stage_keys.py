@@ -101,7 +101,7 @@ def keys_of(
 
     def version(*roots: Callable[..., Any] | type | str) -> str:
         symbols = sorted({find_symbol(root) for root in roots})
-        return sources.version(*symbols)
+        return sources.code_digest(*symbols)
 
     stages = KeysOfStages(folder=folder)
     with pytest.MonkeyPatch.context() as patch:
@@ -329,7 +329,7 @@ def test_a_plug_in_counts_also_what_it_imports_by_an_old_name(
     def version() -> str:
         folders = {"ssm_study": scratch, "own": own}
         code = Code(folders)
-        return code.version(root)
+        return code.code_digest(root)
 
     before = version()
     package = scratch.parent if file.startswith("ssm_study") else tmp_path

@@ -120,7 +120,7 @@ def test_a_falling_map_has_an_inverse() -> None:
     breakpoints = np.array([[-1.0, 1.0]])
     slopes = np.array([[-2.0, -1.0, -0.5]])
     falling = MonotoneScaffold(breakpoints=breakpoints, slopes=slopes)
-    inverse = invert_map(falling.portable())
+    inverse = invert_map(falling.as_portable())
     assert inverse is not None
     scaffold = np.array([[5.0], [0.5], [-2.0]])
     actual = inverse(scaffold)

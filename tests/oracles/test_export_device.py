@@ -187,7 +187,7 @@ def test_a_map_with_a_flat_piece_has_no_inverse() -> None:
     scaffold = random_scaffold(rng, "monotone", 1)
     slopes = scaffold.slopes * (np.arange(6) != 2)
     flat = replace(scaffold, slopes=slopes)
-    portable = flat.portable()
+    portable = flat.as_portable()
     assert invert_map(portable) is None
 
 

@@ -115,7 +115,7 @@ def test_a_linear_model_with_its_integrator_goes_the_whole_way(tmp_path: Path) -
     assert design.record["stable_fraction"] == 1
     run = design.save(tmp_path / "saved")
     verification = verify(run)
-    assert not [one.name for one in verification if not one.holds]
+    assert not [one.claim for one in verification if not one.holds]
     response = st.simulate(design, np.array([0.5, -0.5]))
     ends = response.groupby("case").last()
     largest = np.abs(ends["y"]).max()

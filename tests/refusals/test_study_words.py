@@ -169,7 +169,7 @@ def test_a_broken_pipe_that_is_not_our_output_is_no_good_end(
         raise BrokenPipeError(32, "Broken pipe")
 
     monkeypatch.setattr("ssm_study.cli.run.run", broken)
-    monkeypatch.setattr("ssm_study.cli.main._reader_is_gone", lambda: False)
+    monkeypatch.setattr("ssm_study.cli.main._is_output_closed", lambda: False)
     assert main(["run"]) == 2
 
 
