@@ -25,7 +25,7 @@ from ssm_study.robustness.sine_trials import (
     peak_lines,
 )
 from ssm_study.signals import Trajectory
-from ssm_study.synthesis.sine_judgement import sine_columns, frequencies_to_test
+from ssm_study.synthesis.sine_judgement import frequencies_to_test, sine_columns
 
 SSM_MODEL = SSM.from_linear(MODEL, 0.01)
 FAST = design(input_weight=1e-3)
