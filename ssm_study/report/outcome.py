@@ -17,6 +17,7 @@ from ssm_study.report.words import NO_FASTER, SETTLED, prediction_grounds, verdi
 
 WIDTH = 80
 MISSING = "–"
+TRAINED_ON_VALIDATION = "trained on the training and validation records"
 AHEAD = 0.1  # percent points of fit, which are printed, from which on a baseline is better
 # A simulated plant's loop knows given limits alone; the exported code, for want of others, the
 # range of the records.
@@ -210,7 +211,16 @@ def coverage_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     else:
         times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
         covered = f"{times:.2f} times as large as the records show, at every frequency above zero"
-        yield "coverage", label, covered + fresh_data_words(record)
+        yield "coverage", label, covered + refit_words(record) + fresh_data_words(record)
+
+
+def refit_words(record: Mapping[str, Any]) -> str:
+    """Remark that the model was trained on the records which show its error; empty otherwise.
+
+    Such records show less of the error than records that the training has not seen.
+    """
+    is_refitted = TRAINED_ON_VALIDATION in str(record.get("training_ended"))
+    return "; the model was trained on these records" if is_refitted else ""
 
 
 def fresh_data_words(record: Mapping[str, Any]) -> str:
@@ -250,7 +260,8 @@ def predicted_rows(record: Mapping[str, Any]) -> Iterator[Row]:
     if sine_margin is not None and sine_margin <= 1 < (record.get("resolved_margin") or 0.0):
         margin = format_column(record, "sine_margin")
         grounds = f"single sines show more than the other records (margin {margin})"
-    yield "predicted_stable", label, f"{word}: {grounds}" if grounds else word
+    words = f"{word}: {grounds}{refit_words(record)}" if grounds else word
+    yield "predicted_stable", label, words
 
 
 def seen_rows(record: Mapping[str, Any]) -> Iterator[Row]:

@@ -9,6 +9,8 @@ import report_tables
 from rich.console import Console
 
 from ssm_study.report.outcome import pi_words, print_outcome
+from ssm_study.report.page.first_screen import coverage_words
+from ssm_study.training.choice import REFIT_WORDS
 
 RADIUS = "spectral radius of the controller"
 TABLE = report_tables.table(30).astype(object)
@@ -202,6 +204,16 @@ def test_fresh_data_stand_beside_what_is_proved() -> None:
     for words, change in expected.items():
         text = " ".join(printed(record | change).split())
         assert words in text
+
+
+def test_records_that_trained_the_model_are_named_beside_what_they_show() -> None:
+    remark = "the model was trained on these records"
+    record = a_run("ok") | {"coverage": 1.256, "resolved_margin": 2.0}
+    assert remark not in " ".join(printed(record).split())
+    refitted = record | {"training_ended": f"100 epochs{REFIT_WORDS}"}
+    text = " ".join(printed(refitted).split())
+    assert text.count(remark) == 2
+    assert remark in coverage_words(refitted)
 
 
 def test_no_number_is_rounded_across_the_bound_it_is_compared_with() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from ssm_study.evidence.finding import CANNOT_JUDGE, DOUBT
-from ssm_study.report.outcome import loop_place, pi_words
+from ssm_study.report.outcome import loop_place, pi_words, refit_words
 from ssm_study.report.words import SETTLED, VERDICTS, Verdict, column_words, digits_beside_bound
 from ssm_study.table.columns import swept_settings
 
@@ -134,7 +134,7 @@ def coverage_words(record: Record) -> str:
     times = math.floor(100 * coverage) / 100  # never rounded up to what is not proved
     return (
         f"; a model error {times:.2f} times as large as the records show is covered, at every "
-        "frequency above zero"
+        f"frequency above zero{refit_words(record)}"
     )
 
 
@@ -156,6 +156,7 @@ def predicted_card(record: Record) -> Card | None:
     if radius is not None:
         spectral = digits_beside_bound(radius)
         text += f"; spectral radius of the controller {spectral} (below 1 is needed)"
+    text += refit_words(record)
     return Card(title=title, number=digits_beside_bound(margin), text=text)
 
 
