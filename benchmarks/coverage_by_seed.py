@@ -126,7 +126,7 @@ class IdentifiedCase:
         prediction = predict(self.model, design.pair, balls, self.mismatch)
         facts["predicted"] = prediction.predicts_stability(self.parts.synthesis.margin)
         controller = ObserverFeedback.from_design(self.model, design)
-        loop = self.parts.loop.with_fixed_horizon(self.model)
+        loop = self.parts.loop.with_default_horizon(self.model)
         runs = loop.run_on_plant(self.plant, controller, self.parts.loop_seed)
         loop_columns = behaviour_columns(runs)
         names = ("stable_count", "settling_time_mean_s", "settling_time_open_loop_s")

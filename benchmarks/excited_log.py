@@ -62,7 +62,7 @@ def lines(name: str, seed: int, order: int, designs: int) -> list[dict]:
         model = parts.reduction.reduce(
             parts.training.identify(parts.model, data, seed, Path(folder), False).model
         )
-    loop = parts.loop.with_fixed_horizon(model)
+    loop = parts.loop.with_default_horizon(model)
     made = []
     for views, trials in (
         ("three", data.mismatch_records),

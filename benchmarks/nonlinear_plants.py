@@ -59,7 +59,7 @@ def row(name: str, plant: Plant, model: str, seed: int) -> str:
         return f"{head},,,,,,{design.certified}"
     predicted = predict(made, design.pair, balls, shown)
     facts = behaviour_columns(
-        parts.loop.with_fixed_horizon(made).run_design(plant, made, design, parts.loop_seed)
+        parts.loop.with_default_horizon(made).run_design(plant, made, design, parts.loop_seed)
     )
     times = [facts[f"settling_time_{which}"] for which in ("mean_s", "open_loop_s")]
     told = ",".join("" if value is None else f"{value:.3f}" for value in times)

@@ -73,7 +73,7 @@ def row(plant: str, kind: str, seed: int, settings: list[str]) -> dict[str, Any]
         "predicted": "" if silent else predicted.predicts_stability(),
     }
     facts = behaviour_columns(
-        parts.loop.with_fixed_horizon(made).run_design(parts.plant, made, design, parts.loop_seed)
+        parts.loop.with_default_horizon(made).run_design(parts.plant, made, design, parts.loop_seed)
     )
     times = {
         "settle_s": facts["settling_time_mean_s"],

@@ -70,7 +70,7 @@ def loops(files: RunFiles, integral: bool) -> tuple[Design, LoopRuns, LoopRuns]:
             model, certified_balls(model)
         )
     law = ObserverFeedback.from_design(model, design)
-    fitted = files.loop.with_fixed_horizon(model)
+    fitted = files.loop.with_default_horizon(model)
     quiet = replace(
         fitted, measurement_noise_variance=0.0, horizon_s=(4 if integral else 1) * fitted.horizon_s
     )

@@ -75,7 +75,7 @@ def line(name: str, order: int, seed: int, designs: int) -> dict:
     model = parts.reduction.reduce(found.model)
     known = Identified.from_data_set(model, certified_balls(model), data)
     grid = DesignGrid(designs=designs)
-    loop = parts.loop.with_fixed_horizon(model)
+    loop = parts.loop.with_default_horizon(model)
     rows = pd.DataFrame(grid.rows(plant, known, loop, seed))
     about = {
         "plant": name,

@@ -143,7 +143,7 @@ class Design:
             return {}
         data = self.origin.data
         twin = IdentifiedPlant.from_model(self.model, data.inputs, data.outputs)
-        loop = self.loop.with_default_limits(data.training_inputs).with_fixed_horizon(self.model)
+        loop = self.loop.with_default_limits(data.training_inputs).with_default_horizon(self.model)
         runs = loop.run_design(twin, self.model, self.certificate, self.loop_seed)
         return (
             {"loop_on": "identified model"}
@@ -250,7 +250,7 @@ class Design:
         from ssm_study.api.pictures.loop_response import set_point_picture
 
         on = plant or make_identified_plant(self)
-        loop = Loop().with_fixed_horizon(self.model)
+        loop = Loop().with_default_horizon(self.model)
         recorded = self._recorded_inputs
         if recorded:
             scale = self.model.scale

@@ -25,7 +25,7 @@ def group_training_inputs(data: DataSet) -> Iterator[SignalGroup]:
 
 
 def group_training_disturbances(data: DataSet) -> Iterator[SignalGroup]:
-    """Measured disturbances of the training records, each under its own topic."""
+    """Measured disturbances of the training records, each as an own topic of the recording."""
     channels = tuple(data.disturbances)
     for i, record in enumerate(data.training):
         if record.d is not None:

@@ -43,7 +43,7 @@ def simulate_loop(
     names = [channel.name for channel in plant.outputs]
     starts = signal_columns(y0, "y0", len(names), names)[1]
     parts = Parts(LOOP, overrides)
-    loop: Loop = parts.build("loop").with_fixed_horizon(design.model)
+    loop: Loop = parts.build("loop").with_default_horizon(design.model)
     controller = controller or ObserverFeedback.from_design(design.model, design.certificate)
     measured = disturbance_values(disturbance, _disturbance_names(design))
     if measured is not None:

@@ -99,7 +99,8 @@ class Side(Theorem, abstract=True):
 
 
 class ProblemCertificate(Side, abstract=True):
-    """Mixin for a certificate whose theorem is the inequality of one synthesis problem. Beside
+    """Mixin for a certificate that proves exactly the matrix inequality which its synthesis solved.
+    Beside
     `StateFeedback` or `Observer`: what a theorem answers whose fields bear the letters of
     `LETTERS`."""
 

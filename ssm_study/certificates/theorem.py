@@ -163,7 +163,7 @@ class Theorem(ABC):
     @staticmethod
     @abstractmethod
     def ball(context: VerificationContext) -> JacobianBall:
-        """Ball of Jacobians that the ball in the certificate must contain."""
+        """Ball of the stored model's own Jacobians, which the certificate's ball must contain."""
 
     @classmethod
     @abstractmethod
@@ -190,7 +190,7 @@ class Theorem(ABC):
 
     @classmethod
     def as_floats(cls, **numbers: Any) -> dict[str, Float[np.ndarray, "s s"]]:
-        """Matrices of the conditions in floats, each scaled to a unit diagonal."""
+        """Matrices of the certificate's inequalities in floats, each scaled to a unit diagonal."""
         found = cls._evaluated(np.atleast_2d, numbers)
         return {label: scale_to_unit_diagonal(np.block(blocks)) for label, blocks in found.items()}
 

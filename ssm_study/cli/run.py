@@ -147,7 +147,8 @@ def show_page(request: Command) -> None:
 
 
 def conclude_study(request: Command) -> bool:
-    """Gather and print the study after its runs, and draw a single run. True if a run failed."""
+    """Gather the runs of a study into its table and print it; draw the run where it is the only
+    one. True if a run failed."""
     return conclude_sweep(request.config) if request.is_sweep else conclude_run(request.config)
 
 

@@ -175,7 +175,7 @@ def detect_layout(path: Path, content: bytes, settings: TextSettings) -> TextLay
     if units:
         remarks.append("a row of units")
     if names is None:
-        names, skip = counted_column_names(cells, columns, settings.header)
+        names, skip = numbered_column_names(cells, columns, settings.header)
         first += skip
         if skip:
             remarks.append("names that count")
@@ -373,7 +373,7 @@ def parse_names_in_comment(
     return None
 
 
-def counted_column_names(
+def numbered_column_names(
     cells: list[list[str]], columns: int, header: bool | None
 ) -> tuple[list[str] | None, int]:
     """Column names `0,1,2` or `1,2,3` in the first row of a table, and the number of rows they

@@ -145,14 +145,14 @@ class Processes(Launcher):
                     progress.count_outcome(job.outcome.status)
                     if self.fail_fast and job.outcome.status == FAILED:
                         waiting.clear()
-            progress.show_running(running=0)
+            progress.update_running_jobs(running=0)
 
     def _wait_for_ended(self, server: Server, running: list[Job], progress: Progress) -> list[Job]:
         """Wait a moment and return the jobs that have ended, by themselves or stopped at the time
         limit."""
         server.wait_for_job_end(0.5)
         ended = [job for job in running if job.process and job.process.exitcode is not None]
-        progress.show_running(running=len(running))
+        progress.update_running_jobs(running=len(running))
         if self.timeout_s is None:
             return ended
         for job in running:

@@ -47,7 +47,7 @@ class Progress:
         self.reused += reused
         self._show()
 
-    def show_running(self, running: int) -> None:
+    def update_running_jobs(self, running: int) -> None:
         """Set the number of running jobs and show the progress."""
         self.running = running
         self._show()
@@ -119,7 +119,7 @@ class Watch(Thread):
         """Count the statuses in the run folders and show the progress."""
         statuses = self._statuses()
         progress.counts = Counter(status for status in statuses if status in FINAL)
-        progress.show_running(running=statuses.count(RUNNING))
+        progress.update_running_jobs(running=statuses.count(RUNNING))
 
     def _statuses(self) -> list[str]:
         """Status of each run of the sweep, read from the run folders."""

@@ -180,7 +180,8 @@ class RunStages(Store):
     def stage_with_key(
         self, name: str, key: str, note: dict[str, Any], compute: Compute
     ) -> StageResult:
-        """Stage from the store, computed or reused; its name is printed before it is computed."""
+        """Result of a stage: read from the store if it is there, else computed after its name is
+        printed."""
 
         def announced(folder: Path) -> None:
             """Print the name of the stage and compute it."""

@@ -86,7 +86,7 @@ class Device:
         largest = float(np.finfo(kind).max)
 
         def round_limit(limit: Vector) -> Vector:
-            """Input limit rounded to `real`."""
+            """Input limit rounded to the number type of the C program."""
             inputs = controller.scale.inputs
             each = np.broadcast_to(limit, inputs)
             return np.clip(each, -largest, largest).astype(kind)

@@ -232,7 +232,8 @@ def largest_final_error(error: Float[np.ndarray, "N T p"]) -> float:
 
 
 def divergence_columns(loops: list[LoopRuns], step_s: float) -> Columns:
-    """Columns on how many simulated cases left the bound and were stopped, and when first."""
+    """Columns on how many simulated cases were stopped because they diverged, and the earliest
+    time."""
     left: list[int] = []
     for loop in loops:
         at_sample = loop.controlled.left_at_sample

@@ -310,7 +310,7 @@ class Loop:
         no_noise = np.zeros((len(y0), self.horizon_samples(plant.step_s), y0.shape[1]))
         return quiet.simulate(twin, controller, y0, no_noise)
 
-    def with_fixed_horizon(self, model: Model) -> "Loop":
+    def with_default_horizon(self, model: Model) -> "Loop":
         """Copy of the experiment with a horizon that suits the model where none is set. It is the
         one that is set, else `RESPONSES` times the model's response."""
         if self.horizon_s is not None:

@@ -48,7 +48,8 @@ def mean_of_runs(runs: Sequence[Simulation]) -> Simulation:
 
 
 def member_columns(members: Sequence[Any], data: DataSet) -> dict[str, Any]:
-    """Columns on the mean of several models: how many, and its fits in percent. None for one
+    """Columns on the averaged output of several models: their number, and the average's fits in
+    percent. None for one
     model."""
     if len(members) < 2:
         return {}

@@ -80,7 +80,7 @@ def choose_piece_starts(model: Any, data: DataSet) -> PieceStarts:
 
 
 def start_errors(model: Any, data: DataSet) -> dict[str, float] | None:
-    """Mean free-run error for each kind of initial state of a record.
+    """Mean free-run error for each way to choose a record's initial state.
 
     None where no piece has a past. Of every piece the error's power counts as a share of the
     piece's own, at most one: one divergent piece must not decide.

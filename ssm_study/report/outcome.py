@@ -146,7 +146,7 @@ def baseline_text(record: Mapping[str, Any]) -> str:
 
 
 def log_reading(record: Mapping[str, Any]) -> str:
-    """Words on how the log was read and cut, from the notes of the evidence. Empty for simulated
+    """Text that says how the log was read and cut into records. Empty for simulated
     data."""
     notes = str(record.get("evidence_reasons") or "")
     reading = re.search(r"note: The log was read so: (.*?)\.(?= (?:note|doubt):|$)", notes)

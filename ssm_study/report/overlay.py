@@ -25,7 +25,7 @@ def overlay(folders: Sequence[Path]) -> ModelComparison:
     unlike = several == len(folders)
     require(unlike, "run", "one run twice", "would be compared with itself", "name it once")
     names = short_names([folder.resolve() for folder in folders])
-    recordings = [_test_recording(folder) for folder in folders]
+    recordings = [_read_test_free_run(folder) for folder in folders]
     first = recordings[0]
     for folder, recording in zip(folders[1:], recordings[1:], strict=True):
         _require_same_record(folders[0], first, folder, recording)
@@ -65,8 +65,8 @@ def short_names(folders: Sequence[Path]) -> list[str]:
     return [f"{folder.parent.name}/{folder.name}" for folder in folders]
 
 
-def _test_recording(folder: Path) -> RecordedCases:
-    """The free run of a run folder on its test records."""
+def _read_test_free_run(folder: Path) -> RecordedCases:
+    """Free-run simulation of the model on the test records, read from a run's folder."""
     path = folder / "test.mcap"
     remedy = "choose runs that identified a model"
     require(path.is_file(), "run", folder, "it left no test record", remedy)

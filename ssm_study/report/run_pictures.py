@@ -118,7 +118,7 @@ def show_set_point(run: RunFolder) -> Picture:
     loop = (
         Loop()
         .with_default_limits(model.scale.append_equilibrium_input(recorded))
-        .with_fixed_horizon(model)
+        .with_default_horizon(model)
     )
     place = "the identified model"
     return set_point_picture(plant, design, model, loop, recorded, place)

@@ -102,7 +102,7 @@ class RunFolder:
 
     @cached_property
     def trials(self) -> Trajectories:
-        """Records that serve the mismatch alone."""
+        """Records that are used only to measure the mismatch between plant and model."""
         return read_trials(self.path)
 
     @cached_property

@@ -20,7 +20,8 @@ Powers = Float[np.ndarray, "L"]
 
 @dataclass(frozen=True, kw_only=True)
 class MismatchSpectrum:
-    """Spectra of model output, input and model error at the lines of one record. Angles are in
+    """Spectra of model output, input and model error at the excited frequencies of one record.
+    Angles are in
     rad/sample; the error e has one or two periods.
 
     `sides` is 2 for a line that stands for a conjugate pair, 1 for the mean and for pi. Of a record

@@ -109,7 +109,8 @@ class Mismatch:
 
     @property
     def all_views(self) -> tuple[View, ...]:
-        """Mismatch at all recorded amplitudes and in closed loop. The views, and what the trials in
+        """Mismatch between plant and model at each recorded amplitude, and in closed loop.
+        The views, and what the trials in
         closed loop show."""
         return self.views if self.loop is None else (*self.views, self.loop)
 

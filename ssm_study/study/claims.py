@@ -305,7 +305,7 @@ def check_loops(run: RunFiles) -> Claims:
     controller = ObserverFeedback.from_design(run.model, run.design)
     stored, loop_on = read_experiment(run.path)
     yield from check_loop_signals(run, controller, stored, loop_on)
-    fitted = run.loop.with_fixed_horizon(run.model)
+    fitted = run.loop.with_default_horizon(run.model)
     on_model = fitted.run_on_model(run.plant, controller, stored.controlled.y[:, 0])
     pairs: dict[str, tuple[Rollouts | None, Rollouts | None]] = {
         "closed_loop_model.mcap": (stored.on_model, on_model)
@@ -333,7 +333,7 @@ def check_textbook_pi(run: RunFiles) -> Claims:
     """Check the PI controller that the textbook's rule tunes on the stored model, by running it
     again on the configured plant."""
     specification = run.specification
-    fitted = specification.loop.with_fixed_horizon(run.model)
+    fitted = specification.loop.with_default_horizon(run.model)
     yield Derived(
         textbook_pi_columns(specification.plant, run.model, fitted, specification.loop_seed)
     )

@@ -164,7 +164,8 @@ def remeasure_mismatch(run: RunFiles) -> Any:
 
 
 def rederive_coverage(run: RunFiles) -> dict[str, Any]:
-    """Derive the columns of the coverage again from the run's own recordings."""
+    """Derive again, from the run's recordings, the columns that say how much model error the
+    certificate covers."""
     columns = ("coverage", "coverage_reason")
     is_claimed = any(run.record.get(name) is not None for name in columns)
     if not is_claimed and MeasuredDiscs.part not in run.design.extra_certificates:

@@ -50,7 +50,7 @@ def expected_labels(run: RunFiles, data: DataSet) -> Iterator[Labels]:
 
 
 def record_labels(data: DataSet) -> list[Labels]:
-    """Labels of the recordings of the records and of the model's simulations."""
+    """Labels of the recorded measurements and of the model's simulations."""
     files = ("excitation.mcap", "validation.mcap", "test.mcap", TRIALS, LOOPS)
     channels = {"input": data.inputs, "measured": data.outputs, "simulated": data.outputs}
     channels["disturbance"] = data.disturbances

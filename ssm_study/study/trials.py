@@ -1,4 +1,4 @@
-"""Trials in closed loop, from whose records the mismatch is measured again.
+"""Trials in closed loop whose records serve to measure the mismatch between plant and model again.
 
 With `refine=2` the choice runs on the plant, its records join those for the mismatch, and it is
 made again; twice. With `refine=[first.csv,second.csv]` the records are the user's logs of trials,
@@ -127,7 +127,7 @@ def repeat_trials(request: "Specification", run: Path) -> Trajectories:
         logs: Any = request.refine
         data: Any = request.data
         return read_logs(logs, data, model.step_s)
-    experiment = request.loop.with_fixed_horizon(model)
+    experiment = request.loop.with_default_horizon(model)
     trials: list[Trajectory] = []
     for content in read_json(run / TRIED):
         design = Design.from_json(content)

@@ -167,7 +167,7 @@ class Auto:
             pairs = islice(pairs, ATTEMPTS)
         search = None
         if self.premise is not None:
-            search = self._covered_gains(response, self.premise, validation)
+            search = self._search_covered_gains(response, self.premise, validation)
         chosen, status = prefer_covered(
             pairs, make.certified_and_predicted, model, balls, self.premise, self.cover, search
         )
@@ -175,7 +175,7 @@ class Auto:
             return self._with_search_outcome(chosen, status + describe_unsolved_points(candidates))
         return self._largest_margin_design(model, balls, candidates, peaks)
 
-    def _covered_gains(
+    def _search_covered_gains(
         self, response: ExpectedResponse, premise: Premise, validation: Trajectories
     ) -> Search:
         """Search, around the gains of the grid, for gains whose proof covers the records. The
@@ -248,8 +248,7 @@ class Auto:
         return replace(grid.specifications()[0], **least).design(model, balls)
 
     def _with_search_outcome(self, design: Design, status: str) -> Design:
-        """The same design under this method's name, with the outcome of the search in its
-        status."""
+        """Copy of a design under this method's name, with the search's outcome in its status."""
         feedback = design.state_feedback
         observer = design.observer
         return Design(

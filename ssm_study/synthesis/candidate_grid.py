@@ -172,7 +172,8 @@ class CandidateGrid:
     def _requested_rates(
         self, observes: bool, linear: bool, own: float, limit: float
     ) -> list[float]:
-        """Rates of the grid for controller or observer, as numbers. Without one, rates from half of
+        """Contraction rates to try for controller or observer, as numbers.
+        Without one, rates from half of
         the model's own to near the limit."""
         requested = self.rate_observer if observes else self.rate_controller
         if requested != "auto":
@@ -193,7 +194,8 @@ class CandidateGrid:
         rest: Slopes,
         rate: float,
     ) -> list[GainCandidate]:
-        """Gains of the linear models that result when the neurons' slopes are frozen. They are
+        """Static gains from input to output of the linear models that frozen slopes of the neurons
+        give. They are
         certified for all slopes.
 
         A cost for the worst slopes guards against what the model may never do; the certificate does

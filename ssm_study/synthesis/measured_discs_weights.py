@@ -148,7 +148,7 @@ class WeightProgram:
         multipliers = self.grid.multipliers
         return np.concatenate([of_x, of_y, multipliers])
 
-    def item_rows(self) -> Float[np.ndarray, "I n"]:
+    def requirement_coefficients(self) -> Float[np.ndarray, "I n"]:
         """Linear coefficients of the weights in each requirement that the records put on them."""
         rows = []
         for item in self.items:
@@ -205,7 +205,7 @@ class WeightProgram:
         weights = self.weight_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
-        seen = self.item_rows()
+        seen = self.requirement_coefficients()
         on_weights = np.concatenate([seen, rows_xy]) / scale[:weights]
         top = np.zeros((len(on_weights), 1 + len(scale)))
         top[: len(seen), 0] = -1.0
@@ -256,7 +256,7 @@ class WeightProgram:
         weights = self.weight_count
         multipliers = len(scale) - weights
         rows_xy, least_xy = self.weight_rows()
-        seen = self.item_rows()
+        seen = self.requirement_coefficients()
         places = {item.place for item in self.items}
         bands = sorted(places)
         band_of_item = np.array([bands.index(item.place) for item in self.items])

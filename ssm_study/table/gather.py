@@ -179,7 +179,7 @@ def _typed_column(values: list[Any], column: Column | None) -> pd.Series:
 
 
 def _value_of_kind(value: Any, kind: Kind) -> Any:
-    """Value in the form of a column of this kind. None if it is of another kind.
+    """Value converted to the type of its table column. None if it is of another kind.
 
     A text in a column of numbers is missing, not 0.
     """

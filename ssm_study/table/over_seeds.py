@@ -29,7 +29,7 @@ def seed_statistics_lines(table: pd.DataFrame) -> list[str]:
     rows = []
     for label, runs in table.groupby(labels, sort=False):
         if runs["seed"].nunique() >= FEWEST:
-            rows.append(list(group_cells(str(label), runs)))
+            rows.append(list(row_cells(str(label), runs)))
     if not rows:
         return []
     titles = [setting_heading(name) for name in varied]
@@ -55,7 +55,7 @@ def setting_heading(name: str) -> str:
     return column.head if column is not None and column.head else name
 
 
-def group_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
+def row_cells(label: str, runs: pd.DataFrame) -> Iterator[str]:
     """Cells of the printed row of one combination of settings."""
     yield label
     yield str(runs["seed"].nunique())

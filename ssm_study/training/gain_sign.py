@@ -46,7 +46,7 @@ def missing_gain(matrices: KernelMatrices, least_share: float) -> Float[np.ndarr
 
 
 def slopes_by_differences(
-    residuals: Callable[[np.ndarray], np.ndarray],
+    residuals: Callable[[Float[np.ndarray, "P"]], Float[np.ndarray, "V"]],
     flat: Float[np.ndarray, "P"],
     present: Float[np.ndarray, "V"],
     moving: Shaped[np.ndarray, "M"],

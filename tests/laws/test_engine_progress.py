@@ -18,7 +18,7 @@ def test_the_line_counts_and_foresees(capsys: pytest.CaptureFixture[str]) -> Non
             ("failed", False),
         ):
             progress.count_outcome(status, reused)
-        progress.show_running(running=2)
+        progress.update_running_jobs(running=2)
         progress.started -= 30.0  # three fresh runs in half a minute, six to go
         assert progress.seconds_left() == pytest.approx(60, abs=1)
         assert (

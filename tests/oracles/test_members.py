@@ -17,7 +17,7 @@ from ssm_study.models.members import member_columns
 from ssm_study.models.structured_spec import StructuredSpec
 from ssm_study.refusal import BadRequest
 from ssm_study.signals import DataSet
-from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained
+from ssm_study.study.stages.model import MEMBERS, compute_model, measure_model, read_trained_model
 from ssm_study.training.metrics import Identification, records_fit_percent
 
 SMALL = {"order": 2, "neurons": 1, "knots": 0, "draws": 1, "start_steps": (5, 3, 3)}
@@ -40,7 +40,7 @@ def folder(data: DataSet, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
-    trained = read_trained(folder)
+    trained = read_trained_model(folder)
     facts = measure_model(trained, data)
     outputs = [model.simulate(data.test[0].u) for model in trained.members]
     test_y = data.test[0].y
@@ -55,7 +55,7 @@ def test_the_mean_is_scored_by_two_routes(folder: Path, data: DataSet) -> None:
 
 
 def test_members_are_those_that_fit_the_training_records_best(folder: Path, data: DataSet) -> None:
-    trained = read_trained(folder)
+    trained = read_trained_model(folder)
     fits = [records_fit_percent(model, data.training, data) for model in trained.members]
     expected = sorted(fits, reverse=True)
     assert fits == expected
@@ -65,7 +65,7 @@ def test_members_are_those_that_fit_the_training_records_best(folder: Path, data
 def test_a_changed_member_changes_what_verify_derives(
     folder: Path, data: DataSet, tmp_path: Path
 ) -> None:
-    members = read_trained(folder).members
+    members = read_trained_model(folder).members
     stated = member_columns(members, data)
     for path in folder.glob("*.json"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
@@ -74,19 +74,19 @@ def test_a_changed_member_changes_what_verify_derives(
     changed[1]["c"][0][0] *= 1.01
     text = json.dumps(changed)
     (tmp_path / MEMBERS).write_text(text)
-    members = read_trained(tmp_path).members
+    members = read_trained_model(tmp_path).members
     assert member_columns(members, data) != stated
 
 
 def test_one_model_has_no_mean(folder: Path, data: DataSet) -> None:
-    trained = read_trained(folder)
+    trained = read_trained_model(folder)
     assert member_columns((), data) == {}
     members = trained.members[:1]
     assert member_columns(members, data) == {}
 
 
 def test_python_predicts_with_the_mean_and_says_so(folder: Path, data: DataSet) -> None:
-    trained = read_trained(folder)
+    trained = read_trained_model(folder)
     identification = Identification.from_model(
         trained.model, data, seconds=1.0, curve=[], ended="", members=trained.members
     )

@@ -37,7 +37,7 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
     """`u = gain (e + i)`, `i+ = i + step / T e` by hand, sample by sample."""
     model = lag()
     plant = IdentifiedPlant.from_model(model)
-    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_fixed_horizon(model)
+    loop = Loop(initial_conditions=3, measurement_noise_variance=0.0).with_default_horizon(model)
     facts = textbook_pi_columns(plant, model, loop, seed=1)
     pi = tyreus_luyben_pi(linearise_neurons(model))
     y0, noise = loop.draw_conditions(plant, 1)
@@ -65,7 +65,7 @@ def test_its_columns_are_those_of_the_loop_written_out() -> None:
 def test_it_starts_where_every_controller_starts() -> None:
     model = lag()
     plant = IdentifiedPlant.from_model(model)
-    loop = Loop(initial_conditions=4).with_fixed_horizon(model)
+    loop = Loop(initial_conditions=4).with_default_horizon(model)
     runs = loop.run_on_plant(plant, tyreus_luyben_pi(model), 7)
     times = settling_times_s(runs.runs_for_settling, plant.settling_band)
     settled = [time for time in times if time]

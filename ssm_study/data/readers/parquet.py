@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet
 
-from ssm_study.data.readers.reader import Reader, Table, arrow_numbers, check_column_names
+from ssm_study.data.readers.reader import Reader, Table, arrow_columns, check_column_names
 from ssm_study.refusal import BadRequest, require
 
 MOST_BYTES = 1 << 28  # of the named columns, unpacked
@@ -35,7 +35,7 @@ class ParquetReader(Reader, names=(".parquet",)):
                 "split the record",
             )
             table = parquet.read_table(path, columns=names, page_checksum_verification=True)
-            columns = arrow_numbers(path, table, {name: name for name in names}, "row", 0)
+            columns = arrow_columns(path, table, {name: name for name in names}, "row", 0)
         except BadRequest:
             raise
         except (pa.ArrowException, OSError, ValueError) as error:

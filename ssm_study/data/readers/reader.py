@@ -220,7 +220,7 @@ def find_column(path: Path, name: str, titles: list[str], header: bool | None = 
     raise AssertionError  # check_named has refused it
 
 
-def arrow_numbers(
+def arrow_columns(
     path: Path, table: Any, names: dict[str, str], row_word: str, first_row: int
 ) -> dict[str, Any]:
     """Columns of an Arrow table as float64 arrays, by name. `names` has what the file calls them.

@@ -23,7 +23,7 @@ WHOLE = 1 - 1e-9  # share of starts above which all of them settle
 
 
 def draw(study: StudyFolder) -> Figure:
-    """Draw controllers down and situations across, one cell each."""
+    """Draw a grid of pictures with one row per controller and one column per situation."""
     compared = study.comparison
     several = "situation" in compared and compared["situation"].nunique() > 1
     if not several or numeric_column(compared, "stable_fraction").isna().all():

@@ -245,7 +245,7 @@ def _run_recordings(run: RunFolder) -> dict[str, Any]:
 
 
 def _encode_signals(recording: RecordedCases, until: int, **names: str) -> dict[str, Any]:
-    """First channel of several recorded signals with their labels, in the page's compact form."""
+    """First channel of several recorded signals with labels, compressed for the report page."""
     y = names["y"]
     about: dict[str, Any] = {"step_s": recording.step_s(y), "output": recording.label(y)}
     if "u" in names:

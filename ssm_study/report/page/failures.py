@@ -20,7 +20,7 @@ GOOD = {SETTLED.word, NO_FASTER.word, IDENTIFIED.word}
 
 @dataclass(frozen=True, kw_only=True)
 class FailureGroup:
-    """Runs that ended for one reason. `places` are the first of their rows in the table."""
+    """Runs that failed for the same reason. `places` are the first of their rows in the table."""
 
     reason: str
     count: int
@@ -43,7 +43,7 @@ def failure_groups(table: pd.DataFrame) -> list[FailureGroup]:
 
 
 def group_of(runs: list[tuple[int, str]]) -> FailureGroup:
-    """Group of runs with one reason; each run has its place in the table and its sentence."""
+    """Runs that failed for the same reason, each with its row of the table and its explanation."""
     reason = merge_number_ranges([sentence for _, sentence in runs])
     places = tuple(place for place, _ in runs[:MOST_RUNS])
     return FailureGroup(reason=reason, count=len(runs), places=places)

@@ -61,11 +61,13 @@ def introduction(table: pd.DataFrame) -> str:
 def settings_line(table: pd.DataFrame) -> str:
     """Sentence on the settings of the best run in which runs differ. Empty if they do not."""
     record = row_as_record(table.iloc[0])
-    parts = [f"{short_word(name)} {setting_text(record, name)}" for name in swept_settings(table)]
+    parts = [
+        f"{plain_setting_name(name)} {setting_text(record, name)}" for name in swept_settings(table)
+    ]
     return f". Its settings: {', '.join(parts)}." if parts else ""
 
 
-def short_word(name: str) -> str:
+def plain_setting_name(name: str) -> str:
     """Printed name of a setting without symbol and unit, in lower case."""
     return re.sub(r"[ ,]*[(,ρ].*", "", column_words(name)).lower()
 

@@ -1,5 +1,4 @@
-"""Charts whose data the page's script fills in: responses, signals in one axis, one played
-response, groups, and all settings at once."""
+"""Chart specifications of the report page whose data its script fills in when they are shown."""
 
 import json
 from typing import Any

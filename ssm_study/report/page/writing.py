@@ -64,7 +64,7 @@ def write_page(study_folder: Path, others: tuple[Path, ...] = ()) -> Path:
 
 
 def read_asset(name: str) -> str:
-    """Read the text of a file of the page."""
+    """Read a script, style sheet or template of the report page."""
     return (ASSETS / name).read_text(encoding="utf-8")
 
 

@@ -50,7 +50,7 @@ def compute_loop(
     loop_on = loop_subject(plant)
     stays_within_records = plant is None or design.inverts_input_map
     limited = loop.with_default_limits(data.training_inputs) if stays_within_records else loop
-    experiment = limited.with_fixed_horizon(model)
+    experiment = limited.with_default_horizon(model)
     closed = experiment.run_design(on, model, design, loop_seed)
     about = {"loop_on": loop_on, "loop_seed": str(loop_seed)}
     write_experiment(folder, closed, on, twin, about)

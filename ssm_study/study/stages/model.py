@@ -64,7 +64,7 @@ def compute_model(
         write_json(folder / "choice.json", list(identified.choice))
 
 
-def read_trained(folder: Path) -> Trained:
+def read_trained_model(folder: Path) -> Trained:
     """Read the model with the seconds its training took and why it ended."""
     facts = read_json(folder / "training.json")
     return Trained(read_model(folder), members=read_members(folder), **facts)
@@ -106,7 +106,7 @@ def finite_or_none(value: float) -> float | None:
 MODEL = Stage(
     "model",
     compute_model,
-    read_trained,
+    read_trained_model,
     measure_model,
     ("training_curve.json", "choice.json", MEMBERS),
 )

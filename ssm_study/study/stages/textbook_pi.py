@@ -18,7 +18,7 @@ def compute_textbook_pi(
     """Run the PI controller from the same initial states as the certified design, and write its
     columns."""
     facts = textbook_pi_columns(
-        plant, bounded.model, loop.with_fixed_horizon(bounded.model), loop_seed
+        plant, bounded.model, loop.with_default_horizon(bounded.model), loop_seed
     )
     write_json(folder / FILE, facts)
 
