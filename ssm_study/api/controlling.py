@@ -10,7 +10,7 @@ from ssm_study.api.design import Design
 from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts, part_name
 from ssm_study.api.steps import design_controller
-from ssm_study.api.systems import read_linear_system
+from ssm_study.api.systems import read_linear_system, read_numbers
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import require
@@ -56,6 +56,9 @@ def control(
     >>> design.certified
     True
     """
+    for name, limit in zip(("lower", "upper"), input_limits, strict=True):
+        if limit is not None:
+            read_numbers(f"input_limits ({name})", limit)
     identified = isinstance(model, Model)
     chosen = method or ("auto" if identified else "riccati")
     refuse_model_settings(overrides)
@@ -149,7 +152,7 @@ def _design_for_system(
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:
     """Ball of Jacobians of a static map, from its smallest and largest slope."""
-    pair = np.asarray(slopes, dtype=float)
+    pair = read_numbers(name, slopes)
     usable = pair.shape == (2,) and bool(np.isfinite(pair).all())
     remedy = "give (lowest, highest), as in (0.8, 1.2)"
     require(usable, name, slopes, "are no two numbers", remedy)

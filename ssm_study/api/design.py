@@ -17,6 +17,7 @@ from ssm_study.api.design_files import write_records
 from ssm_study.api.model import Model, draw_or_refuse
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.summaries import html_table, render_text_table, summarise_design
+from ssm_study.api.systems import read_numbers
 from ssm_study.bounds.slopes import certified_balls
 from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.evidence.metrics import withhold_predictions
@@ -169,8 +170,8 @@ class Design:
         if not isinstance(self.model, SSM):
             problem = "nothing is proved within limits: the theorems on them know no neurons"
             raise BadRequest("model", type(self.model).__name__, problem, "fit model=ssm")
-        limits = (lower, upper)
-        ends = [np.asarray(limit, dtype=float).reshape(-1) for limit in limits]
+        limits = (("lower", lower), ("upper", upper))
+        ends = [read_numbers(name, limit).reshape(-1) for name, limit in limits]
         return limits_proof(self.model, self.certificate, *ends)
 
     def to_c(self, path: str | Path, real: str = "double") -> Path:
@@ -249,6 +250,8 @@ class Design:
         from ssm_study.api.loops import make_identified_plant
         from ssm_study.api.pictures.loop_response import set_point_picture
 
+        if size is not None:
+            size = float(read_numbers("size", size))
         on = plant or make_identified_plant(self)
         loop = Loop().with_default_horizon(self.model)
         recorded = self._recorded_inputs

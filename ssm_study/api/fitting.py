@@ -12,8 +12,9 @@ from ssm_study.api.model import Model
 from ssm_study.api.parts import Parts
 from ssm_study.api.scratch import make_scratch_folder
 from ssm_study.api.steps import identify_model
+from ssm_study.api.systems import read_numbers
 from ssm_study.data.arrays import write_log_files
-from ssm_study.refusal import BadRequest, require_positive
+from ssm_study.refusal import BadRequest, require, require_positive
 
 CHOICES = {
     "data": "recorded",
@@ -75,8 +76,9 @@ def fit(
     parts = Parts(CHOICES | {"model": model}, overrides)
     parts.set_fields("model", order=order, neurons=neurons, feedthrough=feedthrough, **settings)
     if slopes is not None:
-        slope_lower = float(slopes[0])
-        slope_upper = float(slopes[1])
+        pair = read_numbers("slopes", slopes)
+        slope_lower = float(pair[0])
+        slope_upper = float(pair[1])
         parts.set_fields("model", slope_lower=slope_lower, slope_upper=slope_upper)
     if seed is not None:
         parts.numbers["seed"] = seed
@@ -117,6 +119,7 @@ def sampling_time_s(step_s: Any) -> float:
     remedy = "give it in seconds"
     if isinstance(step_s, timedelta | np.timedelta64):
         step_s = pd.Timedelta(step_s).total_seconds()
+    require(not np.iscomplexobj(step_s), "step_s", step_s, "is no sampling time", remedy)
     try:
         seconds = float(step_s)
     except (TypeError, ValueError) as error:

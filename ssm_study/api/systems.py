@@ -44,11 +44,7 @@ def read_matrix(
 
     Raises `BadRequest` that names the matrix, its shape and the one that fits.
     """
-    try:
-        matrix = np.atleast_2d(np.array(values, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        kind = type(values).__name__
-        raise BadRequest(name, kind, "is no matrix of numbers", "give a NumPy array") from error
+    matrix = np.atleast_2d(read_numbers(name, values, "is no matrix of numbers"))
     sides = zip(matrix.shape, shape, strict=True) if matrix.ndim == 2 else ()
     fits = matrix.ndim == 2 and all(wanted in (None, side) for side, wanted in sides)
     wanted = " by ".join("any" if side is None else str(side) for side in shape)
@@ -56,6 +52,27 @@ def read_matrix(
     finite = bool(np.isfinite(matrix).all())
     require(finite, name, "NaN or infinity", "is not finite", "correct its entries")
     return matrix
+
+
+def read_numbers(
+    name: str, values: Any, problem: str = "holds no numbers"
+) -> Float[np.ndarray, "..."]:
+    """Convert values to a new array of real numbers.
+
+    Raises `BadRequest` for complex numbers, whose imaginary part NumPy would drop, for masked
+    entries, and for what holds no numbers.
+    """
+    kind = type(values).__name__
+    remedy = "give a NumPy array"
+    try:
+        raw = np.array(values)
+        require(raw.dtype.kind != "c", name, kind, "is complex", "give real numbers")
+        require(not np.ma.is_masked(values), name, kind, "has masked entries", "fill them in")
+        return np.asarray(raw, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, BadRequest):
+            raise
+        raise BadRequest(name, kind, problem, remedy) from error
 
 
 def _read_matrices(system: tuple[Any, ...]) -> tuple[StateSpace, float]:

@@ -1,0 +1,70 @@
+"""`st.certify` and `st.control` for matrices that the user brings: refusals, reasons, words."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jaxtyping
+import numpy as np
+import pytest
+
+import ssm_study as st
+from ssm_study.api.design import Design
+from ssm_study.refusal import BadRequest
+
+A = np.array([[0.9, 0.1], [0.0, 0.8]])
+B = np.array([[0.0], [1.0]])
+C = np.array([[1.0, 0.0]])
+D = np.zeros((1, 1))
+K = np.array([[-0.1, -0.5]])
+L = np.array([[-0.5], [-0.1]])
+SLOPES = (0.8, 1.2)
+SYSTEM = (A, B, C, D, 0.1)
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    return st.control(SYSTEM, rate=0.5, slopes=SLOPES)
+
+
+@pytest.mark.filterwarnings("error::numpy.exceptions.ComplexWarning")
+@pytest.mark.parametrize(
+    ("name", "ask"),
+    [
+        ("A", lambda _: st.certify(1j * A, B, K=K)),
+        ("B", lambda _: st.certify(A, 1j * B, K=K)),
+        ("K", lambda _: st.certify(A, B, K=[[1j, 0]])),
+        ("L", lambda _: st.certify(A, C=C, L=1j * L)),
+        ("slopes", lambda _: st.certify(A, B, K=K, slopes=(1j, 2))),
+        ("A", lambda _: st.control((1j * A, B, C, D, 0.1), rate=0.5)),
+        ("D", lambda _: st.control((A, B, C, 1j * D, 0.1), rate=0.5)),
+        ("output_slopes", lambda _: st.control(SYSTEM, rate=0.5, output_slopes=(1, 2j))),
+        ("input_limits", lambda _: st.control(SYSTEM, rate=0.5, input_limits=(None, 1j))),
+        ("y0", lambda design: st.simulate(design, np.array([[1j]]))),
+        ("y0", lambda design: design.plot(np.array([[1j]]))),
+        ("lower", lambda design: design.within(np.array([-1j]), 2)),
+        ("size", lambda design: design.step(np.complex128(1j))),
+        ("u", lambda _: st.fit(1j * np.arange(9.0), np.arange(9.0), 0.1)),
+        ("step_s", lambda _: st.fit(np.arange(9.0), np.arange(9.0), np.complex128(0.1))),
+        ("slopes", lambda _: st.fit(np.arange(9.0), np.arange(9.0), 0.1, slopes=(1j, 2))),
+        ("u", lambda _: st.Estimator(step_s=0.1).fit(1j * np.arange(9.0), np.arange(9.0))),
+    ],
+)
+def test_complex_numbers_are_refused_wherever_they_enter(
+    name: str, ask: Callable[[Any], object], design: Design, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy drops an imaginary part with a warning: what is proved is then another system's."""
+    monkeypatch.setattr(jaxtyping.config, "jaxtyping_disable", True)  # users check no types
+    with pytest.raises(BadRequest, match=r"complex|is no sampling time") as refused:
+        ask(design)
+    assert refused.value.field.startswith(name)
+
+
+def test_masked_entries_are_refused() -> None:
+    masked = np.ma.masked_array(A, mask=[[False, True], [False, False]])
+    with pytest.raises(BadRequest, match="has masked entries"):
+        st.certify(masked, B, K=K)
+
+
+def test_real_numbers_of_any_kind_are_read() -> None:
+    plain = st.certify(A.tolist(), B.astype(np.float32), K=K.tolist(), slopes=SLOPES)
+    assert plain.certified
