@@ -1,13 +1,20 @@
-"""Load a design from a folder."""
+"""Load a saved design or a saved model from a folder."""
 
 from pathlib import Path
 
 from ssm_study.api.design import Design
+from ssm_study.api.model import Model
+from ssm_study.api.model_files import holds_saved_model
 
 
-def load(folder: str | Path) -> Design:
-    """Load a saved design, or the controller of any run folder.
+def load(folder: str | Path) -> Design | Model:
+    """Load a saved design, a saved model, or the controller of any run folder.
 
-    Raises `BadRequest` where there is no controller.
+    What `design.save(folder)` or a run wrote becomes a `Design`, what `model.save(folder)` wrote a
+    `Model` with its records, ready for `st.simulate` and `st.control`. Raises `BadRequest` where
+    there is neither.
     """
-    return Design.load(Path(folder))
+    folder = Path(folder)
+    if holds_saved_model(folder):
+        return Model.load(folder)
+    return Design.load(folder)

@@ -1,6 +1,5 @@
 """Identified models in Python: predictions, scores, poles and a summary."""
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from ssm_study.api.linearisation import (
     linearise_model,
     tabulate_frequency_response,
 )
+from ssm_study.api.model_files import holds_saved_model, read_model_fields, write_model_files
 from ssm_study.api.steps import judge_evidence, measure_mismatch
 from ssm_study.api.summaries import html_table, render_text_table, summarise_model
 from ssm_study.bounds.metrics import model_bound_columns
@@ -285,16 +285,28 @@ class Model:
         return draw_or_refuse("input_map", lambda: input_map_picture(self.ssm, slopes, label))
 
     def save(self, folder: str | Path) -> Path:
-        """Write the model to `model.json`, from which it can be simulated without torch.
+        """Write the model with its records into a new folder, from which `st.load` reads it again.
 
-        Returns the folder. Raises `BadRequest` for a folder that exists.
+        `model.json` alone can be simulated without torch. Returns the folder. Raises `BadRequest`
+        for a folder that exists.
         """
         folder = Path(folder)
         require(not folder.exists(), "folder", folder, "exists", "name a new folder")
         folder.mkdir(parents=True)
-        content = json.dumps(self.simulator.to_json(), indent=1, allow_nan=False)
-        (folder / "model.json").write_text(content + "\n", encoding="utf-8")
+        write_model_files(self, folder)
         return folder
+
+    @classmethod
+    def load(cls, folder: str | Path) -> "Model":
+        """Load a model that `save` wrote, equal to the last digit.
+
+        Raises `BadRequest` where there is none.
+        """
+        folder = Path(folder)
+        problem = "holds no saved model"
+        remedy = "name the folder that model.save wrote"
+        require(holds_saved_model(folder), "folder", folder, problem, remedy)
+        return cls(**read_model_fields(folder))
 
 
 def draw_or_refuse(name: str, make: Callable[[], "Picture"]) -> Any:

@@ -1,5 +1,6 @@
 """Summaries of models and designs: one value a line, as text and as a table for notebooks."""
 
+import re
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,7 @@ def summarise_model(model: "Model") -> pd.Series:
         words = f"{facts['members']} models, fit on the test records {fit:.1f} %"
         lines["mean that predicts"] = words
     if model.identification.chosen:
-        lines["chosen by the records"] = model.identification.chosen
+        lines["chosen by the records"] = choice_words(model.identification.chosen)
     if isinstance(model.simulator, SSM | StructuredSSM):
         lines |= summarise_state_space(model, model.simulator)
     return pd.Series(lines, name="model", dtype=object)
@@ -49,8 +50,9 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
     evidence."""
     facts = model.facts
     slowest = np.abs(model.eigenvalues()).max()
-    lines: dict[str, Any] = {"states": simulator.order}
-    lines["neurons"] = facts.get("neurons", 0)
+    sizes = chosen_sizes(model.identification.chosen)
+    lines: dict[str, Any] = {"states": size_words(simulator.order, sizes.get("order"))}
+    lines["neurons"] = size_words(facts.get("neurons", 0), sizes.get("neurons"))
     lines["slowest pole"] = f"{slowest:.4f} per sample"
     lower = facts.get("input_slope_lower")
     upper = facts.get("input_slope_upper")
@@ -58,6 +60,27 @@ def summarise_state_space(model: "Model", simulator: SSM | StructuredSSM) -> dic
         lines["slopes of the input map"] = f"{lower:.3g} to {upper:.3g}"
     lines["evidence"] = model.evidence.level
     return lines
+
+
+def choice_words(chosen: str) -> str:
+    """Words on the settings that the records chose, in which `input_path` is named by what it
+    is."""
+    for value, answer in (("none", "no"), ("free", "yes")):
+        chosen = chosen.replace(f"input path {value}", f"input drives the neurons {answer}")
+    return chosen
+
+
+def chosen_sizes(chosen: str) -> dict[str, int]:
+    """Numbers of states and neurons that the records chose, before the training removed any."""
+    sizes = re.findall(r"\b(order|neurons) (\d+)", chosen)
+    return {name: int(size) for name, size in sizes}
+
+
+def size_words(count: int, chosen: int | None) -> int | str:
+    """Number of states or neurons, and that it is less than chosen where some were not needed."""
+    if chosen is None or count >= chosen:
+        return count
+    return f"{count} (of the {chosen} chosen, the others were not needed)"
 
 
 def summarise_design(design: "Design") -> pd.Series:

@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 import ssm_study as st
 from ssm_study.api import parts
 from ssm_study.api.design import Design
-from ssm_study.api.summaries import summarise_prediction
+from ssm_study.api.model import Model
+from ssm_study.api.summaries import choice_words, chosen_sizes, size_words, summarise_prediction
 from ssm_study.cli.main import main
 from ssm_study.refusal import BadRequest
 from ssm_study.study.verify import verify
@@ -369,3 +370,30 @@ def test_compare_ranks_models_on_one_record(log: pd.DataFrame) -> None:
     assert isinstance(comparison.plot(), Figure)
     with pytest.raises(BadRequest, match="nothing to compare"):
         st.compare([], u, y)
+
+
+def test_a_saved_model_loads_and_simulates_to_the_last_digit(
+    design: Design, log: pd.DataFrame, tmp_path: Path
+) -> None:
+    model = design.origin
+    assert model is not None
+    saved = model.save(tmp_path / "model")
+    loaded = st.load(saved)
+    assert isinstance(loaded, Model)
+    u = log[["valve's voltage"]]
+    pd.testing.assert_frame_equal(st.simulate(loaded, u), st.simulate(model, u), check_exact=True)
+    assert str(loaded) == str(model)
+    assert st.control(loaded, *GIVEN).record["resolved_margin"] == design.record["resolved_margin"]
+    (saved / "records.npz").write_bytes(b"damaged")
+    with pytest.raises(BadRequest, match=r"cannot be read .*; save the model again"):
+        st.load(saved)
+    with pytest.raises(BadRequest, match="holds no saved model; name the folder"):
+        Model.load(tmp_path)
+
+
+def test_the_summary_counts_states_and_neurons_as_the_choice_does() -> None:
+    assert chosen_sizes("order 3, neurons 5, knots 16") == {"order": 3, "neurons": 5}
+    assert size_words(5, 5) == 5
+    assert size_words(5, None) == 5
+    assert size_words(4, 5) == "4 (of the 5 chosen, the others were not needed)"
+    assert choice_words("order 3, input path none") == "order 3, input drives the neurons no"

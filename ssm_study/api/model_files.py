@@ -1,0 +1,148 @@
+"""Files of a saved model: the model itself, its records, and how it was found."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ssm_study.models.stored import read_model_json
+from ssm_study.refusal import BadRequest
+from ssm_study.signals import Channel, DataSet, Scale, Trajectory
+from ssm_study.training.metrics import Identification
+
+MODEL_FILE = "model.json"
+HISTORY_FILE = "identification.json"
+RECORDS_FILE = "records.npz"
+PARTS = ("training", "validation", "test", "mismatch_records")
+SIGNALS = ("u", "y", "d")
+CHANNELS = ("inputs", "outputs", "disturbances")
+NUMBERS = ("fit_validation_percent", "seconds", "curve", "ended", "choice", "chosen", "refitted")
+
+
+def holds_saved_model(folder: Path) -> bool:
+    """Whether a folder was written by `Model.save`."""
+    return (folder / HISTORY_FILE).is_file() and (folder / RECORDS_FILE).is_file()
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a value as JSON. Its numbers are read back to the last digit.
+
+    A training curve may hold NaN, where an epoch had no fit.
+    """
+    text = json.dumps(content, indent=1, default=np.generic.item)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def write_model_files(model: Any, folder: Path) -> None:
+    """Write a `Model` into a folder: `model.json`, `identification.json` and `records.npz`."""
+    identification: Identification = model.identification
+    facts = {name: getattr(identification, name) for name in NUMBERS}
+    members = [member.to_json() for member in identification.members]
+    content = {
+        "identification": facts,
+        "members": members,
+        "data": describe_data(model.data),
+        "seed": model.seed,
+        "overrides": model.overrides,
+        "later_words": model.later_words,
+    }
+    write_json(folder / MODEL_FILE, model.simulator.to_json())
+    write_json(folder / HISTORY_FILE, content)
+    np.savez_compressed(folder / RECORDS_FILE, **signal_arrays(model.data))
+
+
+def read_model_fields(folder: Path) -> dict[str, Any]:
+    """Read the fields of a `Model` from a folder that `write_model_files` wrote.
+
+    Raises `BadRequest` for a damaged file.
+    """
+    try:
+        simulator = read_model_json(json.loads((folder / MODEL_FILE).read_text(encoding="utf-8")))
+        content = json.loads((folder / HISTORY_FILE).read_text(encoding="utf-8"))
+        with np.load(folder / RECORDS_FILE, allow_pickle=False) as arrays:
+            data = read_data(content["data"], dict(arrays))
+        facts = content["identification"]
+        facts["choice"] = tuple(facts["choice"])
+        members = tuple(read_model_json(member) for member in content["members"])
+        identification = Identification(model=simulator, members=members, **facts)
+        return {
+            "simulator": simulator,
+            "data": data,
+            "identification": identification,
+            "seed": int(content["seed"]),
+            "overrides": tuple(content["overrides"]),
+            "later_words": tuple(content["later_words"]),
+        }
+    except BadRequest:
+        raise
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        problem = f"holds a saved model that cannot be read ({error})"
+        raise BadRequest("folder", folder, problem, "save the model again") from error
+
+
+def describe_data(data: DataSet) -> dict[str, Any]:
+    """Channels, scale and names of a data set's records, without their samples."""
+    scale = {name: list(values) for name, values in asdict(data.scale).items()}
+    records = {part: list(map(describe_record, getattr(data, part))) for part in PARTS}
+    channels = {side: list(map(asdict, getattr(data, side))) for side in CHANNELS}
+    return {
+        "scale": scale,
+        "records": records,
+        "channels": channels,
+        "start_up_samples": data.start_up_samples,
+        "metadata": data.metadata,
+    }
+
+
+def describe_record(record: Trajectory) -> dict[str, Any]:
+    """Fields of a record without its samples."""
+    return {
+        "step_s": record.step_s,
+        "name": record.name,
+        "closed_loop": bool(record.closed_loop),
+        "log": int(record.log),
+        "first": int(record.first),
+    }
+
+
+def signal_arrays(data: DataSet) -> dict[str, Any]:
+    """Samples of all records, under `<part>/<number>/<signal>`."""
+    arrays = {}
+    for part in PARTS:
+        for number, record in enumerate(getattr(data, part)):
+            for signal in SIGNALS:
+                values = getattr(record, signal)
+                if values is not None:
+                    arrays[f"{part}/{number}/{signal}"] = values
+    return arrays
+
+
+def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
+    """Data set from its description and its samples."""
+    scale = {name: np.asarray(values, dtype=float) for name, values in content["scale"].items()}
+    parts = {part: read_records(part, content["records"][part], arrays) for part in PARTS}
+    channels = {}
+    for side in CHANNELS:
+        channels[side] = tuple(Channel(**one) for one in content["channels"][side])
+    return DataSet(
+        **parts,
+        **channels,
+        scale=Scale(**scale),
+        start_up_samples=int(content["start_up_samples"]),
+        metadata=dict(content["metadata"]),
+    )
+
+
+def read_records(
+    part: str, descriptions: list[dict[str, Any]], arrays: dict[str, Any]
+) -> tuple[Trajectory, ...]:
+    """Records of one part of a data set."""
+    records = []
+    for number, description in enumerate(descriptions):
+        values: dict[str, Any] = {
+            signal: arrays.get(f"{part}/{number}/{signal}") for signal in SIGNALS
+        }
+        records.append(Trajectory(**description, **values))
+    return tuple(records)
