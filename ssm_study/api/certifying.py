@@ -163,7 +163,10 @@ def certify_gain(
         eigenvalues = np.linalg.eigvals(a + ball.alpha * b @ k)
         spectral_radius = np.abs(eigenvalues).max()
         slowest = float(spectral_radius)
-        reason = f"no rate exists for this gain: its supremum is {supremum:.4g}"
+        reason = (
+            f"the loop is stable at the mean slope (spectral radius {slowest:.4g}), yet no "
+            f"single metric proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
+        )
         if slowest >= 1:
             reason = f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
         return GainCertificate(

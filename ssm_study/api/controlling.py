@@ -1,7 +1,7 @@
 """Design of a certified controller from Python."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -12,14 +12,23 @@ from ssm_study.api.parts import Parts, part_name
 from ssm_study.api.steps import design_controller
 from ssm_study.api.systems import read_linear_system, read_numbers
 from ssm_study.bounds.slopes import certified_balls
+from ssm_study.certificates.certificate import SIDES, Infeasible
+from ssm_study.certificates.certificate import Design as Certificates
 from ssm_study.models.identified import SSM
 from ssm_study.refusal import require
+from ssm_study.synthesis.design import require_contraction_rate
 from ssm_study.systems import JacobianBall
 
 if TYPE_CHECKING:
     import control as python_control
 
 LOOP = {"loop": "regulation"}
+REMEDIES = {
+    "raise the slope floor (model.slope_lower)": "give slopes that lie closer together",
+    "drop states (reduction.truncate_to)": "give a model with fewer states",
+    "try synthesis=riccati": "try method='riccati'",
+    " or use a scaffolding with slopes bounded by construction": "",
+}
 OF_THE_MODEL = ("data", "model", "training", "reduction", "seed")
 
 
@@ -59,6 +68,9 @@ def control(
     for name, limit in zip(("lower", "upper"), input_limits, strict=True):
         if limit is not None:
             read_numbers(f"input_limits ({name})", limit)
+    for name, asked in (("rate", rate), ("observer_rate", observer_rate)):
+        if asked is not None:
+            require_contraction_rate(name, asked, "try 0.1")
     identified = isinstance(model, Model)
     chosen = method or ("auto" if identified else "riccati")
     refuse_model_settings(overrides)
@@ -147,7 +159,21 @@ def _design_for_system(
         output = slope_ball("output_slopes", output_slopes)
         balls = replace(balls, output=output)
     certificate = parts.build("synthesis").design(model, balls)
+    certificate = without_settings_of_a_study(certificate)
     return Design(certificate=certificate, model=model, overrides=overrides)
+
+
+def without_settings_of_a_study(certificate: Certificates) -> Certificates:
+    """Replace remedies that name settings of a study, which a system given as matrices has not."""
+    sides = {}
+    for side in SIDES:
+        part = certificate.parts_by_name[side]
+        words = "reason" if isinstance(part, Infeasible) else "solver_status"
+        text = getattr(part, words)
+        for setting, remedy in REMEDIES.items():
+            text = text.replace(setting, remedy)
+        sides[side] = replace(cast("Any", part), **{words: text})
+    return replace(certificate, **sides)
 
 
 def slope_ball(name: str, slopes: Slopes) -> JacobianBall:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from ssm_study.certificates.certificate import Infeasible
 from ssm_study.evidence.finding import DOUBT
 from ssm_study.models.identified import SSM
 from ssm_study.models.structured import StructuredSSM
@@ -87,22 +88,31 @@ def summarise_design(design: "Design") -> pd.Series:
     """Table of what is proved and what is predicted of a design, with units."""
     lines: dict[str, Any] = {}
     certificate = design.certificate
+    for name, side in (("controller", "state_feedback"), ("observer", "observer")):
+        part = certificate.parts_by_name[side]
+        if isinstance(part, Infeasible):
+            lines[name] = f"no certificate: {part.reason}"
+            continue
+        lines |= summarise_side(name, part, certificate.certified_rate(side))
     if not certificate.feasible:
-        lines["infeasible"] = design.facts.get("infeasible_reason", "no controller was found")
         return pd.Series(lines, name="design", dtype=object)
-    feedback, observer = certificate.parts()
-    sides = (("controller", feedback, "state_feedback"), ("observer", observer, "observer"))
-    for name, part, side in sides:
-        rate = certificate.certified_rate(side)
-        value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
-        lines[name] = f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"
-        lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
     slowest = {name: np.abs(poles).max() for name, poles in design.eigenvalues().items()}
     lines["slowest pole, open loop"] = f"{slowest['model']:.4f} per sample"
     lines["slowest pole, controlled"] = f"{slowest['controlled']:.4f} per sample"
     if design.origin is not None:
         lines |= summarise_prediction(design.facts)
     return pd.Series(lines, name="design", dtype=object)
+
+
+def summarise_side(name: str, part: Any, rate: float | None) -> dict[str, str]:
+    """Lines of the summary on the certificate of controller or observer; where exact arithmetic
+    does not confirm it, also why."""
+    value = "no rate" if rate is None else f"rate {rate:.3g} per sample"
+    lines = {name: f"{value}, {PROVED[part.certified]} (limit {part.rate_limit:.3g})"}
+    if not part.certified:
+        lines[f"{name}, reason"] = part.solver_status
+    lines[f"{name} gain"] = f"norm {part.gain_norm:.3g}"
+    return lines
 
 
 def summarise_prediction(facts: dict[str, Any]) -> dict[str, str]:

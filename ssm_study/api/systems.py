@@ -32,7 +32,9 @@ def read_sampling_time(step_s: Any) -> float:
     `BadRequest` for anything else."""
     is_number = isinstance(step_s, float | int) and not isinstance(step_s, bool)
     discrete = is_number and 0 < float(step_s) < np.inf
-    remedy = "sample it: control.c2d(system, step_s)"
+    remedy = "give the sampling period: control.StateSpace(P.A, P.B, P.C, P.D, step_s)"
+    if is_number and float(step_s) == 0:  # python-control's word for continuous time
+        remedy = "sample it: control.c2d(system, step_s)"
     require(discrete, "system.dt", step_s, "not a sampling time", remedy)
     return float(step_s)
 

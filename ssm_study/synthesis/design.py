@@ -79,17 +79,21 @@ class DesignAttempt:
             )
             return self.without_certificate(reason, "not asked", proved=True)
         if self.rate >= limit:
-            by = self.frontier.decided_by
-            floor = ", raise the slope floor (model.slope_lower)" * (by == "the slopes")
-            reason = (
-                f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (by != 'the slopes')} "
-                "only rates below "
-            )
-            reason += (
-                f"{limit:.6g}; request a smaller rate{floor} or drop states (reduction.truncate_to)"
-            )
-            return self.without_certificate(reason, "not asked", proved=True)
+            return self.without_certificate(self._excess_words(), "not asked", proved=True)
         return None
+
+    def _excess_words(self) -> str:
+        """Words on a requested rate beyond the limit: what allows how much, and the remedies."""
+        limit = self.frontier.rate_limit
+        by = self.frontier.decided_by
+        slopes = by == "the slopes"
+        said = f"rate {self.rate:.6g} is infeasible: {by} allow{'s' * (not slopes)}"
+        remedies = ["raise the slope floor (model.slope_lower)"] if slopes else []
+        remedies.append("drop states (reduction.truncate_to)")
+        if limit <= 0:
+            return f"{said} no positive rate; {' or '.join(remedies)}"
+        remedy = ", ".join(["request a smaller rate", *remedies[:-1]])
+        return f"{said} only rates below {limit:.6g}; {remedy} or {remedies[-1]}"
 
     def without_certificate(self, reason: str, status: str, proved: bool = False) -> Infeasible:
         """Result of an attempt that gave no certificate, with its reason. `reason` says why."""

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+import control
 import jaxtyping
 import numpy as np
 import pytest
@@ -68,3 +69,58 @@ def test_masked_entries_are_refused() -> None:
 def test_real_numbers_of_any_kind_are_read() -> None:
     plain = st.certify(A.tolist(), B.astype(np.float32), K=K.tolist(), slopes=SLOPES)
     assert plain.certified
+
+
+def test_a_design_that_failed_prints_its_reason() -> None:
+    """The words are the certificate's, without the names of a study's settings."""
+    printed = repr(st.control(SYSTEM, rate=0.99, slopes=SLOPES))
+    assert (
+        "controller     no certificate: rate 0.99 is infeasible: the slopes allow only" in printed
+    )
+    assert "rates below 0.856; request a smaller rate" in printed
+    assert "observer       rate 0.99 per sample, certified" in printed
+    assert "model." not in printed
+    assert "reduction." not in printed
+
+
+def test_a_rate_limit_below_zero_is_told_as_none() -> None:
+    """Only rates below -0.21 is no advice: no rate is positive and below it."""
+    unstable = (2 * A, B, C, D, 0.1)
+    printed = repr(st.control(unstable, rate=0.5, slopes=(0.3, 5.0)))
+    assert "the slopes allow no positive rate; give slopes that lie closer together" in printed
+    assert "request a smaller rate" not in printed
+
+
+def test_a_side_that_arithmetic_does_not_confirm_prints_why() -> None:
+    slopes = {"slopes": SLOPES, "output_slopes": SLOPES}
+    design = st.control(SYSTEM, rate=0.85, method="lmi", **slopes)
+    sides = {
+        "controller": design.certificate.state_feedback,
+        "observer": design.certificate.observer,
+    }
+    summary = design.summary()
+    assert not design.certified
+    for name, part in sides.items():
+        if not part.certified:
+            assert summary[f"{name}, reason"] == part.solver_status
+
+
+def test_certify_says_in_words_that_no_rate_is_possible() -> None:
+    proof = st.certify(A, B, K=[[-1.0, -1.0]], slopes=(0.2, 3.0))
+    assert not proof.certified
+    assert "no single metric proves a rate for every slope from 0.2 to 3" in repr(proof)
+
+
+def test_a_rate_of_no_design_is_refused_by_its_own_name() -> None:
+    for name in ("rate", "observer_rate"):
+        with pytest.raises(BadRequest, match=rf"^{name} = 2\.0: a contraction rate lies in"):
+            st.control(SYSTEM, **{name: 2.0})
+
+
+@pytest.mark.parametrize(
+    ("dt", "remedy"), [(True, "give the sampling period"), (None, "period"), (0, r"control\.c2d")]
+)
+def test_a_missing_sampling_period_is_asked_for(dt: float | bool | None, remedy: str) -> None:
+    """A discrete system of unknown period cannot be sampled; a continuous one can."""
+    with pytest.raises(BadRequest, match=remedy):
+        st.control(control.StateSpace(A, B, C, D, dt), rate=0.5)
