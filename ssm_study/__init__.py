@@ -2,27 +2,29 @@
 
     import ssm_study as st
 
-    model = st.fit(u, y, step_s)       # identify: arrays, series or frames, one per record
-    design = st.control(model)         # controller and observer, certified in exact arithmetic
-    design.to_c("controller.h")        # C99; design.save(folder), st.load(folder)
+    model = st.fit(u, y, step_s)       # arrays, series or frames, one per record
+    print(model)                       # fit on the test record, states, slopes, evidence
+    st.compare([model, st.fit(u, y, step_s, model="arx")], u, y).plot()   # beside a baseline
+    design = st.control(model)         # controller and observer; design.certified is True or False
+    design.to_c("controller.h")        # C99; design.save(folder), model.save(folder)
+    st.load(folder)                    # the saved design or model
 
     st.certify(A, B, C, K=K, L=L, slopes=(0.8, 1.2))   # the largest provable rate of your gains
-    st.compare([model, other], u, y)   # free runs on one record
     st.simulate(model, u)              # or a loop from initial outputs: st.simulate(design, y0)
     st.look("log.csv")                 # what is in a log
     st.study("experiment=paper")       # the table of a study, as `ssm-study run` makes it
     st.Estimator(step_s=step_s)        # for scikit-learn's searches
 
-The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)`. `print(model)` and `print(design)` say what was
-found, with units. Pictures are Matplotlib figures: `model.plot()`, `bode()`, `residuals()`,
-`poles()`, `input_map()`; `design.plot()`, `step()`, `margin_plot()`, `coverage_plot()`,
-`nyquist()`, `poles()`.
+The model is `x+ = A x + B S_u(u)`, `y = S_y(C x)`. By default `fit` compares a dozen or more models
+on folds of the records, which takes minutes; `model="ssm"` takes seconds. Pictures are Matplotlib
+figures: `model.plot()`, `bode()`, `residuals()`, `poles()`, `input_map()`; `design.plot()`,
+`step()`, `margin_plot()`, `coverage_plot()`, `nyquist()`, `poles()`.
 
 A certified rate `rho` is proved for the model: distances shrink by `sqrt(1 - rho)` or more each
-sample. Of the plant speak `design.record["predicted_stable"]` (a prediction, None where the records
-allow none) and `design.record["coverage"]` (how large a model error the proof covers, over what the
-records show; below one nothing). A fit of 100 % is a perfect free run. A wrong request raises
-`st.BadRequest` in one sentence, before any long work.
+sample. Two entries are about the plant: `design.record["predicted_stable"]`, a prediction (None
+where the records allow none), and `design.record["coverage"]`, the model error that the proof
+covers over the error that the records show (below one nothing is covered). A fit of 100 % is a
+perfect free run. A wrong request raises `st.BadRequest` in one sentence, before any long work.
 """
 
 import os
@@ -39,6 +41,7 @@ _PUBLIC = {
     "Design": "api.design",
     "Estimator": "api.estimator",
     "Model": "api.model",
+    "ModelComparison": "api.comparing",
     "certify": "api.certifying",
     "compare": "api.comparing",
     "control": "api.controlling",

@@ -24,8 +24,9 @@ Models = TypeAliasType("Models", Sequence[Model] | Mapping[str, Model])
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class ModelComparison:
-    """Free runs of several models on one record, with their scores.
+    """Free runs of several models on one record, with their scores, as `st.compare` returns them.
 
+    `print(comparison)` shows the table, `comparison.plot()` draws the runs with their residuals.
     `table` has one row per model: fit in percent of each output and in total, root mean square
     error in the output's unit, largest error, states. `simulated` holds the outputs by name.
     """

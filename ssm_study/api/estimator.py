@@ -24,7 +24,12 @@ class Estimator:
     The parameters are those of `fit`; `settings` are further fields of the model. A fold of a
     search begins in the middle of a motion, so the first `start_up_samples` of what is scored
     estimate the initial state and are not scored. Folds must be stretches of time: use
-    `TimeSeriesSplit`, or `KFold` without shuffling.
+    `TimeSeriesSplit`, or `KFold` without shuffling. `model_` is the fitted `Model`, as `st.fit`
+    returns it. So scikit-learn's `GridSearchCV` chooses settings, and its result is controlled:
+
+        grid = {"order": [2, 4]}
+        search = GridSearchCV(st.Estimator(step_s=0.1, model="ssm"), grid, cv=TimeSeriesSplit(3))
+        design = st.control(search.fit(u, y).best_estimator_.model_)
 
     >>> import numpy as np, ssm_study as st
     >>> rng = np.random.default_rng(0)
@@ -50,8 +55,7 @@ class Estimator:
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:  # noqa: ARG002
         """Settings of the estimator by name, as scikit-learn reads them. No setting has settings of
-        its own, so `deep` changes nothing. None has parameters of its own, so `deep` changes
-        nothing."""
+        its own, so `deep` changes nothing."""
         return {one.name: getattr(self, one.name) for one in fields(self) if one.init}
 
     def set_params(self, **parameters: Any) -> "Estimator":

@@ -122,13 +122,13 @@ def signal_arrays(data: DataSet) -> dict[str, Any]:
 def read_data(content: dict[str, Any], arrays: dict[str, Any]) -> DataSet:
     """Data set from its description and its samples."""
     scale = {name: np.asarray(values, dtype=float) for name, values in content["scale"].items()}
-    parts = {part: read_records(part, content["records"][part], arrays) for part in PARTS}
-    channels = {}
+    fields: dict[str, Any] = {}
+    for part in PARTS:
+        fields[part] = read_records(part, content["records"][part], arrays)
     for side in CHANNELS:
-        channels[side] = tuple(Channel(**one) for one in content["channels"][side])
+        fields[side] = tuple(Channel(**one) for one in content["channels"][side])
     return DataSet(
-        **parts,
-        **channels,
+        **fields,
         scale=Scale(**scale),
         start_up_samples=int(content["start_up_samples"]),
         metadata=dict(content["metadata"]),

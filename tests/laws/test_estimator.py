@@ -56,6 +56,18 @@ def test_a_search_over_time_finds_the_lags_that_the_plant_has() -> None:
     assert fit_test_percent > 95
 
 
+def test_what_a_search_found_is_controlled() -> None:
+    """The example in the estimator's docstring, with short trainings."""
+    u, y = record(600)
+    quick = st.Estimator(step_s=STEP_S, model="linear", overrides=("training.max_epochs=3",))
+    search = GridSearchCV(quick, {"order": [2, 3]}, cv=TimeSeriesSplit(2), error_score="raise")
+    search.fit(u, y)
+    model = search.best_estimator_.model_
+    design = st.control(model, method="riccati", rate=0.05, observer_rate=0.1)
+    assert isinstance(model, st.Model)
+    assert design.certified
+
+
 def test_a_stretch_that_begins_in_motion_is_scored_from_its_own_state() -> None:
     u, y = record()
     settings = {"lags": 3}
