@@ -30,6 +30,7 @@ from ssm_study.study.form import check_form
 from ssm_study.study.run_files import RunFiles, error_text
 from ssm_study.table.columns import find_declaration
 
+SECTION_CLAIMS = {"settings": "requested", "records": "data", "loops": "loop"}
 UNGIVEN = "nothing in the run's files gives it"
 
 
@@ -166,7 +167,13 @@ def _findings_of_sections(run: RunFiles) -> Iterator[Checked | Derived | NotChec
             yield from section(run)
         except Exception as error:
             problem = f"cannot be derived: {error_text(error)}"
-            yield Checked(claim=section.__name__, holds=False, found=problem)
+            yield Checked(claim=section_claim(section.__name__), holds=False, found=problem)
+
+
+def section_claim(function: str) -> str:
+    """Name of the claim that a section could not derive, from the name of its function."""
+    subject = function.removeprefix("check_")
+    return SECTION_CLAIMS.get(subject, subject)
 
 
 def _sections(run: RunFiles) -> Sequence[Callable[[RunFiles], Claims]]:
