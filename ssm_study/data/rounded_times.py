@@ -63,7 +63,12 @@ def period_bounds_s(
 
 
 def written_resolution(time_s: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-    """Value of the last digit with which each time was written."""
+    """Value of the last digit with which each time was written.
+
+    A time of less than 1e-12 of the largest is arithmetic, and counts as zero.
+    """
+    smallest_s = 10.0**-DIGITS * np.abs(time_s).max()
+    time_s = np.where(np.abs(time_s) < smallest_s, 0.0, time_s)
     written = [f"{time:.{DIGITS}g}" for time in time_s]
     decimals = max(decimal_places(text) for text in written)
     digits = max(significant_digits(text) for text in written)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ssm_study.data.look import look
@@ -19,6 +19,7 @@ def in_digits(times: np.ndarray, digits: int) -> np.ndarray:
 
 
 @settings(max_examples=60, deadline=None)
+@example(period_s=4.0, start_s=5e-324, digits=3, samples=300)
 @given(
     period_s=st.floats(1e-3, 10.0),
     start_s=st.floats(0.0, 1.0),

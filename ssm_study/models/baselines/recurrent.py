@@ -26,7 +26,7 @@ class Recurrent(Simulator, names=("gru", "lstm")):
     weight_hh: Float[np.ndarray, "g h"]
     bias_ih: Float[np.ndarray, "g"]
     bias_hh: Float[np.ndarray, "g"]
-    output_at: Float[np.ndarray, "p h"]
+    read: Float[np.ndarray, "p h"]
     offset: Float[np.ndarray, "p"]
     scale: Scale
 
@@ -50,7 +50,7 @@ class Recurrent(Simulator, names=("gru", "lstm")):
                 i, f, g, o = np.split(gates + fed_back, 4, axis=-1)
                 c = expit(f) * c + expit(i) * np.tanh(g)
                 h = expit(o) * np.tanh(c)
-            y[..., k, :] = h @ self.output_at.T + self.offset
+            y[..., k, :] = h @ self.read.T + self.offset
         return self.scale.physical_output(y)
 
 
