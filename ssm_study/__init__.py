@@ -40,6 +40,7 @@ _PUBLIC = {
     "Certification": "api.certifying",
     "Design": "api.design",
     "Estimator": "api.estimator",
+    "GainCertificate": "api.certifying",
     "Model": "api.model",
     "ModelComparison": "api.comparing",
     "certify": "api.certifying",

@@ -2,7 +2,8 @@
 else designed: the largest provable rate, decided exactly."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -13,8 +14,9 @@ from jaxtyping import Float
 
 from ssm_study.api.arguments import Slopes
 from ssm_study.api.controlling import slope_ball
+from ssm_study.api.design import Design
 from ssm_study.api.summaries import html_table
-from ssm_study.api.systems import read_matrix
+from ssm_study.api.systems import read_linear_system, read_matrix
 from ssm_study.certificates.certificate import Side
 from ssm_study.certificates.frontier import frontier
 from ssm_study.certificates.problem import (
@@ -30,6 +32,7 @@ from ssm_study.refusal import require
 from ssm_study.synthesis.modes import least_metric
 from ssm_study.systems import JacobianBall
 
+MATRICES = "give A, B, C (for example P.A, P.B, P.C)"
 SMALLEST_RATE = 1e-9  # what is asked of the problem while its gain is analysed
 
 
@@ -39,8 +42,9 @@ class GainCertificate:
     for one gain: its certified rate, the theorem's certificate, and the rates possible.
 
     `rate` is the largest contraction rate per sample that exact arithmetic confirmed, None where
-    there is none; `certificate` holds its matrices. `rate_of_gain` is the supremum for this gain
-    and `rate_limit` that of all gains at these slopes, both in floats.
+    there is none; `certificate` holds its matrices: the gain is its `k` or `l`, the metric its `p`
+    or `q`. It holds for all `slopes`, the lowest and the highest. `rate_of_gain` is the supremum
+    for this gain and `rate_limit` that of all gains at these slopes, both in floats.
     """
 
     rate: float | None
@@ -48,6 +52,7 @@ class GainCertificate:
     rate_of_gain: float
     rate_limit: float
     reason: str
+    slopes: tuple[float, float]
 
     @property
     def certified(self) -> bool:
@@ -79,6 +84,7 @@ class Certification:
                 lines[name] = f"nothing is proved: {gain.reason}"
             else:
                 lines[name] = f"contracts at rate {gain.rate:.6g} per sample, decided exactly"
+            lines[f"{name}, slopes"] = _describe_slopes(name, gain.slopes)
             lines[f"{name}, this gain"] = _describe_limit(gain.rate_of_gain)
             lines[f"{name}, any gain"] = _describe_limit(gain.rate_limit)
         return pd.Series(lines, name="certification", dtype=object)
@@ -99,6 +105,13 @@ def _describe_limit(rate: float) -> str:
     return f"at most {rate:.6g}" if rate > 0 else "no rate is possible"
 
 
+def _describe_slopes(name: str, slopes: tuple[float, float]) -> str:
+    """Words on the slopes that a certificate holds for, and of which map."""
+    lowest, highest = (f"{slope:.6g}" for slope in slopes)
+    between = lowest if slopes[0] == slopes[1] else f"{lowest} to {highest}"
+    return f"{between} of the {'output' if name == 'observer' else 'input'} map"
+
+
 def certify(
     A: Any,
     B: Any = None,
@@ -112,10 +125,13 @@ def certify(
     """Certify given state-feedback and observer gains with the largest contraction rate that can be
     proved.
 
-    The state feedback `u = K x` for `x+ = A x + B S_u(u)`, every slope of `S_u` in `slopes`; the
-    observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)`, every slope of `S_y` in `output_slopes`.
-    Either gain may be left out. A rate `rho` means that distances shrink by `sqrt(1 - rho)` or
-    more each sample, however the slopes vary. Source: [Z26] Theorems 1 and 2 at given gains.
+    K enters as `u = K x`, L as `L (S_y(C xh) - y)`: of `x+ = A x + B S_u(u)`, every slope of `S_u`
+    in `slopes`, and of the observer `xh+ = A xh + B S_u(u) + L (S_y(C xh) - y)`, every slope of
+    `S_y` in `output_slopes`. Either gain may be left out. In place of A, B, C a python-control
+    state space or `(A, B, C, D, step_s)` may stand alone. A rate `rho` means that distances shrink
+    by `sqrt(1 - rho)` or more each sample, however the slopes vary; whether it holds is decided in
+    exact arithmetic. `controller.certificate.k` and `observer.certificate.l` are the gains of the
+    result. Source: [Z26] Theorems 1 and 2 at given gains.
 
     Raises `BadRequest` for matrices that do not fit, and where no gain is given.
 
@@ -123,7 +139,12 @@ def certify(
     >>> proof = st.certify([[1.0]], [[1.0]], K=[[-0.7]], slopes=(0.8, 1.2))
     >>> print(f"{proof.controller.rate:.3f} of {proof.controller.rate_of_gain:.4f}")
     0.806 of 0.8064
+    >>> proof = st.certify([[0.9]], C=[[1.0]], L=[[-0.6]], output_slopes=(0.9, 1.1))
+    >>> print(f"{proof.observer.rate:.3f}, {proof.observer.certificate.l}")
+    0.870, [[-0.6]]
     """
+    if B is None and C is None:
+        A, B, C = read_system_to_certify(A)
     require(K is not None or L is not None, "K, L", None, "no gain is given", "give one or both")
     a = read_matrix("A", A, (None, None))
     n = len(a)
@@ -135,13 +156,36 @@ def certify(
         k = read_matrix("K", K, (b.shape[1], n))
         jacobian_ball = slope_ball("slopes", slopes)
         controller = certify_gain(a, b, k, jacobian_ball, StateFeedbackOfBall)
+        controller = replace(controller, slopes=(float(slopes[0]), float(slopes[1])))
     if L is not None:
         require(C is not None, "C", None, "an observer needs it", "give the output matrix")
         c = read_matrix("C", C, (None, n))
         gain = read_matrix("L", L, (n, len(c)))
         ball = slope_ball("output_slopes", output_slopes)
         observer = certify_gain(a.T, c.T, gain.T, ball, ObserverOfBall)
+        told = (float(output_slopes[0]), float(output_slopes[1]))
+        observer = replace(observer, slopes=told)
     return Certification(controller=controller, observer=observer)
+
+
+def read_system_to_certify(system: Any) -> tuple[Any, Any, Any]:
+    """Matrices A, B and C of a system that stands alone; of a state matrix B and C stay None.
+
+    Raises `BadRequest` for a transfer function, whose states are not known, and for a design or
+    any other object.
+    """
+    kind = type(system).__name__
+    is_tuple = isinstance(system, tuple) and len(system) == 5 and np.ndim(system[-1]) == 0
+    if is_tuple or all(hasattr(system, name) for name in ("A", "B", "C", "D", "dt")):
+        linear, _ = read_linear_system(system)
+        return linear.a, linear.b, linear.c
+    problem = "is no state space, and the gains act on its states"
+    require(not hasattr(system, "num"), "A", kind, problem, f"convert it: control.ss; {MATRICES}")
+    is_design = isinstance(system, Design)
+    require(not is_design, "A", kind, "prints its own certificates", f"for others {MATRICES}")
+    foreign = hasattr(system, "__dict__") and not hasattr(system, "__array__")
+    require(not foreign, "A", kind, "is no matrix of numbers", MATRICES)
+    return system, None, None
 
 
 def certify_gain(
@@ -159,19 +203,12 @@ def certify_gain(
     a, b, k = (np.ascontiguousarray(matrix) for matrix in matrices)
     limit = frontier(a, b, ball).rate_limit
     supremum = largest_rate(a, b, k, ball)
+    result = partial(
+        GainCertificate, rate_of_gain=supremum, rate_limit=limit, slopes=(ball.lower, ball.upper)
+    )
     if supremum <= 0:
-        eigenvalues = np.linalg.eigvals(a + ball.alpha * b @ k)
-        spectral_radius = np.abs(eigenvalues).max()
-        slowest = float(spectral_radius)
-        reason = (
-            f"the loop is stable at the mean slope (spectral radius {slowest:.4g}), yet no "
-            f"single metric proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
-        )
-        if slowest >= 1:
-            reason = f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
-        return GainCertificate(
-            rate=None, certificate=None, rate_of_gain=supremum, rate_limit=limit, reason=reason
-        )
+        reason = _describe_missing_rate(a + ball.alpha * b @ k, ball)
+        return result(rate=None, certificate=None, reason=reason)
     problem_rate = max(SMALLEST_RATE, 0.5 * supremum)
     state_weight = np.eye(len(a))
     problem = Problem(
@@ -181,16 +218,21 @@ def certify_gain(
         rate = supremum * (1 - inside)
         part = _prove_rate(problem.at_rate(rate), k, slack, supremum, limit, theorem)
         if part is not None and part.certified:
-            return GainCertificate(
-                rate=rate,
-                certificate=part,
-                rate_of_gain=supremum,
-                rate_limit=limit,
-                reason=f"{inside:.1%} inside the supremum {supremum:.6g}",
-            )
+            reason = f"{inside:.1%} inside the supremum {supremum:.6g}"
+            return result(rate=rate, certificate=part, reason=reason)
     reason = "floats hold no metric close to the supremum; scale the states"
-    return GainCertificate(
-        rate=None, certificate=None, rate_of_gain=supremum, rate_limit=limit, reason=reason
+    return result(rate=None, certificate=None, reason=reason)
+
+
+def _describe_missing_rate(closed: Float[np.ndarray, "n n"], ball: JacobianBall) -> str:
+    """Words on why no rate can be certified, from the state matrix of the loop at the mean
+    slope."""
+    slowest = float(np.abs(np.linalg.eigvals(closed)).max())
+    if slowest >= 1:
+        return f"the loop is unstable at the mean slope (spectral radius {slowest:.4g})"
+    return (
+        f"the loop is stable at the mean slope (spectral radius {slowest:.4g}), yet no "
+        f"single metric proves a rate for every slope from {ball.lower:.4g} to {ball.upper:.4g}"
     )
 
 

@@ -30,7 +30,7 @@ from ssm_study.refusal import BadRequest, require
 from ssm_study.synthesis.deployed import WithinLimits, limits_proof
 from ssm_study.synthesis.expected_response import response_columns
 from ssm_study.synthesis.measured_discs_run import coverage_columns
-from ssm_study.synthesis.metrics import design_columns
+from ssm_study.synthesis.metrics import design_columns, proof_columns
 
 if TYPE_CHECKING:
     import control as python_control
@@ -95,9 +95,12 @@ class Design:
 
     @cached_property
     def facts(self) -> dict[str, Any]:
-        """Columns that describe the design: rates, limits, gains and predictions."""
+        """Columns that describe the design: rates, limits, gains and predictions.
+
+        A bare system has no records, hence no predictions; a loaded design has its run's columns.
+        """
         if self.origin is None:
-            return dict(self.stored_record)
+            return dict(self.stored_record) or proof_columns(self.certificate)
         balls = certified_balls(self.model)
         mismatch = self.origin.mismatch
         facts = design_columns(self.certificate, self.model, balls, mismatch)
@@ -129,9 +132,10 @@ class Design:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """All columns on data, model, design and loop. A loaded design has its run's."""
+        """All columns on data, model, design and loop. A loaded design has its run's, a bare
+        system those of `facts`."""
         if self.origin is None:
-            return dict(self.stored_record)
+            return dict(self.facts)
         facts = self.origin.facts
         return facts | self.facts | self._loop_columns()
 

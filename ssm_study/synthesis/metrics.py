@@ -210,16 +210,9 @@ def design_columns(
     `mismatch` is relative to what the law commands (`synthesis.input_inversion`).
     """
     model, balls = commanded_model_and_balls(design, model, balls)
-    feedback = design.state_feedback
-    observer = design.observer
-    facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
-    facts["controller_certified_rate"] = design.certified_rate("state_feedback")
-    facts["observer_certified_rate"] = design.certified_rate("observer")
+    facts = proof_columns(design)
     if not design.feasible:
-        facts["infeasible_reason"] = infeasible_reason(design)
         return facts
-    if not design.certified:
-        facts["uncertified_reason"] = uncertified_reason(design)
     tolerance = design.extra_certificates.get(TOLERANCE)
     facts["certified_tolerance"] = getattr(tolerance, "tolerated_gain", None)
     facts |= limit_columns(design, model)
@@ -228,6 +221,21 @@ def design_columns(
     prediction = predict(model, design.pair, balls, mismatch)
     facts |= vars(prediction)
     facts["predicted_stable"] = prediction.predicts_stability()
+    return facts
+
+
+def proof_columns(design: Design) -> dict[str, Any]:
+    """Columns of a design that its certificates alone decide: rates, limits, gain sizes and
+    reasons."""
+    feedback = design.state_feedback
+    observer = design.observer
+    facts = certificate_columns("controller", feedback) | certificate_columns("observer", observer)
+    facts["controller_certified_rate"] = design.certified_rate("state_feedback")
+    facts["observer_certified_rate"] = design.certified_rate("observer")
+    if not design.feasible:
+        facts["infeasible_reason"] = infeasible_reason(design)
+    elif not design.certified:
+        facts["uncertified_reason"] = uncertified_reason(design)
     return facts
 
 

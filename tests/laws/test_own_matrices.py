@@ -124,3 +124,43 @@ def test_a_missing_sampling_period_is_asked_for(dt: float | bool | None, remedy:
     """A discrete system of unknown period cannot be sampled; a continuous one can."""
     with pytest.raises(BadRequest, match=remedy):
         st.control(control.StateSpace(A, B, C, D, dt), rate=0.5)
+
+
+def test_the_printed_certificate_names_its_slopes() -> None:
+    """Reader of the print alone knows for which maps the rate holds."""
+    proof = st.certify(A, B, C, K=K, L=L, slopes=SLOPES, output_slopes=(0.9, 1.1))
+    summary = proof.summary()
+    assert summary["controller, slopes"] == "0.8 to 1.2 of the input map"
+    assert summary["observer, slopes"] == "0.9 to 1.1 of the output map"
+    assert proof.controller is not None
+    assert isinstance(proof.controller, st.GainCertificate)
+    assert proof.controller.slopes == SLOPES
+
+
+@pytest.mark.parametrize("system", [SYSTEM, control.StateSpace(A, B, C, D, 0.1)])
+def test_certify_takes_a_system_as_control_does(system: object) -> None:
+    rates = []
+    for matrices in ((system,), (A, B, C)):
+        proof = st.certify(*matrices, K=K, L=L, slopes=SLOPES)
+        assert proof.controller is not None
+        assert proof.observer is not None
+        rates.append((proof.controller.rate, proof.observer.rate))
+    assert rates[0] == rates[1]
+
+
+def test_certify_says_what_to_give_in_place_of_other_objects(design: Design) -> None:
+    """A transfer function has no states that gains could act on; a design has its certificates."""
+    transfer = control.TransferFunction([1.0], [1.0, -0.5], 0.1)
+    for other in (design, transfer, object.__new__(type("Plant", (), {}))):
+        with pytest.raises(BadRequest, match=r"give A, B, C \(for example P\.A, P\.B, P\.C\)"):
+            st.certify(other, K=K)
+
+
+def test_facts_of_a_bare_design_are_its_proof(design: Design) -> None:
+    facts = design.facts
+    assert facts["rate_controller"] == 0.5
+    assert facts["controller_certified_rate"] == design.certificate.certified_rate("state_feedback")
+    assert facts["observer_gain_norm"] == design.certificate.observer.gain_norm
+    assert design.record == facts
+    infeasible = st.control(SYSTEM, rate=0.99, slopes=SLOPES)
+    assert "allow only rates below 0.856" in infeasible.facts["infeasible_reason"]
