@@ -247,7 +247,8 @@ class Design:
     def step(self, size: float | None = None, *, plant: "Plant | None" = None) -> Any:
         """Draw the closed loop's response to a step of the set point by `size`.
 
-        In the output's unit; by default half the output's scale, or less where the recorded inputs
+        The step is known in advance: of a linear model the input moves before it does. In the
+        output's unit; by default half the output's scale, or less where the recorded inputs
         cannot hold so much. Returns the Matplotlib figure. Raises `BadRequest` for a step that no
         input holds.
         """

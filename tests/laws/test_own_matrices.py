@@ -164,3 +164,13 @@ def test_facts_of_a_bare_design_are_its_proof(design: Design) -> None:
     assert design.record == facts
     infeasible = st.control(SYSTEM, rate=0.99, slopes=SLOPES)
     assert "allow only rates below 0.856" in infeasible.facts["infeasible_reason"]
+
+
+def test_the_step_picture_shows_the_motion_ahead_of_the_step(design: Design) -> None:
+    """The trajectory is planned for a known step, so the picture begins at rest and says so."""
+    output, inputs, *_ = design.step().axes
+    first_s = inputs.get_xlim()[0]
+    time_s, u = inputs.lines[0].get_data()
+    before = u[np.asarray(time_s) <= first_s]
+    assert np.abs(before).max(initial=0.0) < 0.02 * np.abs(u).max()
+    assert "set point, known in advance" in [line.get_label() for line in output.lines]

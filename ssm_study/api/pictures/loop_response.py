@@ -29,6 +29,7 @@ SIZES = (0.5, 0.25, 0.1)  # steps tried, in output scales: the first that the in
 BEFORE = 0.1  # share of the horizon before the step
 SEEN_SETTLING_TIMES = 6  # how much is drawn after the step, in settling times
 FEWEST_SEEN = 40  # samples
+MOTION = 0.01  # share of its largest deviation from which on an input counts as moving
 Inputs = Sequence[Float[np.ndarray, "_ m"]]
 
 
@@ -94,6 +95,9 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
     """Picture of a step response: the output beside its reference, and the input."""
     (time_s,) = settling_times_s(run, plant.settling_band)
     seen = _drawn_time_range(run, time_s)
+    at_s = BEFORE * len(run.time_s) * run.step_s
+    ahead = _first_motion_s(run) < at_s - run.step_s
+    set_point_name = "set point, known in advance" if ahead else "set point"
     columns = max(len(plant.outputs), len(plant.inputs))
     upper = []
     for j, channel in enumerate(plant.outputs):
@@ -103,7 +107,7 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
         high = goal + plant.settling_band
         band = Band(x=run.time_s, low=low, high=high, name="settling band")
         set_point = Series(
-            x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name="set point"
+            x=run.time_s, y=goal, mark="steps", colour=style.INK, dashed=True, name=set_point_name
         )
         y = run.y[0, :, j]
         output = Series(x=run.time_s, y=y, name="output")
@@ -125,13 +129,22 @@ def _step_picture(run: Rollouts, plant: Any, recorded: Inputs, place: str, size:
 
 
 def _drawn_time_range(run: Rollouts, settling_time_s: float | None) -> tuple[float, float]:
-    """Time range of a step response that is drawn."""
+    """Time range of a step response that is drawn, from before the first motion."""
     end_s = float(run.time_s[-1])
     at_s = BEFORE * len(run.time_s) * run.step_s
     if settling_time_s is None:
         return 0.0, end_s
     span_s = max(SEEN_SETTLING_TIMES * settling_time_s, FEWEST_SEEN * run.step_s)
-    return max(0.0, at_s - span_s / 4), min(end_s, at_s + span_s)
+    start_s = min(at_s - span_s / 4, _first_motion_s(run) - run.step_s)
+    return max(0.0, start_s), min(end_s, at_s + span_s)
+
+
+def _first_motion_s(run: Rollouts) -> float:
+    """Time at which the input first moves. On a planned trajectory that is before the step, which
+    is known in advance (`loop.trajectory.feasible_trajectory`)."""
+    away = np.abs(run.u[0] - run.u[0, :1]).max(axis=1)
+    moved = away > MOTION * away.max()
+    return float(run.time_s[int(moved.argmax()) if moved.any() else -1])
 
 
 def _case_curves(runs: Rollouts, signal: str, j: int, name: str, colour: str) -> tuple[Series, ...]:
