@@ -216,6 +216,7 @@ def report_study(options: argparse.Namespace) -> None:
                 open_page(page)
     finally:
         if not options.others:
+            announce_drawing()
             reasons: list[str] = []
             wanted = options.only or (PAPER_FIGURES if options.width else None)
             paths = draw_figures(
@@ -231,8 +232,15 @@ def figures_line(paths: list[Path], left_out: int) -> str:
     if not paths:
         return "no figure drawn; -v says why"
     count = len({path.stem for path in paths})
-    more = f", {left_out} not drawn" if left_out else ""
+    why = "they need other runs or settings"
+    more = f", {left_out} not drawn ({why})" if left_out else ""
     return f"{count} figures in {paths[0].parent}{more}; -v lists them"
+
+
+def announce_drawing() -> None:
+    """Print that the figures take a while, where a person watches the terminal."""
+    if sys.stderr.isatty():
+        print("drawing the figures, which takes up to a minute", file=sys.stderr, flush=True)
 
 
 def watch_study(options: argparse.Namespace) -> None:

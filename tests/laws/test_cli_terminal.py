@@ -161,7 +161,8 @@ def test_figures_are_counted_unless_they_are_asked_for(tmp_path: Path) -> None:
     kinds = ("png", "pdf")
     paths = [tmp_path / "figures" / f"nyquist.{kind}" for kind in kinds]
     line = figures_line(paths, left_out=2)
-    assert line == f"1 figures in {tmp_path / 'figures'}, 2 not drawn; -v lists them"
+    why = "they need other runs or settings"
+    assert line == f"1 figures in {tmp_path / 'figures'}, 2 not drawn ({why}); -v lists them"
     assert figures_line([], left_out=3) == "no figure drawn; -v says why"
 
 
