@@ -58,7 +58,7 @@ def contenders(samples: int, modes: int, batch: int = 16) -> dict[str, Callable[
         "chunks": recurrence.simulate_in_chunks,
     }
     runs = {
-        name: step(ours, lambda v, law=law: law(ours.modes(), v), u)
+        name: step(ours, lambda v, law=law: law(ours.modal_form(), v), u)
         for name, law in evaluations.items()
     }
     runs["automatic"] = step(ours, ours, u)

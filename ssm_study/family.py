@@ -27,7 +27,10 @@ class Family(ABC):
         if Family in cls.__bases__:
             cls.known = {}
         left_open = sorted(
-            n for n in dir(cls) if getattr(getattr(cls, n, None), "__isabstractmethod__", False)
+            n
+            for n in dir(cls)
+            if getattr(getattr(cls, n, None), "__isabstractmethod__", False)
+            and getattr(getattr(cls, n), "__name__", n) == n  # no old name of a method
         )
         if names and left_open:
             raise TypeError(f"{cls.__name__} does not answer {', '.join(left_open)}")

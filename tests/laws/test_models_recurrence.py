@@ -111,7 +111,7 @@ def test_single_precision_stays_within_its_rounding(name: str) -> None:
     with torch.no_grad():
         modes = lru.modal_form()
         exact = by_steps(modes, u)
-        single = EVALUATIONS[name](lru.float().modes(), u.float()).double()
+        single = EVALUATIONS[name](lru.float().modal_form(), u.float()).double()
     # the modes themselves are rounded to float32: |d lambda| = 6e-8 over a memory of 1000 samples
     largest = (single - exact).abs().max()
     upper_limit = 1e-4 * exact.abs().max()
@@ -123,7 +123,7 @@ def test_single_precision_adds_little_to_the_rounding_of_slow_modes(name: str) -
     """A memory of 10,000 samples and more: a power of a rounded mode taken in float32 loses its
     phase."""
     radius = (0.9999, 0.99999)
-    modes = unit(1, 8, 2, 1, 1, radius=radius).float().modes()
+    modes = unit(1, 8, 2, 1, 1, radius=radius).float().modal_form()
     rng = np.random.default_rng(2)
     u = torch.from_numpy(rng.normal(size=(2, 5000, 1))).float()
     parts = {

@@ -101,7 +101,7 @@ def test_shooting_without_defects_is_single_shooting(model: ModelSpec) -> None:
     largest = defects.abs().max()
     assert largest < 1e-9
     actual = fit.training_records.squared_error(y_hat)
-    expected = whole.training_records.squared_error(whole.run()[0])
+    expected = whole.training_records.squared_error(whole.simulate_windows()[0])
     torch.testing.assert_close(actual, expected)
 
 

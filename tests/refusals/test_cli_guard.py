@@ -72,7 +72,11 @@ def test_whatever_is_raised_is_one_sentence(
         if command in ACTIONS:
             monkeypatch.setitem(ACTIONS, command, ACTIONS[command]._replace(function=ends))
         else:
-            named = {"new": "commands.new", "excite": "commands.excite", "run": "run.run"}[command]
+            named = {
+                "new": "commands.write_new_study",
+                "excite": "commands.excite",
+                "run": "run.run",
+            }[command]
             monkeypatch.setattr(f"ssm_study.cli.{named}", ends)
         assert type(error).__name__ in one_sentence(words, capsys)
     monkeypatch.setenv("SSM_STUDY_TRACEBACK", "1")
