@@ -30,7 +30,7 @@ def serve(path: str) -> None:
     Path(path).unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(path)
-        listener.wait_for_job_end()
+        listener.listen()
         while True:
             connection, _ = listener.accept()
             if os.fork() == 0:  # the one that waits

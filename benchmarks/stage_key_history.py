@@ -91,7 +91,7 @@ def versions(package: Path) -> dict[str, str]:
 
 
 def is_defined(sources: Code, module: str, name: str) -> bool:
-    read = sources._read_columns(module)
+    read = sources._read_module(module)
     return read is not None and (name in read.bound_names or name in read.imported)
 
 

@@ -41,24 +41,6 @@ def log_length(pieces: EvenRows) -> int:
     return pieces.starts[-1] + len(pieces.values[-1])
 
 
-def mean_period_s(time_s: Float[np.ndarray, "T"], tolerance: float, where: str) -> float:
-    """Mean sampling period of times that are evenly spaced within a tolerance; refuses others.
-    Refuses others."""
-    require_at_least(2, f"{where} (time)", len(time_s), "use a longer record")
-    refuse_decreasing_times(time_s, where)
-    mean_s, late = period_and_jitter(time_s)
-    worst = int(np.argmax(late))
-    problem = (
-        f"sample {worst} is {late[worst]:.2g} periods off a uniform clock, "
-        f"and {tolerance:g} is tolerated"
-    )
-    remedy = (
-        "set data.resample=true to interpolate onto a uniform clock, or raise data.jitter_tolerance"
-    )
-    require(late[worst] <= tolerance, f"{where} (time)", time_s[worst], problem, remedy)
-    return mean_s
-
-
 def period_and_jitter(time_s: Float[np.ndarray, "T"]) -> tuple[float, Float[np.ndarray, "T"]]:
     """Mean sampling period, and the deviation of every sample from an evenly spaced clock in
     periods."""

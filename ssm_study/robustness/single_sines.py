@@ -101,12 +101,12 @@ def with_sine(view: View, sine: SineMismatch) -> View:
     """Raise the gain of a mismatch near the frequency of one sine, where the sine shows more."""
     above = int(np.searchsorted(ANGLES, sine.angle))
     bands = [max(above - 1, 0), min(above, len(ANGLES) - 1)]
-    shown = float(np.interp(sine.angle, ANGLES, view.by_frequency))
-    if sine.gain <= shown:
+    recorded_gain = float(np.interp(sine.angle, ANGLES, view.by_frequency))
+    if sine.gain <= recorded_gain:
         return view
     by_frequency = view.by_frequency.copy()
     remainder = view.rest.copy()
-    excess = np.sqrt(sine.gain**2 - shown**2)
+    excess = np.sqrt(sine.gain**2 - recorded_gain**2)
     by_frequency[bands] = np.maximum(by_frequency[bands], sine.gain)
     remainder[bands] = np.maximum(remainder[bands], np.hypot(remainder[bands], excess))
     return replace(view, by_frequency=by_frequency, rest=remainder)

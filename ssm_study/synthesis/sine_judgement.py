@@ -23,8 +23,8 @@ from ssm_study.systems import Balls
 def frequencies_to_test(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, period: int
 ) -> list[int]:
-    """Frequencies, as lines of a period, at which a design is to be tested with single sines. None
-    for a law that inverts the input map, nor where the noise is unknown."""
+    """Frequencies, as lines of a period, at which a design is to be tested with single sines.
+    Empty for a law that inverts the input map, and where the noise is unknown."""
     if not design.feasible or design.inverts_input_map or not mismatch.noise:
         return []
     return peak_lines(model, design.pair, balls, period)
@@ -45,7 +45,8 @@ def simulated_sines(
 def sine_columns(
     design: Design, model: Model, balls: Balls, mismatch: Mismatch, sines: Sequence[SineMismatch]
 ) -> dict[str, Any]:
-    """Columns of the stability margin with the single-sine tests included. None without sines."""
+    """Columns of the stability margin with the single-sine tests included. Empty without
+    sines."""
     if not sines:
         return {}
     without = predict(model, design.pair, balls, mismatch)
