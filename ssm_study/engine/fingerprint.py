@@ -152,8 +152,7 @@ class Code:
         if top not in self.followed:
             path = None if top in sys.stdlib_module_names else self._source_path(top)
             is_ours = top in (*self.folders, OURS, "__main__")
-            is_library = path is None or not INSTALLED.isdisjoint(path.parts)
-            self.followed[top] = is_ours or not is_library
+            self.followed[top] = is_ours or not (path is None or _is_installed(path))
         return self.followed[top]
 
     def _symbols_used(self, module: str, name: str) -> Iterator[Symbol]:
@@ -220,12 +219,22 @@ class Code:
         for path in (file, room):
             if path.is_file() and path.name != ".py":
                 return path
-        # A package whose path was made longer.
+        # A package whose path was made longer. A compiled module has no source to read.
         loaded = None if top in self.folders else sys.modules.get(module)
-        return None if loaded is None or not loaded.__file__ else Path(loaded.__file__)
+        origin = getattr(loaded, "__file__", None) or ""
+        return Path(origin) if origin.endswith(".py") else None
 
 
 CODE = Code()
+
+
+def _is_installed(path: Path) -> bool:
+    """Whether a source file belongs to an installed library, also one that lies in a folder of its
+    own (`pip install --target`): its distribution's `.dist-info` then stands beside the package."""
+    if not INSTALLED.isdisjoint(path.parts):
+        return True
+    package = path.parent if path.name == "__init__.py" else path
+    return any(package.parent.glob("*.dist-info"))
 
 
 @cache

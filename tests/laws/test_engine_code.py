@@ -2,8 +2,10 @@
 
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -240,6 +242,37 @@ def test_a_library_counts_by_its_version_where_it_is_used(
     monkeypatch.setattr("ssm_study.engine.fingerprint.library_version", lambda name: f"{name} 99")
     assert seen("used") == before[0]
     assert seen("unused") != before[1]
+
+
+@pytest.mark.parametrize("is_installed", [True, False])
+def test_a_library_in_a_folder_of_its_own_counts_by_its_version(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_installed: bool
+) -> None:
+    """`pip install --target FOLDER` puts the `.dist-info` beside the package; the sources of a
+    clone have none beside them."""
+    monkeypatch.syspath_prepend(tmp_path)
+    name = f"toy_library_{is_installed}".lower()
+    package = tmp_path / name
+    package.mkdir()
+    (package / "__init__.py").write_text("constant = 1\n")
+    if is_installed:
+        (tmp_path / f"{name}-1.0.dist-info").mkdir()
+    assert Code()._is_followed(name) is not is_installed
+
+
+def test_a_compiled_module_has_no_source_to_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part of a followed package that is compiled, as a file or by its package's own start."""
+    monkeypatch.syspath_prepend(tmp_path)
+    package = tmp_path / "toy_compiled"
+    package.mkdir()
+    (package / "__init__.py").write_text("constant = 1\n")
+    part = ModuleType("toy_compiled.part")
+    monkeypatch.setitem(sys.modules, "toy_compiled.part", part)
+    assert Code()._source_path("toy_compiled.part") is None
+    part.__file__ = str(package / "part.cpython-312-x86_64-linux-gnu.so")
+    assert Code()._source_path("toy_compiled.part") is None
 
 
 def test_a_name_that_is_nowhere_is_refused() -> None:
